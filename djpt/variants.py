@@ -1,0 +1,153 @@
+"""Which backend Dr.Jit runs on: ``llvm_ad_rgb`` (the CPU) or ``cuda_ad_rgb``.
+
+The choice is made once per process, when the first name that needs it is used
+(`djpt.types` calls `load_backend`). Until then it can be changed: `set_variant` comes
+first, then the environment variable ``DJPT_VARIANT``, then the default ``llvm_ad_rgb``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from types import ModuleType
+
+from djpt.errors import BackendError, near_miss
+from djpt.llvm.finder import MINIMUM, PATH_VARIABLE, prepare
+
+__all__ = ["DEFAULT", "VARIANTS", "load_backend", "set_variant", "variant", "variants"]
+
+VARIANTS = {"llvm_ad_rgb": "llvm", "cuda_ad_rgb": "cuda"}
+"""Names of the variants, and of the Dr.Jit backend behind each."""
+
+DEFAULT = "llvm_ad_rgb"
+
+_LIBATOMIC = """Dr.Jit needs libatomic.so.1, which this system doesn't have. Any one of these gets it:
+    sudo apt-get install -y libatomic1   Debian, Ubuntu
+    sudo dnf install -y libatomic        Fedora
+    python -m djpt.llvm                  Linux x86-64, into this Python environment, no root needed"""
+
+
+class _State:
+    """The choice of this process: `name` until a backend is loaded, `module` from then on."""
+
+    name: str | None = None
+    module: ModuleType | None = None
+
+
+def variants() -> list[str]:
+    """Names of the variants that djpt knows, whether or not this machine can run them."""
+    return list(VARIANTS)
+
+
+def variant() -> str:
+    """Name of the variant in use, or of the one that the first use of a type will choose.
+
+    Raises:
+        BackendError: ``DJPT_VARIANT`` names an unknown variant.
+    """
+    if _State.name is not None:
+        return _State.name
+    name = os.environ.get("DJPT_VARIANT") or DEFAULT
+    return _checked(name, "the environment variable DJPT_VARIANT")
+
+
+def _checked(name: str, where: str) -> str:
+    if name not in VARIANTS:
+        raise BackendError(f"{where}: unknown variant {name!r}{near_miss(str(name), VARIANTS)}")
+    return name
+
+
+def set_variant(*names: str) -> None:
+    """Choose the variant: the first of `names` that this machine can run (Mitsuba's meaning).
+
+    Optional; without it ``llvm_ad_rgb`` is used. A single name is taken as it is, and checked
+    when a type is first used. Several names are tried in turn, which loads the backend.
+
+    Raises:
+        BackendError: no name or an unknown one was given, none of several can be run, or
+            the types of another variant are in use already.
+    """
+    if not names:
+        raise BackendError("set_variant: expected at least one name" + near_miss("", VARIANTS))
+    for name in names:
+        _checked(name, "set_variant")
+    if _State.module is not None:
+        if _State.name not in names:
+            raise BackendError(
+                f"set_variant: can't change to {names[0]!r}, the types of {_State.name!r} are in use already; "
+                "call set_variant() straight after 'import djpt'"
+            )
+        return
+    if len(names) == 1:
+        _State.name = names[0]
+        return
+    before, problems = _State.name, []
+    for name in names:
+        _State.name = name
+        try:
+            load_backend()
+        except BackendError as error:
+            problems.append(f"{name}: {error}")
+        else:
+            return
+    _State.name = before
+    raise BackendError("set_variant: none of these can be run:\n" + "\n".join(problems))
+
+
+def load_backend() -> ModuleType:
+    """Import Dr.Jit and return the module with its types: `drjit.llvm.ad` or `drjit.cuda.ad`.
+
+    Nothing of Dr.Jit may be used before: without a usable LLVM its first array would end
+    the process instead of raising an exception.
+
+    Raises:
+        BackendError: the backend can't be used on this machine; the message says what to do.
+    """
+    if _State.module is not None:
+        return _State.module
+    name = variant()
+    backend = VARIANTS[name]
+    early = "drjit" in sys.modules
+    found = prepare()
+    if backend == "llvm" and found.chosen is None and not early:
+        raise BackendError(found.explain())
+    drjit = _import_drjit()
+    if backend == "llvm":
+        _check_llvm(drjit, early)
+    elif not drjit.has_backend(drjit.JitBackend.CUDA):
+        raise BackendError(
+            f"variant {name!r} needs an NVIDIA GPU and a working CUDA driver, and Dr.Jit found none; "
+            f"use {DEFAULT!r} (the default) instead"
+        )
+    _State.module = importlib.import_module(f"drjit.{backend}.ad")
+    _State.name = name
+    return _State.module
+
+
+def _import_drjit() -> ModuleType:
+    try:
+        return importlib.import_module("drjit")
+    except (ImportError, NameError) as error:
+        # Dr.Jit 1.5.0's handler of a failed import itself fails, with a NameError; the reason is its context.
+        reason = f"{error} {error.__context__}"
+        if "libatomic" in reason:
+            raise BackendError(_LIBATOMIC) from error
+        raise BackendError(f"Dr.Jit can't be imported: {error.__context__ or error}") from error
+
+
+def _check_llvm(drjit: ModuleType, early: bool) -> None:
+    """Make sure that Dr.Jit has a usable LLVM: a bad one would end the process."""
+    found = prepare()
+    usable = drjit.has_backend(drjit.JitBackend.LLVM)
+    version = tuple(drjit.detail.llvm_version()) if usable else (0,)
+    if version[0] >= MINIMUM:
+        return
+    if not early:
+        raise BackendError(
+            f"Dr.Jit can't use the LLVM library that djpt chose, {found.chosen}. The CPU must support AVX2 and FMA. "
+            f"Set {PATH_VARIABLE} to another libLLVM, version {MINIMUM} or newer."
+        )
+    had = f"took LLVM {version[0]}, which would end the process" if usable else "found no usable LLVM"
+    advice = "import djpt before drjit and mitsuba" if found.chosen else found.explain()
+    raise BackendError(f"Dr.Jit was imported before djpt and {had}: {advice}")
