@@ -1,10 +1,134 @@
-"""djpt: a differentiable path tracer in pure Python over Dr.Jit."""
+"""djpt: a differentiable path tracer in pure Python over Dr.Jit.
+
+    import djpt
+
+    scene = djpt.load_dict(djpt.cornell_box())
+    image = djpt.render(scene, spp=64)
+    djpt.write("cornell_box.png", image)
+
+Names that Mitsuba 3 has as well mean the same here. ``import djpt`` is light: a name is
+imported when it is first used, and Dr.Jit with the first name that needs it. Until then
+`set_variant` can choose the backend.
+"""
 
 from __future__ import annotations
 
+import difflib
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from djpt.llvm.finder import prepare as _prepare
+
+if TYPE_CHECKING:
+    from djpt import errors as errors
+    from djpt import integrators as integrators
+    from djpt import materials as materials
+    from djpt import scenes as scenes
+    from djpt import types as types
+    from djpt import util as util
+    from djpt import validation as validation
+    from djpt.description.loader import load_dict as load_dict
+    from djpt.description.plugin import ParamFlags as ParamFlags
+    from djpt.description.plugin import Plugin as Plugin
+    from djpt.description.registry import register_bsdf as register_bsdf
+    from djpt.description.registry import register_emitter as register_emitter
+    from djpt.description.registry import register_film as register_film
+    from djpt.description.registry import register_integrator as register_integrator
+    from djpt.description.registry import register_rfilter as register_rfilter
+    from djpt.description.registry import register_sampler as register_sampler
+    from djpt.description.registry import register_sensor as register_sensor
+    from djpt.description.registry import register_shape as register_shape
+    from djpt.description.registry import register_texture as register_texture
+    from djpt.errors import BackendError as BackendError
+    from djpt.errors import DjptError as DjptError
+    from djpt.errors import FileError as FileError
+    from djpt.errors import ParameterError as ParameterError
+    from djpt.errors import RenderError as RenderError
+    from djpt.errors import SceneError as SceneError
+    from djpt.image import Image as Image
+    from djpt.image import read as read
+    from djpt.image import write as write
+    from djpt.parameters import SceneParameters as SceneParameters
+    from djpt.parameters import traverse as traverse
+    from djpt.records import BSDFSample3f as BSDFSample3f
+    from djpt.records import DirectionSample3f as DirectionSample3f
+    from djpt.records import PositionSample3f as PositionSample3f
+    from djpt.records import PreliminaryIntersection3f as PreliminaryIntersection3f
+    from djpt.records import Ray3f as Ray3f
+    from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
+    from djpt.rendering import render as render
+    from djpt.scene import Scene as Scene
+    from djpt.scenes import cornell_box as cornell_box
+    from djpt.transforms import ScalarTransform4f as ScalarTransform4f
+    from djpt.transforms import Transform4f as Transform4f
+    from djpt.types import PCG32 as PCG32
+    from djpt.types import Bool as Bool
+    from djpt.types import Color3f as Color3f
+    from djpt.types import Float as Float
+    from djpt.types import Float64 as Float64
+    from djpt.types import Int32 as Int32
+    from djpt.types import Mask as Mask
+    from djpt.types import Matrix4f as Matrix4f
+    from djpt.types import Normal3f as Normal3f
+    from djpt.types import Point2f as Point2f
+    from djpt.types import Point3f as Point3f
+    from djpt.types import TensorXf as TensorXf
+    from djpt.types import UInt32 as UInt32
+    from djpt.types import UInt64 as UInt64
+    from djpt.types import Vector2f as Vector2f
+    from djpt.types import Vector3f as Vector3f
+    from djpt.variants import set_variant as set_variant
+    from djpt.variants import variant as variant
+
+__version__ = "0.1.0"
+
+_SUBMODULES = ("errors", "integrators", "materials", "scenes", "types", "util", "validation")
+
+_EXPORTS = {
+    "djpt.description.loader": "load_dict",
+    "djpt.description.plugin": "ParamFlags Plugin",
+    "djpt.description.registry": (
+        "register_bsdf register_emitter register_film register_integrator register_rfilter "
+        "register_sampler register_sensor register_shape register_texture"
+    ),
+    "djpt.errors": "BackendError DjptError FileError ParameterError RenderError SceneError",
+    "djpt.image": "Image read write",
+    "djpt.parameters": "SceneParameters traverse",
+    "djpt.records": (
+        "BSDFSample3f DirectionSample3f PositionSample3f PreliminaryIntersection3f Ray3f SurfaceInteraction3f"
+    ),
+    "djpt.rendering": "render",
+    "djpt.scene": "Scene",
+    "djpt.scenes": "cornell_box",
+    "djpt.transforms": "ScalarTransform4f Transform4f",
+    "djpt.types": (
+        "PCG32 Bool Color3f Float Float64 Int32 Mask Matrix4f Normal3f Point2f Point3f TensorXf UInt32 UInt64 "
+        "Vector2f Vector3f"
+    ),
+    "djpt.variants": "set_variant variant",
+}
+"""Where the public names live. The imports above say the same to type checkers."""
+
+_HOME = {name: module for module, names in _EXPORTS.items() for name in names.split()}
+
+__all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
 
 # Before anything can import Dr.Jit, also the user's own `import mitsuba` on the next line.
 _prepare()
 
-__version__ = "0.1.0"
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used (PEP 562)."""
+    if name in _SUBMODULES:
+        return importlib.import_module(f"djpt.{name}")
+    if name not in _HOME:
+        close = difflib.get_close_matches(name, __all__, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise AttributeError(f"module 'djpt' has no attribute {name!r}{hint}")
+    value = getattr(importlib.import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

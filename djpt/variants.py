@@ -15,7 +15,7 @@ from types import ModuleType
 from djpt.errors import BackendError, near_miss
 from djpt.llvm.finder import MINIMUM, PATH_VARIABLE, prepare
 
-__all__ = ["DEFAULT", "VARIANTS", "load_backend", "set_variant", "variant", "variants"]
+__all__ = ["DEFAULT", "VARIANTS", "load_backend", "set_variant", "variant"]
 
 VARIANTS = {"llvm_ad_rgb": "llvm", "cuda_ad_rgb": "cuda"}
 """Names of the variants, and of the Dr.Jit backend behind each."""
@@ -33,11 +33,6 @@ class _State:
 
     name: str | None = None
     module: ModuleType | None = None
-
-
-def variants() -> list[str]:
-    """Names of the variants that djpt knows, whether or not this machine can run them."""
-    return list(VARIANTS)
 
 
 def variant() -> str:

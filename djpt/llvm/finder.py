@@ -46,6 +46,9 @@ SEARCH_VARIABLE = "DJPT_LLVM_DIRS"
 
 _NOTHING_USABLE = "no-usable-libLLVM-found-by-djpt"
 
+_MARK = "DJPT_LLVM_CHOSEN"
+"""Repeats what djpt wrote to `PATH_VARIABLE`: a child process can tell it from the user's wish and search anew."""
+
 _LIBRARY_NAME = re.compile(r"(libLLVM(-\d+)?[-.\w]*\.(so[.\d]*|dylib)|LLVM-C\.dll)$")
 _VERSION_IN_NAME = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+)|[/\\]llvm[@/\\-](\d+)")
 
@@ -257,7 +260,7 @@ def search() -> Search:
     """Look for LLVM as a fresh process would, changing nothing in the environment."""
     folders = tuple(f for f in os.environ.get(SEARCH_VARIABLE, "").split(os.pathsep) if f)
     wanted = os.environ.get(PATH_VARIABLE, "")
-    if wanted:
+    if wanted and wanted != os.environ.get(_MARK):
         if os.sep in wanted and not Path(wanted).exists():
             examined = Candidate(wanted, 0, "no such file")
         else:
@@ -285,5 +288,6 @@ def prepare() -> Search:
     """
     found = search()
     _open_private_libatomic()
-    os.environ[PATH_VARIABLE] = found.chosen.path if found.chosen else _NOTHING_USABLE
+    if not (found.from_user and found.chosen):
+        os.environ[PATH_VARIABLE] = os.environ[_MARK] = found.chosen.path if found.chosen else _NOTHING_USABLE
     return found

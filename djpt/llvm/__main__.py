@@ -1,0 +1,10 @@
+"""``python -m djpt.llvm``: see `djpt.llvm.installer`."""
+
+from __future__ import annotations
+
+import sys
+
+from djpt.llvm.installer import main
+
+if __name__ == "__main__":
+    sys.exit(main())
