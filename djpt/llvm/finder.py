@@ -190,6 +190,11 @@ def _version(path: str) -> int:
         return 0
 
 
+def _judged(path: str, version: int) -> Candidate:
+    """A candidate that has not been opened: its version may rule it out."""
+    return Candidate(path, version, f"too old, {MINIMUM} is needed" if 0 < version < MINIMUM else "")
+
+
 def _candidates(folders: tuple[str, ...]) -> list[Candidate]:
     """All libraries found, best first: tested versions, newest first, then newer ones, then too old ones."""
     patterns = [f"{glob.escape(folder)}/*LLVM*" for folder in folders] if folders else _patterns()
@@ -199,7 +204,7 @@ def _candidates(folders: tuple[str, ...]) -> list[Candidate]:
         for path in glob.glob(pattern)
         if _LIBRARY_NAME.search(os.path.basename(path))
     }
-    found = [Candidate(path, _version(path)) for path in sorted(files)]
+    found = [_judged(path, _version(path)) for path in sorted(files)]
 
     def rank(candidate: Candidate) -> tuple[bool, int, str]:
         return MINIMUM <= candidate.version <= NEWEST_TESTED, candidate.version, candidate.path
@@ -209,8 +214,8 @@ def _candidates(folders: tuple[str, ...]) -> list[Candidate]:
 
 def _examine(candidate: Candidate) -> Candidate:
     """Open the library as Dr.Jit will, and fill in `problem` if it isn't usable."""
-    if 0 < candidate.version < MINIMUM:
-        return Candidate(candidate.path, candidate.version, f"too old, {MINIMUM} is needed")
+    if candidate.problem:
+        return candidate
     library, problem = _open(candidate.path)
     if library is None:
         return Candidate(candidate.path, candidate.version, problem)
@@ -219,8 +224,7 @@ def _examine(candidate: Candidate) -> Candidate:
         library.LLVMGetVersion(*map(ctypes.byref, numbers))
     except AttributeError:  # new in LLVM 16
         return Candidate(candidate.path, 0, f"not LLVM, or older than {MINIMUM}")
-    version = numbers[0].value  # the truth: a file's name can lie
-    return Candidate(candidate.path, version, "" if version >= MINIMUM else f"too old, {MINIMUM} is needed")
+    return _judged(candidate.path, numbers[0].value)  # the truth: a file's name can lie
 
 
 def _open(path: str) -> tuple[ctypes.CDLL | None, str]:
@@ -264,7 +268,7 @@ def search() -> Search:
         if os.sep in wanted and not Path(wanted).exists():
             examined = Candidate(wanted, 0, "no such file")
         else:
-            examined = _examine(Candidate(wanted, _version_in_name(wanted)))
+            examined = _examine(_judged(wanted, _version_in_name(wanted)))
         if not examined.problem:
             return Search(examined, from_user=True, folders=folders)
         others = tuple(c for c in _candidates(folders) if c.version >= MINIMUM)
@@ -284,10 +288,12 @@ def prepare() -> Search:
     """Search once, and tell Dr.Jit the outcome through `DRJIT_LIBLLVM_PATH`.
 
     Takes effect only before the first ``import drjit`` or ``import mitsuba`` of the
-    process. Never raises: whoever needs the CPU backend reads `Search.chosen`.
+    process. A variable that the user has set is left alone, even if it is useless: child
+    processes must come to the same conclusion. Never raises: whoever needs the CPU
+    backend reads `Search.chosen`.
     """
     found = search()
     _open_private_libatomic()
-    if not (found.from_user and found.chosen):
+    if not found.from_user:
         os.environ[PATH_VARIABLE] = os.environ[_MARK] = found.chosen.path if found.chosen else _NOTHING_USABLE
     return found

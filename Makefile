@@ -1,0 +1,52 @@
+# Two commands on a fresh machine: `make render` and `make test`. See README.md.
+#   make render VENV=/tmp/venv PYTHON=python3.12    another place, another Python (3.10 or newer)
+
+VENV ?= .venv
+PYTHON ?= python3
+PY := $(VENV)/bin/python
+READY := $(VENV)/.djpt-ready
+
+.PHONY: help setup render test lint format check bench clean
+
+help:
+	@echo 'make setup    create $(VENV), install djpt and what its tests need, see to LLVM'
+	@echo 'make render   render the Cornell box to cornell_box.png'
+	@echo 'make test     run the tests (without the slow ones)'
+	@echo 'make lint     ruff and mypy'
+	@echo 'make format   let ruff format the code and sort the imports'
+	@echo 'make check    lint and all tests'
+	@echo 'make bench    measure against Mitsuba'
+	@echo 'make clean    remove $(VENV) and caches'
+
+setup: $(READY)
+
+$(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "djpt needs Python 3.10 or newer, $(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[validate,dev]'
+	$(PY) -m djpt.llvm --if-needed
+	@touch $@
+
+render: $(READY)
+	$(PY) -m djpt render cornell_box -o cornell_box.png --spp 256
+
+test: $(READY)
+	$(PY) -m pytest -q
+
+lint: $(READY)
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy
+
+format: $(READY)
+	$(PY) -m ruff check --fix-only --quiet .
+	$(PY) -m ruff format .
+
+check: lint
+	$(PY) -m pytest -q -m ''
+
+bench: $(READY)
+	$(PY) benchmarks/versus_mitsuba.py
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,197 @@
+"""``djpt doctor``: what was found on this machine, what was chosen and why, and what to do.
+
+`examine` collects the findings, `print_report` shows them. The backend is tried in a
+process of its own, so that even a library that aborts yields a finding. Works without Dr.Jit.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import djpt
+from djpt.errors import BackendError
+from djpt.llvm.finder import PATH_VARIABLE, SEARCH_VARIABLE, Search, search
+from djpt.llvm.installer import libatomic_missing
+from djpt.variants import VARIANTS, variant
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["Finding", "Report", "examine", "main", "print_report"]
+
+Verdict = Literal["ok", "note", "problem"]
+
+_TRIAL = """
+import json, sys
+import djpt
+from djpt.errors import BackendError
+from djpt.variants import load_backend
+try:
+    backend = load_backend()
+except BackendError as error:
+    print(json.dumps({"error": str(error)}))
+    sys.exit()
+import drjit as dr
+total = dr.sum(dr.minimum(dr.arange(backend.Float, 8), 3.5))[0]
+llvm = ".".join(map(str, dr.detail.llvm_version())) if "llvm" in backend.__name__ else ""
+print(json.dumps({"total": total, "threads": dr.thread_count(), "llvm": llvm}))
+"""
+_TRIAL_TOTAL = 0 + 1 + 2 + 3 + 4 * 3.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; `advice` says what to do, or why it is as it is."""
+
+    topic: str
+    found: str
+    verdict: Verdict = "ok"
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `examine` found. `usable`: djpt can render on this machine."""
+
+    findings: tuple[Finding, ...]
+    usable: bool
+
+    def __getitem__(self, topic: str) -> Finding:
+        """The finding about `topic`; KeyError if there is none."""
+        for finding in self.findings:
+            if finding.topic == topic:
+                return finding
+        raise KeyError(topic)
+
+
+def examine() -> Report:
+    """Look at the machine. Takes about a second; changes nothing and raises no `DjptError`."""
+    libraries = search()
+    trial = _trial()
+    return Report(
+        (
+            Finding("djpt", f"{djpt.__version__} in {os.path.dirname(djpt.__file__)}"),
+            Finding("Python", f"{platform.python_version()} in {sys.prefix}"),
+            _processor(),
+            _package("drjit", "needed"),
+            _libatomic(),
+            _llvm(libraries),
+            _variant(),
+            trial,
+            _package("mitsuba", "only for validation: pip install 'djpt[validate]'"),
+        ),
+        usable=trial.verdict == "ok",
+    )
+
+
+def _processor() -> Finding:
+    name = f"{platform.system()} {platform.machine()}, {os.cpu_count()} threads"
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            flags = next((line.split() for line in file if line.startswith("flags")), None)
+    except OSError:
+        flags = None
+    if flags is None or platform.machine() != "x86_64":
+        return Finding("Processor", name)
+    known = [flag for flag in ("fma", "avx2", "avx512f") if flag in flags]
+    if "fma" not in known:
+        return Finding("Processor", name, "problem", "Dr.Jit's CPU backend needs the FMA instructions")
+    return Finding("Processor", f"{name}, {' '.join(known)}")
+
+
+def _package(name: str, purpose: str) -> Finding:
+    try:
+        return Finding(name, importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, "not installed", "problem" if purpose == "needed" else "note", purpose)
+
+
+def _libatomic() -> Finding:
+    if libatomic_missing():
+        advice = "sudo apt-get install -y libatomic1, or without root: python -m djpt.llvm"
+        return Finding("libatomic", "libatomic.so.1 is missing, Dr.Jit can't be imported without it", "problem", advice)
+    return Finding("libatomic", "there" if sys.platform == "linux" else "not needed here")
+
+
+def _llvm(libraries: Search) -> Finding:
+    if libraries.chosen is None:
+        needed = VARIANTS.get(os.environ.get("DJPT_VARIANT", ""), "llvm") == "llvm"
+        return Finding("LLVM", "no usable library", "problem" if needed else "note", libraries.explain())
+    if libraries.from_user:
+        why = f"{PATH_VARIABLE} asks for it"
+    elif libraries.folders:
+        why = f"the best one in {SEARCH_VARIABLE}={os.pathsep.join(libraries.folders)}"
+    else:
+        why = "the newest tested version"
+    passed_over = [*libraries.rejected, *libraries.spare]
+    if passed_over:
+        why += "; passed over:\n" + "\n".join(f"    {candidate}" for candidate in passed_over)
+    return Finding("LLVM", str(libraries.chosen), "ok", why)
+
+
+def _variant() -> Finding:
+    source = "DJPT_VARIANT" if os.environ.get("DJPT_VARIANT") else "the default"
+    try:
+        return Finding("Variant", f"{variant()} ({source})")
+    except BackendError as error:
+        return Finding("Variant", os.environ.get("DJPT_VARIANT", ""), "problem", str(error))
+
+
+def _trial() -> Finding:
+    """Run a small kernel in another process."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _TRIAL], capture_output=True, text=True, timeout=120, check=False, env=environment
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        return Finding("Trial", "a small kernel could not be run", "problem", str(error))
+    lines = done.stdout.strip().splitlines()
+    if done.returncode or not lines:
+        code = done.returncode
+        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+        return Finding("Trial", f"a small kernel ended with {how}", "problem", done.stderr.strip()[-1000:])
+    answer = json.loads(lines[-1])
+    if "error" in answer:
+        return Finding("Trial", "a small kernel was not run", "problem", answer["error"])
+    if answer["total"] != _TRIAL_TOTAL:
+        return Finding("Trial", f"a small kernel computed {answer['total']}, not {_TRIAL_TOTAL}", "problem")
+    llvm = f" on LLVM {answer['llvm']}" if answer["llvm"] else ""
+    return Finding("Trial", f"a small kernel ran{llvm}, {answer['threads']} threads")
+
+
+def print_report(report: Report, console: Console | None = None) -> None:
+    """Print the findings, the advice below each, and a closing line. `console`: a rich console, default stdout."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = console or Console(soft_wrap=True, highlight=False)
+    marks = {"ok": ("ok", "green"), "note": ("--", "yellow"), "problem": ("!!", "bold red")}
+    width = max(len(finding.topic) for finding in report.findings)
+    said: set[str] = set()
+    for finding in report.findings:
+        mark, style = marks[finding.verdict]
+        console.print(Text.assemble((mark, style), f"  {finding.topic:<{width}}  {finding.found}"))
+        if finding.advice and finding.advice not in said:
+            said.add(finding.advice)
+            for line in finding.advice.splitlines():
+                console.print(Text(f"{'':{width + 6}}{line}", "" if finding.verdict == "problem" else "dim"))
+    if report.usable:
+        console.print(Text("djpt can render on this machine.", "green"))
+    else:
+        console.print(Text("djpt can't render on this machine yet: see the lines marked !!", "bold red"))
+
+
+def main() -> int:
+    """``djpt doctor``: print the report. Returns 0 if djpt can render here, else 3."""
+    report = examine()
+    print_report(report)
+    return 0 if report.usable else 3
