@@ -1,0 +1,66 @@
+"""How far two images are apart: plain numbers, without a judgement on whether noise explains them.
+
+Every function takes two arrays of equal shape (H, W, C), compares `image` with `reference` and computes in
+float64. A judgement needs variances: see `djpt.validation.statistics`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from djpt.errors import DjptError
+
+__all__ = ["ComparisonError", "mean_bias", "pair", "relative_bias", "relative_rmse", "rmse"]
+
+Array = npt.NDArray[np.float64]
+
+
+class ComparisonError(DjptError, AssertionError):
+    """Two images can't be compared, or `assert_matches` found that they differ."""
+
+
+def rmse(image: Any, reference: Any) -> float:
+    """Root mean square error: sqrt(mean((a - b)^2)) over pixels and channels."""
+    a, b = pair(image, reference)
+    return float(np.sqrt(np.mean(np.square(a - b))))
+
+
+def relative_rmse(image: Any, reference: Any, epsilon: float = 1e-2) -> float:
+    """sqrt(mean((a - b)^2 / (b^2 + epsilon))): the square root of relMSE.
+
+    `epsilon` (default 0.01) keeps black pixels from ruling; it is the customary value in papers on
+    denoising and sampling (Rousselle et al. 2011, *Adaptive sampling and reconstruction using
+    greedy error minimization*).
+    """
+    a, b = pair(image, reference)
+    return float(np.sqrt(np.mean(np.square(a - b) / (np.square(b) + epsilon))))
+
+
+def mean_bias(image: Any, reference: Any) -> float:
+    """mean(a - b) over pixels and channels: positive if `image` is too bright."""
+    a, b = pair(image, reference)
+    return float(np.mean(a - b))
+
+
+def relative_bias(image: Any, reference: Any) -> float:
+    """`mean_bias` as a share of the reference's mean; 0 if both are black."""
+    bias, level = mean_bias(image, reference), abs(float(np.mean(np.asarray(reference, np.float64))))
+    if level == 0:
+        return math.copysign(math.inf, bias) if bias else 0.0
+    return bias / level
+
+
+def pair(image: Any, reference: Any) -> tuple[Array, Array]:
+    """Both images as float64; raises `ComparisonError` unless shapes agree and all values are finite."""
+    a, b = np.asarray(image, np.float64), np.asarray(reference, np.float64)
+    if a.shape != b.shape or a.ndim != 3 or a.size == 0:
+        raise ComparisonError(f"images to compare need one shape (H, W, C), found {a.shape} and {b.shape}")
+    for name, values in (("image", a), ("reference", b)):
+        bad = int(np.count_nonzero(~np.isfinite(values)))
+        if bad:
+            raise ComparisonError(f"the {name} has {bad} values that are NaN or infinite")
+    return a, b

@@ -1,0 +1,305 @@
+"""Is the difference of two noisy images explained by their noise? Tests with a stated false-alarm rate.
+
+Each renderer renders the same scene several times with independent seeds: its *batches*. They give, for every
+pixel, block of pixels or whole image, a mean and an unbiased variance of that mean, without
+any help from the renderer. If both means estimate the same number, then
+
+    t = (mean_a - mean_b) / sqrt(variance_a + variance_b)
+
+follows Student's distribution. Three families of tests look at three scales:
+
+* **pixels**, each channel by itself: sees a defect of a few pixels, however small;
+* **blocks** of 32 x 32 pixels: sees a defect of an object or of a shadow;
+* **image mean** per channel: sees a missing factor, and a uniform bias smaller than the pixel test can by
+  about the square root of the number of pixels.
+
+A family of n tests alarms falsely with probability `significance` altogether: each single test uses Sidak's level
+``1 - (1 - significance)^(1/n)`` (Z. Sidak 1967, *Rectangular confidence regions for the means of multivariate
+normal distributions*), which is exact for independent tests, and safe for the correlated
+ones (neighbours under a wide filter, channels of a pixel), since it bounds any normal vector.
+
+Both images must come from different seeds, since equal seeds are not independent: for those see
+`djpt.validation.same_seed`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from djpt.errors import BackendError
+from djpt.validation.metrics import ComparisonError
+
+__all__ = ["BLOCK", "RESOLUTION", "Batches", "Moments", "TestResult", "block_test", "mean_test", "pixel_test", "sidak"]
+
+Array = npt.NDArray[np.float64]
+
+BLOCK = 32
+"""Side of a block in pixels. Blocks at the right and lower border may be smaller."""
+
+RESOLUTION = 1e-5
+"""Relative differences of this size count as rounding: Mitsuba's own renders differ by 7e-6 (atomic order)."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What batches say of some averages: all arrays have the shape of the averages."""
+
+    mean: Array
+    variance: Array  # of one batch's average, unbiased
+    dof: Array  # degrees of freedom of `variance`
+    count: int  # number of batches that were averaged
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """One family of tests.
+
+    * `name`, `count`: which family, and how many tests it has.
+    * `z`: the most extreme one of them, as the normal deviate with the same p-value; positive = too bright.
+    * `critical`: what |z| may be at most, by Sidak.
+    * `p_value`: the chance that noise alone gives such an extreme in any of them.
+    * `rejected`: how many tests exceed `critical`; `where`: the index of the extreme one.
+    * `detectable`: the bias that a single test of this family, of median noise, sees in every
+      second comparison, as a share of the reference's mean: what this comparison could see at all.
+    """
+
+    __test__ = False  # not a class of tests for pytest
+
+    name: str
+    count: int
+    z: float
+    critical: float
+    p_value: float
+    rejected: int
+    where: tuple[int, ...]
+    detectable: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether noise explains the difference at the significance that was asked for."""
+        return abs(self.z) <= self.critical
+
+    def __str__(self) -> str:
+        verdict = "ok" if self.passed else "FAILED"
+        beyond = f"limit {self.critical:.2f}, {self.rejected} of {self.count} beyond"
+        return f"{self.name}: {verdict}, worst z {self.z:+.2f} ({beyond}) at {self.where}, sees {self.detectable:.2%}"
+
+
+class Batches:
+    """Accumulates the mean and the variance of independent renders of one scene, one `add()` each.
+
+    Memory: two float64 images, and per batch one number for each block and channel.
+    """
+
+    def __init__(self, block: int = BLOCK) -> None:
+        self.block = block
+        self.count = 0
+        self._mean: Array = np.zeros(0)
+        self._squares: Array = np.zeros(0)  # sum of squared deviations from the mean
+        self._blocks: list[Array] = []
+
+    def add(self, image: Any) -> None:
+        """Add a render (H, W, C) with a seed of its own. Raises `ComparisonError` for NaN and for other shapes."""
+        pixels = np.asarray(image, np.float64)
+        if pixels.ndim != 3 or pixels.size == 0:
+            raise ComparisonError(f"a batch has shape (H, W, C), found {pixels.shape}")
+        if self.count == 0:
+            self._mean, self._squares = np.zeros_like(pixels), np.zeros_like(pixels)
+        if pixels.shape != self._mean.shape:
+            raise ComparisonError(f"batches of different shapes: {self._mean.shape} and {pixels.shape}")
+        bad = np.count_nonzero(~np.isfinite(pixels))
+        if bad:
+            raise ComparisonError(f"batch {self.count} has {bad} values that are NaN or infinite")
+        # Welford's update: stable where sums of squares are not.
+        self.count += 1
+        deviation = pixels - self._mean
+        self._mean = self._mean + deviation / self.count
+        self._squares = self._squares + deviation * (pixels - self._mean)
+        self._blocks.append(_block_means(pixels, self.block))
+
+    @property
+    def mean(self) -> Array:
+        """The mean image (H, W, C)."""
+        return self._mean
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W, C)."""
+        return self._mean.shape
+
+    def variance_of_mean(self) -> Array:
+        """The variance of `mean` per pixel (H, W, C)."""
+        return self.pixels().variance / self.count
+
+    def pixels(self) -> Moments:
+        """Moments of the single pixels, (H, W, C)."""
+        self._need_two()
+        dof = self.count - 1
+        return Moments(self._mean, self._squares / dof, np.full(self._mean.shape, float(dof)), self.count)
+
+    def blocks(self, independent_pixels: bool = False) -> Moments:
+        """Moments of the block averages, (rows, columns, C).
+
+        The variance is that of the batches' block averages, right for any filter, with count - 1 degrees
+        of freedom. `independent_pixels` (true under the box filter) adds up the pixels' variances
+        instead, which leaves thousands of degrees of freedom (Satterthwaite 1946, *An approximate distribution
+        of estimates of variance components*) and so a sharper test from few batches.
+        """
+        self._need_two()
+        if not independent_pixels:
+            stack = np.stack(self._blocks)
+            dof = np.full(stack.shape[1:], self.count - 1.0)
+            return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, self.count)
+        pixels = self.pixels()
+        size = _block_sizes(pixels.mean.shape, self.block)
+        return _pooled(pixels, lambda values: _block_means(values, self.block) * size, size)
+
+    def image(self, independent_pixels: bool = False) -> Moments:
+        """Moments of the whole image's average per channel, (C,); see `blocks`."""
+        self._need_two()
+        height, width, channels = self._mean.shape
+        if independent_pixels:
+            return _pooled(self.pixels(), lambda values: values.sum(axis=(0, 1)), np.float64(height * width))
+        weight = _block_sizes(self._mean.shape, self.block) / (height * width)
+        stack = np.stack([(blocks * weight).sum(axis=(0, 1)) for blocks in self._blocks])
+        dof = np.full(channels, self.count - 1.0)
+        return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, self.count)
+
+    def _need_two(self) -> None:
+        if self.count < 2:
+            raise ComparisonError(f"a variance needs at least 2 batches, found {self.count}")
+
+
+def pixel_test(a: Batches, b: Batches, significance: float = 1e-3, equal_variance: bool = True) -> TestResult:
+    """Does any pixel of `a` differ from `b`'s by more than noise? One test per pixel and channel."""
+    return _test("pixels", a.pixels(), b.pixels(), significance, equal_variance)
+
+
+def block_test(
+    a: Batches,
+    b: Batches,
+    significance: float = 1e-3,
+    equal_variance: bool = True,
+    independent_pixels: bool = False,
+) -> TestResult:
+    """Does any block? One test per block and channel; `independent_pixels`: see `Batches.blocks`."""
+    if a.block != b.block:
+        raise ComparisonError(f"blocks of different sizes: {a.block} and {b.block}")
+    return _test(
+        f"{a.block} x {a.block} blocks",
+        a.blocks(independent_pixels),
+        b.blocks(independent_pixels),
+        significance,
+        equal_variance,
+    )
+
+
+def mean_test(
+    a: Batches,
+    b: Batches,
+    significance: float = 1e-3,
+    equal_variance: bool = True,
+    independent_pixels: bool = False,
+) -> TestResult:
+    """Does the mean of any channel? One test per channel; `independent_pixels`: see `Batches.blocks`."""
+    return _test("image mean", a.image(independent_pixels), b.image(independent_pixels), significance, equal_variance)
+
+
+def sidak(significance: float, count: int) -> float:
+    """The level of each of `count` tests such that all together alarm falsely with probability `significance`."""
+    return -math.expm1(math.log1p(-significance) / count)
+
+
+def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance: bool) -> TestResult:
+    """Two-sample t-tests of all averages.
+
+    `equal_variance`: both renderers use the same estimator with the same samples per batch, so one variance is
+    estimated from both (Student): exact for normal noise, and careful for skewed noise (fireflies) as long
+    as both have equally many batches, since the difference is symmetric then. With unequal counts skewness would
+    speak: many batches find rare bright paths that few miss, or few are hit by one too early. Then Welch's
+    test, which estimates two variances, must reject as well. Without `equal_variance` Welch's test alone decides.
+    """
+    if a.mean.shape != b.mean.shape:
+        raise ComparisonError(f"images of different shapes: {a.mean.shape} and {b.mean.shape}")
+    if not 0 < significance < 1:
+        raise ComparisonError(f"the significance must lie between 0 and 1, found {significance}")
+    normal, student = _distributions()
+
+    difference = a.mean - b.mean
+    rounding = RESOLUTION * np.maximum(np.abs(a.mean), np.abs(b.mean))
+    single = sidak(significance, difference.size)
+    variances = [_student(a, b)] if equal_variance else []
+    if not equal_variance or a.count != b.count:
+        variances.append(_welch(a, b))
+
+    size = np.full_like(difference, np.inf)  # |z|
+    seen = 0.0
+    for variance, dof in variances:
+        error = np.sqrt(variance + rounding**2)
+        t = np.abs(np.divide(difference, error, out=np.zeros_like(difference), where=error > 0))
+        # A normal deviate is never farther out than the t with the same p, which also mends p = 0.
+        size = np.minimum(size, np.minimum(normal.isf(student.sf(t, dof)), t))
+        seen = max(seen, float(np.median(student.isf(single / 2, dof) * error)))
+
+    worst = int(np.argmax(size))
+    critical = float(normal.isf(single / 2))
+    p = min(2 * float(normal.sf(size.flat[worst])), 1 - 1e-16)
+    scale = float(np.mean(np.abs(b.mean)))
+    return TestResult(
+        name=name,
+        count=difference.size,
+        z=math.copysign(size.flat[worst], difference.flat[worst]),
+        critical=critical,
+        p_value=-math.expm1(difference.size * math.log1p(-p)),
+        rejected=int(np.count_nonzero(size > critical)),
+        where=tuple(int(i) for i in np.unravel_index(worst, difference.shape)),
+        detectable=seen / scale if scale else math.inf,
+    )
+
+
+def _student(a: Moments, b: Moments) -> tuple[Array, Array]:
+    """Variance of the difference of the means and its degrees of freedom, from one pooled variance."""
+    dof = a.dof + b.dof
+    return (a.dof * a.variance + b.dof * b.variance) / dof * (1 / a.count + 1 / b.count), dof
+
+
+def _welch(a: Moments, b: Moments) -> tuple[Array, Array]:
+    """The same from two variances (Welch 1947, with Satterthwaite's degrees of freedom)."""
+    va, vb = a.variance / a.count, b.variance / b.count
+    spread = va**2 / a.dof + vb**2 / b.dof
+    return va + vb, np.where(spread > 0, (va + vb) ** 2 / np.where(spread > 0, spread, 1), a.dof + b.dof)
+
+
+def _pooled(pixels: Moments, add_up: Any, size: Any) -> Moments:
+    """Averages of independent pixels: `add_up` sums an array (H, W, C) over each group of `size` pixels."""
+    total = add_up(pixels.variance)
+    squares = add_up(pixels.variance**2 / pixels.dof)
+    one = add_up(pixels.dof)  # no noise anywhere: any number of degrees of freedom will do
+    dof = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1), one)
+    return Moments(add_up(pixels.mean) / size, total / size**2, dof, pixels.count)
+
+
+def _block_means(image: Array, block: int) -> Array:
+    """Averages over blocks, (rows, columns, C)."""
+    sums = np.add.reduceat(image, np.arange(0, image.shape[0], block), axis=0)
+    sums = np.add.reduceat(sums, np.arange(0, image.shape[1], block), axis=1)
+    return np.asarray(sums / _block_sizes(image.shape, block))
+
+
+def _block_sizes(shape: tuple[int, ...], block: int) -> Array:
+    """How many pixels each block has, (rows, columns, 1)."""
+    rows, columns = (np.diff(np.append(np.arange(0, n, block), n)).astype(np.float64) for n in shape[:2])
+    return np.asarray(rows[:, None, None] * columns[None, :, None])
+
+
+def _distributions() -> tuple[Any, Any]:
+    try:
+        from scipy import stats
+    except ImportError:
+        raise BackendError("the statistical tests need SciPy: pip install 'djpt[validate]'") from None
+    return stats.norm, stats.t
