@@ -4,3 +4,15 @@ from __future__ import annotations
 
 if __name__ != "djpt.integrators":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.integrators instead")
+
+from djpt.description.registry import register_integrator
+from djpt.integrators.base import Integrator, PathIntegrator, PathState, Vertex
+from djpt.integrators.direct import Direct
+from djpt.integrators.path import Path
+from djpt.integrators.prb import PRB
+
+__all__ = ["PRB", "Direct", "Integrator", "Path", "PathIntegrator", "PathState", "Vertex"]
+
+register_integrator("path", Path)
+register_integrator("prb", PRB)
+register_integrator("direct", Direct)

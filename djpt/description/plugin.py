@@ -1,0 +1,80 @@
+"""What every node of a scene description is: a plugin with values, children and statics."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+if TYPE_CHECKING:
+    from djpt.description.properties import Properties
+
+__all__ = ["ParamFlags", "Plugin", "TraversalCallback"]
+
+
+class ParamFlags(enum.IntFlag):
+    """What `traverse()` says of a parameter."""
+
+    NonDifferentiable = 0
+    Differentiable = 1
+    Discontinuous = 2
+
+
+class TraversalCallback(Protocol):
+    """What `Plugin.traverse` reports to."""
+
+    def put(
+        self,
+        name: str,
+        value: Any,
+        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        attribute: str | None = None,
+    ) -> None:
+        """Report a parameter, or a nested `Plugin` (whose own parameters get the prefix `name`).
+
+        A parameter is written back with ``setattr(plugin, attribute or name, value)``.
+        """
+
+
+class Plugin:
+    """A node of the scene: built from checked properties, edited through `traverse()`.
+
+    A plugin keeps three sorts of attributes, and says which is which:
+
+    * `values`: Dr.Jit arrays of width 1 that may differ between instances and that edits
+      may change. Kernels read them as opaque inputs, so an edit compiles nothing.
+    * `children`: attributes that hold further plugins (a texture in a BSDF).
+    * `statics`: everything else that a kernel depends on (a distribution's name, a flag).
+      Instances with equal class, statics and children are traced **once**, with per-lane
+      values: methods called in kernels must therefore read only these three sorts.
+
+    Plugins don't know the scene that they are part of.
+    """
+
+    kind: ClassVar[str] = ""
+    """`bsdf`, `shape`, `emitter`, `texture`, `sensor`, `film`, `rfilter`, `sampler`, `integrator` or `scene`."""
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {}
+    children: ClassVar[Sequence[str]] = ()
+    statics: ClassVar[Sequence[str]] = ()
+
+    id: str = ""
+
+    def __init__(self, props: Properties) -> None:
+        self.id = props.id
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        """Report all parameters; by default the `values` and the `children`."""
+        for name, flags in self.values.items():
+            callback.put(name, getattr(self, name), flags)
+        for name in self.children:
+            child = getattr(self, name)
+            if isinstance(child, Plugin):
+                callback.put(name, child)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        """Convert and check a value that is about to be assigned; raise `ParameterError` if it can't be."""
+        return value
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        """Recompute what was derived from the parameters named in `keys`."""

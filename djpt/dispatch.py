@@ -1,0 +1,190 @@
+"""Calling plugins per lane: each structure is traced once, values are looked up.
+
+An `Ensemble` holds the plugins of one kind that a scene refers to by index. Plugins with
+equal class, statics and children form a *group*: their methods are traced once, on a
+*representative*, a shallow copy of a member whose values are per-lane lookups. So a scene
+with a hundred diffuse materials traces one diffuse BSDF, and editing a value (the arrays
+of `Plugin.values`) never changes a kernel.
+
+How values are looked up is the ensemble's `Lookup`:
+
+* `Detached` selects among opaque copies (or gathers, if there are many): rendering.
+* `Attached` gathers from a buffer that stays attached to the parameters: plain AD.
+* `djpt.replay` adds one that makes fresh AD leaves at each path vertex: path replay.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import drjit as dr
+
+from djpt.description.plugin import Plugin
+from djpt.lookup import Flat, choose, is_one_of, opaque
+from djpt.types import Bool, UInt32
+
+__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "opaque_copy", "structure"]
+
+P = TypeVar("P", bound=Plugin)
+
+
+def structure(plugin: Plugin) -> Hashable:
+    """What a kernel depends on: class, statics, and the structure of the children."""
+    children = []
+    for name in plugin.children:
+        child = getattr(plugin, name)
+        children.append(structure(child) if isinstance(child, Plugin) else child)
+    statics = tuple(getattr(plugin, name) for name in plugin.statics)
+    return (type(plugin), statics, tuple(children))
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One value attribute of a group: where it stands in each member."""
+
+    owners: tuple[Plugin, ...]
+    """The plugin that holds the value, for each member of the group."""
+    attribute: str
+
+    def rows(self) -> list[Any]:
+        """The current values, one per member."""
+        return [getattr(owner, self.attribute) for owner in self.owners]
+
+    def identity(self) -> list[Hashable]:
+        """Members that share the plugin share the value."""
+        return [id(owner) for owner in self.owners]
+
+
+class Lookup(Protocol):
+    """How a group's values are read by a kernel."""
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        """The value of `leaf` for the member number `slot` of its group."""
+
+
+class Detached:
+    """Opaque copies of the values, made when first used and kept until `forget`."""
+
+    def __init__(self) -> None:
+        self._copies: dict[tuple[int, str], Any] = {}
+
+    def value(self, owner: Plugin, attribute: str) -> Any:
+        """The opaque copy of one plugin's value."""
+        key = (id(owner), attribute)
+        if key not in self._copies:
+            self._copies[key] = opaque(getattr(owner, attribute))
+        return self._copies[key]
+
+    def forget(self) -> None:
+        """Values have changed: read them again at the next use."""
+        self._copies.clear()
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        rows = [self.value(owner, leaf.attribute) for owner in leaf.owners]
+        return choose(slot, rows, leaf.identity())
+
+
+class Attached:
+    """Gathers from buffers that are attached to the plugins' own (differentiable) values."""
+
+    def __init__(self) -> None:
+        self._flats: dict[int, tuple[Leaf, Flat]] = {}
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        if id(leaf) not in self._flats:
+            # The leaf is kept beside its buffer so that its id stays taken.
+            self._flats[id(leaf)] = (leaf, Flat(leaf.rows()))
+        return self._flats[id(leaf)][1].gather(slot)
+
+
+class Group(Generic[P]):
+    """The members of an ensemble that share one structure."""
+
+    def __init__(self, plugins: Sequence[P], indices: Sequence[int]) -> None:
+        self.plugins = tuple(plugins)
+        self.indices = tuple(indices)
+        self._tree = self._collect(self.plugins)
+
+    @classmethod
+    def _collect(cls, owners: Sequence[Plugin]) -> dict[str, Any]:
+        tree: dict[str, Any] = {name: Leaf(tuple(owners), name) for name in owners[0].values}
+        for name in owners[0].children:
+            if isinstance(getattr(owners[0], name), Plugin):
+                tree[name] = cls._collect([getattr(owner, name) for owner in owners])
+        return tree
+
+    def leaves(self) -> list[Leaf]:
+        """All values of the group, children's included."""
+
+        def walk(tree: dict[str, Any]) -> list[Leaf]:
+            found = []
+            for node in tree.values():
+                found += walk(node) if isinstance(node, dict) else [node]
+            return found
+
+        return walk(self._tree)
+
+    def at(self, slot: UInt32, lookup: Lookup) -> P:
+        """The representative whose values belong to member `slot` of this group."""
+
+        def build(plugin: Any, tree: dict[str, Any]) -> Any:
+            clone = copy.copy(plugin)
+            for name, node in tree.items():
+                value = build(getattr(plugin, name), node) if isinstance(node, dict) else lookup(node, slot)
+                setattr(clone, name, value)
+            return clone
+
+        return build(self.plugins[0], self._tree)
+
+
+def opaque_copy(plugin: P) -> P:
+    """A copy of one plugin whose own values are opaque."""
+    clone = copy.copy(plugin)
+    for name in plugin.values:
+        setattr(clone, name, opaque(getattr(plugin, name)))
+    return clone
+
+
+class Ensemble(Generic[P]):
+    """Plugins of one kind, addressed by a per-lane index."""
+
+    def __init__(self, plugins: Sequence[P]) -> None:
+        self.plugins = tuple(plugins)
+        by_structure: dict[Hashable, list[int]] = {}
+        for i, plugin in enumerate(self.plugins):
+            by_structure.setdefault(structure(plugin), []).append(i)
+        self.groups = [Group([self.plugins[i] for i in ids], ids) for ids in by_structure.values()]
+
+    def __len__(self) -> int:
+        return len(self.plugins)
+
+    def slots(self, group: Group[P], index: UInt32) -> UInt32:
+        """The position within `group` of the plugin number `index`."""
+        first = group.indices[0]
+        if list(group.indices) == list(range(first, first + len(group.indices))):
+            return index - first if first else index
+        position = {i: k for k, i in enumerate(group.indices)}
+        slots = [position.get(i, 0) for i in range(len(self.plugins))]
+        return choose(index, [UInt32(k) for k in slots], slots)
+
+    def call(self, index: UInt32, lookup: Lookup, method: Callable[[P], Any], otherwise: Any) -> Any:
+        """``method(plugin)`` per lane; `otherwise` where `index` is beyond the last plugin.
+
+        Every group's method is evaluated for all lanes and the results are selected. `method`
+        must return a PyTree of the type of `otherwise`.
+        """
+        result = otherwise
+        for number, group in enumerate(self.groups):
+            value = method(group.at(self.slots(group, index), lookup))
+            if number == 0 and otherwise is None:
+                result = value
+            else:
+                result = dr.select(self.members(group, index), value, result)
+        return result
+
+    def members(self, group: Group[P], index: UInt32) -> Bool:
+        """True where plugin number `index` belongs to `group`."""
+        return is_one_of(index, group.indices)

@@ -1,0 +1,53 @@
+"""The contract of emitters."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f
+
+__all__ = ["Emitter"]
+
+
+class Emitter(Plugin):
+    """A source of light: radiance along a ray, and a way to sample directions towards it.
+
+    All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch`).
+    Densities are per unit solid angle at the reference point.
+
+    Parameters of all emitters: `sampling_weight` (default 1).
+    """
+
+    kind: ClassVar[str] = "emitter"
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.sampling_weight = props.float("sampling_weight", 1.0, low=0.0)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.sampling_weight)
+        super().traverse(callback)
+
+    def flags(self) -> int:
+        """The `EmitterFlags`."""
+        return int(EmitterFlags.Empty)
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """Radiance that leaves `si` (for an environment: that arrives along the missing ray) towards `si.wi`."""
+        raise NotImplementedError
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """A direction towards the emitter and the radiance (or intensity / dist^2) over its density.
+
+        Visibility isn't considered. The weight is 0 where nothing can arrive.
+        """
+        raise NotImplementedError
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """Density of `sample_direction` at `ds`; 0 for delta emitters."""
+        raise NotImplementedError

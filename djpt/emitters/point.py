@@ -1,0 +1,67 @@
+"""Light from a point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.emitters.base import Emitter
+from djpt.errors import SceneError
+from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+
+__all__ = ["PointLight"]
+
+
+class PointLight(Emitter):
+    """Equal intensity in all directions: radiance falls off with 1 / dist^2.
+
+    Parameters: `position` (or the translation of `to_world`, default origin), `intensity`
+    (texture, W sr^-1, default 1, not negative).
+    """
+
+    values = {"position": ParamFlags.NonDifferentiable}
+    children = ("intensity",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if "position" in props and "to_world" in props:
+            raise SceneError(f"{props.node}: give 'position' or 'to_world', not both")
+        if "position" in props:
+            position = props.vector("position", (0, 0, 0))
+        else:
+            position = props.transform("to_world").matrix[:3, 3]
+        self.position: Any = Point3f(*(float(x) for x in position))
+        self.intensity = props.texture("intensity", 1.0, low=0.0)
+
+    def flags(self) -> int:
+        return int(EmitterFlags.DeltaPosition)
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        to_light = self.position - ref
+        dist_squared = dr.squared_norm(to_light)
+        inv_dist = dr.rsqrt(dist_squared)
+        d = to_light * inv_dist
+        ds = DirectionSample3f(
+            self.position,
+            -d,
+            Point2f(0),
+            d,
+            dist_squared * inv_dist,
+            Float(1),
+            Float(1),
+            Bool(True),
+            UInt32(0),
+        )
+        return ds, self.intensity.eval(ds, active) * dr.select(dist_squared > 0, dr.square(inv_dist), 0)
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return Float(0)

@@ -1,0 +1,62 @@
+"""The exception family of djpt, and the sentence that suggests a near miss.
+
+Every error that a user can cause is a `DjptError`. A message names the node (a scene
+path such as ``scene.white``), says what was found and what is possible. Subclasses also
+derive from the built-in exception that Python code would expect to catch.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "BackendError",
+    "DjptError",
+    "FileError",
+    "ParameterError",
+    "RenderError",
+    "SceneError",
+    "near_miss",
+]
+
+
+class DjptError(Exception):
+    """Base of all errors that djpt raises on purpose."""
+
+
+class BackendError(DjptError, RuntimeError):
+    """No usable Dr.Jit backend, or the variant can no longer change."""
+
+
+class SceneError(DjptError, ValueError):
+    """A scene description is wrong: unknown plugin or key, wrong type, value out of range."""
+
+
+class ParameterError(DjptError, KeyError):
+    """`traverse()`: an unknown parameter name, or a value that the parameter can't take."""
+
+    def __str__(self) -> str:  # KeyError would show the repr of the message
+        return str(self.args[0]) if self.args else ""
+
+
+class RenderError(DjptError, ValueError):
+    """`render()`: arguments that can't be rendered (spp 0, no sensor, an empty film)."""
+
+
+class FileError(DjptError, OSError):
+    """A file can't be read or written, or its format isn't known."""
+
+
+def near_miss(found: str, possible: Iterable[str]) -> str:
+    """Say what is possible: ``; did you mean 'x'?`` or ``; possible: a, b, c``.
+
+    Returns an empty string if `possible` is empty. Meant to be appended to a message.
+    """
+    names = sorted(set(possible))
+    if not names:
+        return ""
+    close = difflib.get_close_matches(found, names, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean '{close[0]}'? (possible: {', '.join(names)})"
+    return f"; possible: {', '.join(names)}"

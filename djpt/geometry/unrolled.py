@@ -1,0 +1,179 @@
+"""The unrolled set: every shape's intersection in a row, without loops or memory traffic.
+
+For scenes of a few analytic shapes nothing is faster: all values sit in registers, and
+shapes that share axes share projections. Three things are decided on the host, from the
+shapes' places, and become structure of the kernel:
+
+* which axes are shared (`djpt.geometry.axes`),
+* which shapes can block the segment between a surface and a light (`Unrolled.occludes`),
+* how faces are numbered: sorted by normal, so that a frame is found by a few comparisons.
+
+An edit re-places the shapes; structure only ever becomes more general, so that moving
+something back and forth compiles one kernel at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+
+import drjit as dr
+
+from djpt.frame import Frame3f
+from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
+from djpt.lookup import choose, is_one_of
+from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.shapes.base import Shape
+from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+
+__all__ = ["Unrolled"]
+
+
+class Unrolled:
+    """Closest-hit and any-hit queries against a list of shapes."""
+
+    def __init__(self, shapes: Sequence[Shape], lights: Sequence[Shape], points: Sequence[Point3f], open_sky: bool):
+        """`lights` are the shapes that emit, `points` finite light positions; `open_sky`: light from infinity."""
+        self.shapes = tuple(shapes)
+        self._lights, self._points, self._open_sky = lights, points, open_sky
+        self.pool = AxisPool()
+        self.occludes = [False] * len(shapes)
+        for shape in shapes:
+            shape.place(self.pool)
+        self._number_faces()
+        self._find_occluders()
+
+    def move(self, shape: Shape) -> None:
+        """A shape's parameters have changed."""
+        before = [self._face_key(f) for f in shape.faces()]
+        shape.place(self.pool)
+        if [self._face_key(f) for f in shape.faces()] != before:
+            self._number_faces()
+        self._find_occluders()
+
+    def move_points(self, points: Sequence[Point3f]) -> None:
+        """The finite light positions have changed."""
+        self._points = points
+        self._find_occluders()
+
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest corner of all shapes; (+inf, -inf) if there are none."""
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for shape in self.shapes:
+            for k, unit in enumerate(np.eye(3)):
+                a, b = shape.interval(unit)
+                low[k], high[k] = min(low[k], a), max(high[k], b)
+        return low, high
+
+    # ---- structure -----------------------------------------------------------------
+
+    @staticmethod
+    def _face_key(face: object) -> Hashable:
+        return (face.normal.key(), face.tangent.key())  # type: ignore[attr-defined]
+
+    def _number_faces(self) -> None:
+        """Give every face of every shape a number; faces of equal normal axis get neighbouring ones."""
+        entries = []
+        for i, shape in enumerate(self.shapes):
+            faces = shape.faces()
+            for k in range(shape.face_count):
+                face = faces[k] if faces else None
+                axis = self.pool.axes.index(face.normal.axis) if face else -1
+                entries.append((axis, face.normal.negative if face else False, i, k, face))
+        entries.sort(key=lambda e: e[:4])
+        self.face_shape = [e[2] for e in entries]
+        self.face_local = [e[3] for e in entries]
+        self._frames = [e[4] for e in entries]
+        self.face_number = [[0] * shape.face_count for shape in self.shapes]
+        for number, entry in enumerate(entries):
+            self.face_number[entry[2]][entry[3]] = number
+
+    def _find_occluders(self) -> None:
+        """Shapes that may stand between a surface point and a light.
+
+        A flat shape can't if everything, lights included, lies on one side of its plane; nor can
+        the only light block the light that itself sends out.
+        """
+        low, high = self.bounding_box()
+        tolerance = 1e-5 * float(np.max(high - low, initial=0.0))
+        for i, shape in enumerate(self.shapes):
+            self.occludes[i] |= not self._is_hull(shape, tolerance)
+
+    def _is_hull(self, shape: Shape, tolerance: float) -> bool:
+        plane = shape.plane()
+        if plane is None or self._open_sky:
+            return False
+        if len(self._lights) == 1 and not self._points and self._lights[0] is shape:
+            return True
+        normal, offset = plane
+        intervals = [s.interval(normal) for s in self.shapes]
+        intervals += [(float(p @ normal), float(p @ normal)) for p in map(_host_point, self._points)]
+        lowest, highest = min(a for a, _ in intervals), max(b for _, b in intervals)
+        return lowest >= offset - tolerance or highest <= offset + tolerance
+
+    # ---- queries -------------------------------------------------------------------
+
+    def closest(self, ray: Ray3f, skip: Sequence[bool] | None = None, skipping: Bool | None = None) -> PreliminaryIntersection3f:
+        """The first hit with 0 < t < maxt; `prim_index` is a face number of this set.
+
+        Shapes marked in `skip` are ignored by the lanes where `skipping` is true.
+        """
+        projected = ProjectedRay(ray)
+        t, number = ray.maxt, UInt32(0)
+        found = Bool(False)
+        for i, shape in enumerate(self.shapes):
+            hit = shape.intersect(projected, t, self.face_number[i])
+            ok = hit.hit
+            if skip is not None and skip[i] and skipping is not None:
+                ok &= ~skipping
+            t = dr.select(ok, hit.t, t)
+            number = dr.select(ok, hit.number, number)
+            found |= ok
+        t = dr.select(found, t, dr.inf)
+        return PreliminaryIntersection3f(t, self.shape_of(number), number)
+
+    def shape_of(self, number: UInt32) -> UInt32:
+        """The shape that a face number belongs to."""
+        return choose(number, [UInt32(s) for s in self.face_shape], self.face_shape)
+
+    def local_face(self, number: UInt32) -> UInt32:
+        """The face within its shape."""
+        return choose(number, [UInt32(k) for k in self.face_local], self.face_local)
+
+    def faces_of(self, shapes: Sequence[int]) -> list[int]:
+        """All face numbers of some shapes."""
+        return [n for s in shapes for n in self.face_number[s]]
+
+    def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
+        """Is anything hit with 0 < t < maxt?"""
+        return self._any(ray, [True] * len(self.shapes)) & active
+
+    def blocked(self, ray: Ray3f) -> Bool:
+        """Like `any_hit`, for a segment between a surface point and a light that shines on it."""
+        return self._any(ray, self.occludes)
+
+    def _any(self, ray: Ray3f, consider: Sequence[bool]) -> Bool:
+        projected = ProjectedRay(ray)
+        result = Bool(False)
+        for shape, considered, numbers in zip(self.shapes, consider, self.face_number, strict=True):
+            if considered:
+                result |= shape.intersect(projected, ray.maxt, numbers).hit
+        return result
+
+    def frame(self, number: UInt32) -> Frame3f:
+        """Geometric normal and dp/du frame of a flat face."""
+        n = self._direction(number, [f.normal if f else None for f in self._frames])
+        s = self._direction(number, [f.tangent if f else None for f in self._frames])
+        return Frame3f(s, dr.cross(n, s), n)
+
+    def _direction(self, number: UInt32, signed: Sequence[SignedAxis | None]) -> Vector3f:
+        present = [x for x in signed if x is not None]
+        rows = [(x or present[0]).axis for x in signed]
+        v = choose(number, [axis.vector for axis in rows], [id(axis) for axis in rows])
+        negative = is_one_of(number, [i for i, x in enumerate(signed) if x is not None and x.negative])
+        return dr.select(negative, -v, v)
+
+
+def _host_point(p: Point3f | np.ndarray) -> np.ndarray:
+    return np.array(p, dtype=np.float64).ravel()

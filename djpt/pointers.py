@@ -1,0 +1,125 @@
+"""Per-lane plugins: what `si.bsdf()` and `si.emitter()` return.
+
+A pointer holds an index per lane and forwards each call through the scene's ensembles, so
+that scripts written against Mitsuba's `BSDFPtr` and `EmitterPtr` run unchanged.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.lookup import choose
+from djpt.records import BSDFContext, BSDFSample3f, DirectionSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["BSDFPtr", "EmitterPtr"]
+
+
+class BSDFPtr:
+    """The BSDF of each lane's surface point. Methods as in `djpt.materials.base.BSDF`."""
+
+    def __init__(self, scene: Scene, index: UInt32) -> None:
+        self._scene, self.index = scene, index
+
+    def flags(self) -> UInt32:
+        """The `BSDFFlags` per lane."""
+        flags = [bsdf.flags() for bsdf in self._scene.bsdfs.plugins]
+        return choose(self.index, [UInt32(f) for f in flags], flags)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        """Sample `wo`; the weight is 0 on inactive lanes."""
+        bs, weight = self._call(lambda bsdf: bsdf.sample(ctx, si, sample1, sample2, active))
+        return bs, dr.select(active, weight, 0)
+
+    def eval(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> Color3f:
+        """f abs(cos); 0 on inactive lanes."""
+        return dr.select(active, self._call(lambda bsdf: bsdf.eval(ctx, si, wo, active)), 0)
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        """Density of `sample`; 0 on inactive lanes."""
+        return dr.select(active, self._call(lambda bsdf: bsdf.pdf(ctx, si, wo, active)), 0)
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        """`eval` and `pdf` in one dispatch; 0 on inactive lanes."""
+        value, pdf = self._call(lambda bsdf: bsdf.eval_pdf(ctx, si, wo, active))
+        return dr.select(active, value, 0), dr.select(active, pdf, 0)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        """`eval_pdf` and `sample` in one dispatch. Inactive lanes aren't zeroed: callers mask."""
+        return self._call(lambda bsdf: bsdf.eval_pdf_sample(ctx, si, wo, sample1, sample2, active))
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The albedo; 0 on inactive lanes."""
+        value = self._call(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
+        return dr.select(active, value, 0)
+
+    def _call(self, method):  # type: ignore[no-untyped-def]
+        # Every surface has a BSDF, so no value is needed for "none".
+        return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None)
+
+
+class EmitterPtr:
+    """The emitter of each lane, or none. Methods as in `djpt.emitters.base.Emitter`."""
+
+    def __init__(self, scene: Scene, index: UInt32) -> None:
+        self._scene, self.index = scene, index
+
+    def is_valid(self) -> Bool:
+        """True where there is an emitter."""
+        return self.index < len(self._scene.lights)
+
+    def flags(self) -> UInt32:
+        """The `EmitterFlags` per lane; 0 where there is no emitter."""
+        flags = [emitter.flags() for emitter in self._scene.lights.plugins]
+        if not flags:
+            return UInt32(0)
+        return dr.select(self.is_valid(), choose(self.index, [UInt32(f) for f in flags], flags), 0)
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """Radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
+        scene = self._scene
+        value = scene.lights.call(self.index, scene.lookup, lambda e: e.eval(si, active), Color3f(0))
+        return dr.select(active, value, 0)
+
+    def sample_direction(
+        self, ref: SurfaceInteraction3f | Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """A direction towards the emitter; weight 0 where there is none."""
+        scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
+        ds, weight = scene.lights.call(
+            self.index, scene.lookup, lambda e: e.sample_direction(p, sample, active), None
+        )
+        ds.emitter_index = self.index
+        return ds, dr.select(self.is_valid() & active, weight, 0)
+
+    def pdf_direction(
+        self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> Float:
+        """Density of `sample_direction`; 0 where there is no emitter."""
+        scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
+        pdf = scene.lights.call(self.index, scene.lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
+        return dr.select(active, pdf, 0)

@@ -1,0 +1,241 @@
+"""The records that flow between plugins: rays, intersections, samples.
+
+All are dataclasses of Dr.Jit arrays, so they can be loop state, gathered and selected.
+Directions named `wi` and `wo` are in the local shading frame and point away from the
+surface; everything else is in world space unless a field says otherwise.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.frame import Frame3f
+from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.pointers import BSDFPtr, EmitterPtr
+    from djpt.scene import Scene
+
+__all__ = [
+    "BSDFContext",
+    "BSDFFlags",
+    "BSDFSample3f",
+    "DirectionSample3f",
+    "EmitterFlags",
+    "PositionSample3f",
+    "PreliminaryIntersection3f",
+    "Ray3f",
+    "SurfaceInteraction3f",
+    "TransportMode",
+    "has_flag",
+]
+
+RAY_EPSILON = 1500 * 2.0**-24
+"""Offset of a spawned ray along the normal, relative to 1 + the largest coordinate (Mitsuba's value)."""
+
+SHADOW_EPSILON = 10 * RAY_EPSILON
+"""A shadow ray stops short of the light by this share of its length."""
+
+
+class BSDFFlags(enum.IntFlag):
+    """What a BSDF's lobes can do; the values are Mitsuba's."""
+
+    Empty = 0x0
+    Null = 0x1
+    DiffuseReflection = 0x2
+    DiffuseTransmission = 0x4
+    GlossyReflection = 0x8
+    GlossyTransmission = 0x10
+    DeltaReflection = 0x20
+    DeltaTransmission = 0x40
+    Diffuse = 0x6
+    Glossy = 0x18
+    Smooth = 0x1E
+    Delta = 0x61
+    FrontSide = 0x10000
+    BackSide = 0x20000
+
+
+class EmitterFlags(enum.IntFlag):
+    """What an emitter's light comes from; the values are Mitsuba's."""
+
+    Empty = 0x0
+    DeltaPosition = 0x1
+    DeltaDirection = 0x2
+    Delta = 0x3
+    Infinite = 0x4
+    Surface = 0x8
+    SpatiallyVarying = 0x10
+
+
+def has_flag(flags: Any, flag: int) -> Any:
+    """True where `flags` shares a bit with `flag`; works on ints and on `UInt32`."""
+    return (flags & int(flag)) != 0
+
+
+class TransportMode(enum.IntEnum):
+    """Which quantity a path carries."""
+
+    Radiance = 0
+    Importance = 1
+
+
+@dataclass
+class BSDFContext:
+    """How a BSDF is queried: from the camera (radiance) or from the light (importance)."""
+
+    mode: TransportMode = TransportMode.Radiance
+
+
+@dataclass
+class Ray3f:
+    """o + t d for 0 < t < maxt. `d` need not have unit length; `maxt` is in units of it."""
+
+    o: Point3f = field(default_factory=lambda: Point3f(0))
+    d: Vector3f = field(default_factory=lambda: Vector3f(0, 0, 1))
+    maxt: Float = field(default_factory=lambda: Float(dr.inf))
+
+    def __call__(self, t: Float) -> Point3f:
+        """The point at parameter `t`."""
+        return dr.fma(self.d, t, self.o)
+
+
+@dataclass
+class PreliminaryIntersection3f:
+    """What traversal finds: enough to compute the rest later."""
+
+    t: Float
+    """Distance in units of the ray's `d`; infinity on a miss."""
+    shape_index: UInt32
+    """Index into the scene's shapes; 0 on a miss."""
+    prim_index: UInt32
+    """Which face of the shape: triangle number or face code; 0 for single-face shapes."""
+
+    def is_valid(self) -> Bool:
+        """True where something was hit."""
+        return self.t < dr.inf
+
+
+@dataclass
+class SurfaceInteraction3f:
+    """A point on a surface with its frame, and the way back to its shape, BSDF and emitter."""
+
+    t: Float
+    p: Point3f
+    n: Normal3f
+    """Geometric normal, unit length, on the outer side of the shape (never flipped to the ray)."""
+    sh_frame: Frame3f
+    """Shading frame: `n` is the shading normal, `s` follows dp/du."""
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    wi: Vector3f
+    """Direction back along the ray, in the shading frame; the world direction on a miss."""
+    shape_index: UInt32
+    prim_index: UInt32
+    valid: Bool
+    scene: Any = None
+
+    def is_valid(self) -> Bool:
+        """True where the ray hit a surface."""
+        return self.valid
+
+    def to_local(self, v: Vector3f) -> Vector3f:
+        """World direction to the shading frame."""
+        return self.sh_frame.to_local(v)
+
+    def to_world(self, v: Vector3f) -> Vector3f:
+        """Shading frame to world."""
+        return self.sh_frame.to_world(v)
+
+    def offset_p(self, d: Vector3f) -> Point3f:
+        """The point moved off the surface, to the side that `d` points to.
+
+        The step is RAY_EPSILON (1 + max abs(p)) along the geometric normal, as in Mitsuba.
+        """
+        a = dr.abs(self.p)
+        largest = dr.select(a.x > a.y, a.x, a.y)
+        largest = dr.select(largest > a.z, largest, a.z)
+        step = dr.fma(largest, RAY_EPSILON, RAY_EPSILON)
+        return dr.fma(self.n, dr.mulsign(step, dr.dot(self.n, d)), self.p)
+
+    def spawn_ray(self, d: Vector3f) -> Ray3f:
+        """An unbounded ray that leaves the surface in direction `d`."""
+        return Ray3f(self.offset_p(d), d, Float(dr.inf))
+
+    def spawn_ray_to(self, target: Point3f) -> Ray3f:
+        """The segment to `target`: `d` is not normalised, `maxt` is just short of 1."""
+        o = self.offset_p(target - self.p)
+        return Ray3f(o, target - o, Float(1 - SHADOW_EPSILON))
+
+    def bsdf(self, ray: Ray3f | None = None) -> BSDFPtr:
+        """The BSDF at this point (`ray` is accepted for Mitsuba's signature)."""
+        return self.scene.bsdf_at(self)
+
+    def emitter(self, scene: Scene | None = None, active: Bool | bool = True) -> EmitterPtr:
+        """The area light of the shape, or the environment on a miss (a null emitter if there is none)."""
+        return (scene or self.scene).emitter_at(self)
+
+
+@dataclass
+class PositionSample3f:
+    """A point sampled on a surface; `pdf` is per unit area."""
+
+    p: Point3f
+    n: Normal3f
+    uv: Point2f
+    pdf: Float
+
+
+@dataclass
+class DirectionSample3f:
+    """A point on an emitter as seen from a reference point; `pdf` is per unit solid angle there.
+
+    `weight` is 1 / pdf (0 where pdf is 0). Emitters fill in both, since most of them know both
+    without a division.
+    """
+
+    p: Point3f
+    n: Normal3f
+    uv: Point2f
+    d: Vector3f
+    """Unit direction from the reference point to `p`."""
+    dist: Float
+    pdf: Float
+    weight: Float
+    delta: Bool
+    """True where the emitter can't be hit by chance (a point light): MIS weight 1."""
+    emitter_index: UInt32
+
+    @staticmethod
+    def along(ray: Ray3f, si: SurfaceInteraction3f) -> DirectionSample3f:
+        """The hit of a ray described as if its emitter had been sampled from `ray.o`.
+
+        `ray.d` must have unit length; `pdf` and `weight` are left at 0.
+        """
+        index = si.scene.emitter_index_at(si)
+        return DirectionSample3f(si.p, si.n, si.uv, ray.d, si.t, Float(0), Float(0), Bool(False), index)
+
+
+@dataclass
+class BSDFSample3f:
+    """A direction sampled from a BSDF."""
+
+    wo: Vector3f
+    """Sampled direction in the shading frame."""
+    pdf: Float
+    """Density per unit solid angle; for a delta lobe the probability of choosing it."""
+    eta: Float
+    """Relative index of refraction crossed, 1 for reflection."""
+    sampled_type: UInt32
+    """`BSDFFlags` of the lobe that was sampled."""
+    sampled_component: UInt32
+
+    @staticmethod
+    def none() -> BSDFSample3f:
+        """The sample that goes nowhere."""
+        return BSDFSample3f(Vector3f(0), Float(0), Float(1), UInt32(0), UInt32(0))

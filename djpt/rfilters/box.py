@@ -1,0 +1,26 @@
+"""The box filter."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.rfilters.base import ReconstructionFilter
+from djpt.types import Float
+
+__all__ = ["Box"]
+
+
+class Box(ReconstructionFilter):
+    """1 within half a pixel: the pixel is the mean of its own samples.
+
+    Films treat it specially (no sample reaches a neighbour), so it is also the fastest.
+    """
+
+    radius = 0.5
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+
+    def eval(self, x: Float) -> Float:
+        return dr.select(dr.abs(x) <= 0.5, Float(1), 0)

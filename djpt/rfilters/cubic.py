@@ -1,0 +1,44 @@
+"""The cubic filters of Mitchell and Netravali, and Catmull-Rom's as a member of the family.
+
+D. Mitchell and A. Netravali, "Reconstruction Filters in Computer Graphics", SIGGRAPH 1988.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.rfilters.base import ReconstructionFilter
+from djpt.types import Float
+
+__all__ = ["CatmullRom", "Mitchell"]
+
+
+class Mitchell(ReconstructionFilter):
+    """Piecewise cubic of radius 2 with the shape parameters B and C.
+
+    Parameters: `B` (default 1/3), `C` (default 1/3). Has negative lobes, so pixels may overshoot.
+    """
+
+    radius = 2.0
+    statics = ("b", "c")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.b = props.float("B", 1 / 3)
+        self.c = props.float("C", 1 / 3)
+
+    def eval(self, x: Float) -> Float:
+        b, c = self.b, self.c
+        x = dr.abs(x)
+        near = ((12 - 9 * b - 6 * c) * x + (-18 + 12 * b + 6 * c)) * dr.square(x) + (6 - 2 * b)
+        far = (((-b - 6 * c) * x + (6 * b + 30 * c)) * x + (-12 * b - 48 * c)) * x + (8 * b + 24 * c)
+        return dr.select(x < 1, near, dr.select(x < 2, far, 0)) * (1 / 6)
+
+
+class CatmullRom(Mitchell):
+    """B = 0, C = 1/2: interpolates, sharp, with stronger ringing than `mitchell`."""
+
+    def __init__(self, props: Properties) -> None:
+        ReconstructionFilter.__init__(self, props)
+        self.b, self.c = 0.0, 0.5

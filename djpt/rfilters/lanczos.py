@@ -1,0 +1,34 @@
+"""The windowed sinc filter."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.rfilters.base import ReconstructionFilter
+from djpt.types import Float
+
+__all__ = ["Lanczos"]
+
+
+class Lanczos(ReconstructionFilter):
+    """sinc(pi x) sinc(pi x / lobes) within `lobes` pixels: close to the ideal low-pass filter; rings.
+
+    Parameters: `lobes` (default 3).
+    """
+
+    statics = ("radius",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.radius = float(props.integer("lobes", 3, low=1, high=16))
+
+    def eval(self, x: Float) -> Float:
+        x = dr.abs(x)
+        a = math.pi * x
+        b = a * (1 / self.radius)
+        value = dr.sin(a) * dr.sin(b) * dr.rcp(a * b)
+        # At the centre the quotient is 0/0 and its limit 1.
+        return dr.select(x < 1e-4, 1, dr.select(x < self.radius, value, 0))

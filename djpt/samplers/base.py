@@ -1,0 +1,43 @@
+"""The contract of samplers: a stream of numbers for every sample of every pixel."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol
+
+from djpt.description.plugin import Plugin
+from djpt.description.properties import Properties
+from djpt.types import Bool, Float, Point2f, UInt32
+
+__all__ = ["Sampler", "SampleStream"]
+
+
+class SampleStream(Protocol):
+    """The random numbers of one lane; loop state, so it must be a PyTree."""
+
+    def next_1d(self, active: Bool | bool = True) -> Float:
+        """The next number in [0, 1); lanes that aren't active don't advance."""
+
+    def next_2d(self, active: Bool | bool = True) -> Point2f:
+        """The next two numbers in [0, 1)^2."""
+
+
+class Sampler(Plugin):
+    """Makes a `SampleStream` per sample.
+
+    The stream of a sample depends on (seed, sample index) alone, where the sample index is
+    pixel * spp + sample: that makes an image independent of how lanes are filled.
+
+    Parameters: `sample_count` (samples per pixel when `render` isn't told, default 4), `seed`
+    (added to render's seed, default 0).
+    """
+
+    kind: ClassVar[str] = "sampler"
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.sample_count = props.integer("sample_count", 4, low=1)
+        self.seed = props.integer("seed", 0, low=0, high=0xFFFFFFFF)
+
+    def stream(self, seed: UInt32, index: UInt32) -> SampleStream:
+        """The stream of sample number `index`."""
+        raise NotImplementedError

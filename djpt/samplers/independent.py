@@ -1,0 +1,45 @@
+"""Independent uniform random numbers."""
+
+from __future__ import annotations
+
+from djpt.hashing import sample_tea_32
+from djpt.samplers.base import Sampler
+from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
+
+__all__ = ["Independent", "IndependentStream"]
+
+
+MULTIPLIER = 0x5851F42D4C957F2D
+
+
+class IndependentStream:
+    """A PCG32 generator (M. O'Neill, 2014) per lane."""
+
+    DRJIT_STRUCT = {"rng": PCG32}
+
+    def __init__(self, rng: PCG32 | None = None) -> None:
+        if rng is not None:
+            self.rng = rng
+
+    def next_1d(self, active: Bool | bool = True) -> Float:
+        return self.rng.next_float32(active)
+
+    def next_2d(self, active: Bool | bool = True) -> Point2f:
+        x = self.rng.next_float32(active)
+        return Point2f(x, self.rng.next_float32(active))
+
+
+class Independent(Sampler):
+    """Every number independent of all others: the streams of Mitsuba's `independent`.
+
+    The generator of sample i is seeded by the two words of `sample_tea_32(seed, i)`.
+    """
+
+    def stream(self, seed: UInt32, index: UInt32) -> IndependentStream:
+        v0, v1 = sample_tea_32(seed, index)
+        # The constructor of PCG32 adds a lane counter to the sequence number, which inside a
+        # symbolic loop counts the loop's lanes whatever `size` says: so seed by hand.
+        rng = PCG32()
+        rng.inc = (UInt64(v1) << 1) | 1
+        rng.state = (rng.inc + UInt64(v0)) * MULTIPLIER + rng.inc
+        return IndependentStream(rng)

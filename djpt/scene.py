@@ -1,0 +1,313 @@
+"""The scene: plugins compiled into what kernels read, and the queries that integrators make."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+import drjit as dr
+
+from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.dispatch import Detached, Ensemble, Lookup
+from djpt.emitters import Area, Emitter, PointLight
+from djpt.errors import SceneError
+from djpt.frame import Frame3f
+from djpt.geometry.unrolled import Unrolled
+from djpt.lookup import choose, is_one_of
+from djpt.materials import BSDF, Diffuse
+from djpt.pointers import BSDFPtr, EmitterPtr
+from djpt.records import (
+    BSDFFlags,
+    DirectionSample3f,
+    EmitterFlags,
+    PreliminaryIntersection3f,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
+from djpt.shapes import Shape
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["Scene"]
+
+
+class Scene(Plugin):
+    """Shapes, emitters, sensors and an integrator, ready to render.
+
+    The queries take per-lane rays and points. A scene reads its plugins' values through a
+    `Lookup`; `with_lookup` gives a view of the same scene that reads them in another way.
+    """
+
+    kind: ClassVar[str] = "scene"
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.named = [(key, plugin) for kind in KINDS for key, plugin in props.children(kind)]
+        order = {key: i for i, key in enumerate(props.keys())}
+        self.named.sort(key=lambda entry: order[entry[0]])
+
+        self._shapes: list[Shape] = self._of_kind("shape")
+        self._sensors = self._of_kind("sensor")
+        integrators = self._of_kind("integrator")
+        if len(integrators) > 1:
+            raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
+        self._integrator = integrators[0] if integrators else None
+        # Mitsuba numbers emitters in this order: free-standing ones first, then those of shapes.
+        self._emitters: list[Emitter] = self._of_kind("emitter")
+        for shape in self._shapes:
+            if shape.emitter is not None:
+                if not isinstance(shape.emitter, Area):
+                    raise SceneError(f"{shape.id}: only an 'area' emitter can be nested in a shape")
+                if shape.emitter.shape not in (None, shape):
+                    raise SceneError(f"{shape.id}: its emitter already belongs to '{shape.emitter.shape.id}'")
+                shape.emitter.shape = shape
+                self._emitters.append(shape.emitter)
+        for emitter in self._emitters:
+            if isinstance(emitter, Area) and emitter.shape is None:
+                raise SceneError(f"{emitter.id}: an 'area' emitter must be nested in a shape")
+        infinite = [i for i, e in enumerate(self._emitters) if has_flag(e.flags(), EmitterFlags.Infinite)]
+        if len(infinite) > 1:
+            raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
+        self._environment = infinite[0] if infinite else None
+        self._compile()
+
+    def _of_kind(self, kind: str) -> list[Any]:
+        return [plugin for _, plugin in self.named if plugin.kind == kind]
+
+    def _compile(self) -> None:
+        self.lookup: Lookup = Detached()
+        points = [e.position for e in self._emitters if isinstance(e, PointLight)]
+        lights = [s for s in self._shapes if s.emitter is not None]
+        self.geometry = Unrolled(self._shapes, lights, points, self._environment is not None)
+        self.surfaces: Ensemble[Shape] = Ensemble(self._shapes)
+
+        bsdfs: list[BSDF] = []
+        self._bsdf_of_shape: list[int] = []
+        for shape in self._shapes:
+            if shape.bsdf is None:
+                shape.bsdf = default_bsdf(shape)
+            if shape.bsdf not in bsdfs:
+                bsdfs.append(shape.bsdf)
+            self._bsdf_of_shape.append(bsdfs.index(shape.bsdf))
+        self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
+
+        self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
+        none = len(self._emitters)
+        self._light_of_shape = [
+            self._emitters.index(shape.emitter) if shape.emitter is not None else none for shape in self._shapes
+        ]
+        self._light_on_miss = none if self._environment is None else self._environment
+
+    # ---- parameters -----------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name, plugin in self.named:
+            callback.put(name, plugin)
+
+    def refresh(self, changed: Sequence[Plugin]) -> None:
+        """Some plugins' parameters have changed: renew what was derived from them."""
+        assert isinstance(self.lookup, Detached)
+        self.lookup.forget()
+        for plugin in changed:
+            if isinstance(plugin, Shape):
+                self.geometry.move(plugin)
+            elif isinstance(plugin, PointLight):
+                self.geometry.move_points([e.position for e in self._emitters if isinstance(e, PointLight)])
+
+    def with_lookup(self, lookup: Lookup) -> Scene:
+        """A view of this scene that reads values through `lookup`."""
+        view = copy.copy(self)
+        view.lookup = lookup
+        return view
+
+    # ---- contents ----------------------------------------------------------------------
+
+    def sensors(self) -> list[Any]:
+        """All sensors, in the order of the description."""
+        return list(self._sensors)
+
+    def emitters(self) -> list[Emitter]:
+        """All emitters in the order in which light sampling numbers them."""
+        return list(self._emitters)
+
+    def shapes(self) -> list[Shape]:
+        """All shapes, in the order of the description."""
+        return list(self._shapes)
+
+    def integrator(self) -> Any:
+        """The integrator, or None."""
+        return self._integrator
+
+    def environment(self) -> Emitter | None:
+        """The emitter that surrounds the scene, or None."""
+        return None if self._environment is None else self._emitters[self._environment]
+
+    def bbox(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest corner, each (3,) float64, world space."""
+        return self.geometry.bounding_box()
+
+    @property
+    def refracts(self) -> bool:
+        """Can a path cross an interface between different indices of refraction?"""
+        return any(has_flag(bsdf.flags(), TRANSMITS) for bsdf in self.bsdfs.plugins)
+
+    @property
+    def needs_uv(self) -> bool:
+        """Does any texture look at uv?"""
+        return any(reads_uv(plugin) for plugin in (*self.bsdfs.plugins, *self.lights.plugins))
+
+    # ---- ray queries ---------------------------------------------------------------------
+
+    def ray_intersect_preliminary(
+        self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
+    ) -> PreliminaryIntersection3f:
+        """The closest hit with 0 < t < maxt. Lanes with `through_lights` ignore shapes that emit."""
+        emits = [s.emitter is not None for s in self._shapes]
+        pi = self.geometry.closest(ray, emits, through_lights)
+        if active is not True:
+            pi.t = dr.select(active, pi.t, dr.inf)
+        return pi
+
+    def ray_intersect(self, ray: Ray3f, active: Bool | bool = True) -> SurfaceInteraction3f:
+        """The closest surface point, with all its fields."""
+        return self.surface_interaction(ray, self.ray_intersect_preliminary(ray, active))
+
+    def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
+        """Is anything hit with 0 < t < maxt?"""
+        return self.geometry.any_hit(ray, active)
+
+    def unoccluded(self, ray: Ray3f) -> Bool:
+        """Is a `shadow_ray` free? Faster than `ray_test`: shapes that can't shadow anything are left out."""
+        return ~self.geometry.blocked(ray)
+
+    def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
+        """The ray from `si` to the emitter sample `ds`."""
+        if self._environment is None:
+            return si.spawn_ray_to(ds.p)
+        to_point, to_sky = si.spawn_ray_to(ds.p), si.spawn_ray(ds.d)
+        return dr.select(ds.emitter_index == self._environment, to_sky, to_point)
+
+    def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
+        """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
+        valid, p = pi.is_valid(), ray(pi.t)
+        frame = self._frame(pi, p)
+        si = SurfaceInteraction3f(
+            t=pi.t,
+            p=p,
+            n=frame.n,
+            sh_frame=frame,
+            uv=Point2f(0),
+            dp_du=Vector3f(0),
+            dp_dv=Vector3f(0),
+            wi=dr.select(valid, frame.to_local(-ray.d), -ray.d),
+            shape_index=pi.shape_index,
+            prim_index=pi.prim_index,
+            valid=valid,
+            scene=self,
+        )
+        if full and self._shapes:
+            face = self.geometry.local_face(pi.prim_index)
+            si.uv, si.dp_du, si.dp_dv = self.surfaces.call(
+                pi.shape_index, self.lookup, lambda shape: shape.uv_and_partials(p, face), None
+            )
+        return si
+
+    def _frame(self, pi: PreliminaryIntersection3f, p: Point3f) -> Frame3f:
+        """The shading frame at a hit: flat faces from the unrolled set, curved shapes by their class."""
+        flat = [i for i, shape in enumerate(self._shapes) if shape.faces()]
+        frame = self.geometry.frame(pi.prim_index) if flat else None
+        for group in self.surfaces.groups:
+            if group.indices[0] in flat:
+                continue
+            shape = group.at(self.surfaces.slots(group, pi.shape_index), self.lookup)
+            n, s = shape.normal_at(p), shape.tangent_at(p)
+            curved = Frame3f(s, dr.cross(n, s), n)
+            numbers = self.geometry.faces_of(group.indices)
+            frame = curved if frame is None else dr.select(is_one_of(pi.prim_index, numbers), curved, frame)
+        return frame or Frame3f.from_normal(Vector3f(0, 0, 1))
+
+    # ---- BSDFs and emitters of surface points -----------------------------------------------
+
+    def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
+        """The BSDF of the shape at `si`."""
+        return BSDFPtr(self, self._per_shape(si, self._bsdf_of_shape))
+
+    def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
+        """The number of the emitter seen at `si`; the count of emitters means none."""
+        index = self._per_shape(si, self._light_of_shape)
+        return dr.select(si.valid, index, UInt32(self._light_on_miss))
+
+    def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
+        """The emitter seen at `si`: the shape's, or the environment on a miss."""
+        return EmitterPtr(self, self.emitter_index_at(si))
+
+    def _per_shape(self, si: SurfaceInteraction3f, table: Sequence[int]) -> UInt32:
+        if not table:
+            return UInt32(0)
+        # Face numbers lead there in one step, without the shape in between.
+        per_face = [table[shape] for shape in self.geometry.face_shape]
+        return choose(si.prim_index, [UInt32(i) for i in per_face], per_face)
+
+    # ---- light sampling ------------------------------------------------------------------------
+
+    def sample_emitter_direction(
+        self,
+        ref: SurfaceInteraction3f,
+        sample: Point2f,
+        test_visibility: bool = True,
+        active: Bool | bool = True,
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """Choose an emitter uniformly, sample a direction towards it; weight = radiance / pdf.
+
+        `ds.pdf` includes the probability 1 / n of choosing the emitter. `sample.x` chooses and is
+        then stretched for use in the emitter.
+        """
+        count = len(self._emitters)
+        if count == 0:
+            nothing = DirectionSample3f(
+                ref.p, ref.n, Point2f(0), Vector3f(0, 0, 1), Float(0), Float(0), Float(0), Bool(False), UInt32(0)
+            )
+            return nothing, Color3f(0)
+        index = UInt32(0)
+        if count > 1:
+            scaled = sample.x * count
+            index = dr.minimum(UInt32(scaled), count - 1)
+            sample = Point2f(scaled - Float(index), sample.y)
+        ds, weight = EmitterPtr(self, index).sample_direction(ref, sample, active)
+        if count > 1:
+            ds.pdf, ds.weight, weight = ds.pdf * (1 / count), ds.weight * count, weight * count
+        if test_visibility:
+            weight = dr.select(self.unoccluded(self.shadow_ray(ref, ds)), weight, 0)
+        return ds, weight
+
+    def pdf_emitter_direction(
+        self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> Float:
+        """Density of `sample_emitter_direction` at `ds`."""
+        pdf = EmitterPtr(self, ds.emitter_index).pdf_direction(ref, ds, active)
+        return pdf * (1 / len(self._emitters)) if len(self._emitters) > 1 else pdf
+
+
+KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
+"""What may stand at the top level of a scene."""
+
+
+TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission
+
+
+def reads_uv(plugin: Plugin) -> bool:
+    """Is there a texture under `plugin` that varies over the surface?"""
+    if plugin.kind == "texture":
+        return not getattr(plugin, "is_constant", False)
+    children = [getattr(plugin, name) for name in plugin.children]
+    return any(reads_uv(child) for child in children if isinstance(child, Plugin) and child.kind != "shape")
+
+
+def default_bsdf(shape: Shape) -> BSDF:
+    """The BSDF of a shape that has none: grey 0.5, black if it emits."""
+    reflectance = 0.0 if shape.emitter is not None else 0.5
+    return Diffuse(Properties("diffuse", f"{shape.id}.bsdf", {"reflectance": reflectance}))

@@ -1,0 +1,1 @@
+"""How lanes are filled with the samples of an image."""

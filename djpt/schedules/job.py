@@ -1,0 +1,103 @@
+"""What to render: the pieces of one call of `render`, and how lanes map to samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+
+from djpt.dispatch import opaque_copy
+from djpt.films import HDRFilm
+from djpt.integrators.base import Integrator
+from djpt.records import Ray3f
+from djpt.samplers import Sampler, SampleStream
+from djpt.scene import Scene
+from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
+
+__all__ = ["Band", "Job", "Progress"]
+
+Progress = Callable[[int, int], None]
+"""Called with (samples done, samples in all) after each pass."""
+
+MAX_SAMPLES = 2**32
+"""Samples are numbered in 32 bits."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Some consecutive rows of the sampled grid."""
+
+    first_row: int
+    rows: int
+
+
+@dataclass
+class Job:
+    """One image: everything but the order in which its samples are computed.
+
+    The sampled grid is the film's crop window, widened by `border` pixels on each side. Sample
+    number pixel * spp + k, pixels counted row by row, is the k-th sample of a pixel. All numbers
+    that kernels read are opaque, so that new sizes, seeds and counts compile nothing.
+    """
+
+    scene: Scene
+    sensor: Any
+    film: HDRFilm
+    integrator: Integrator
+    sampler: Sampler
+    seed: int
+    spp: int
+    progress: Progress | None = None
+
+    width: int = field(init=False)
+    height: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        border = self.film.border
+        self.width, self.height = (n + 2 * border for n in self.film.crop_size)
+        self.seed_value = dr.opaque(UInt32, (self.seed + self.sampler.seed) & 0xFFFFFFFF)
+        self.spp_value = dr.opaque(UInt32, self.spp)
+        self.width_value = dr.opaque(UInt32, self.width)
+        self._border = dr.opaque(Float, border)
+        inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size]
+        self._inverse_crop = Point2f(*inverse)
+        self._camera = opaque_copy(self.sensor)
+
+    @property
+    def samples(self) -> int:
+        """How many samples the image takes in all."""
+        return self.width * self.height * self.spp
+
+    def channel_count(self) -> int:
+        """Channels per pixel of the developed image."""
+        return len(self.film.channel_names(self.integrator.aov_names()))
+
+    def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
+        """The random numbers of the k-th sample of a pixel of the grid."""
+        return self.sampler.stream(self.seed_value, dr.fma(pixel, self.spp_value, k))
+
+    def coordinates(self, pixel: UInt32) -> tuple[Float, Float]:
+        """Column and row of a pixel of the grid."""
+        row = pixel // self.width_value
+        return Float(Int32(pixel - row * self.width_value)), Float(Int32(row))
+
+    def camera_ray(self, stream: SampleStream, x: Float, y: Float) -> Ray3f:
+        """The ray of a new sample in column `x` and row `y`: the first two draws are its film offset."""
+        offset = stream.next_2d()
+        position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
+        return self._camera.sample_ray(position * self._inverse_crop)
+
+    def film_offset(self, pixel: UInt32, k: UInt32) -> Point2f:
+        """The film offset in [0, 1)^2 of a sample, drawn again."""
+        return self.stream(pixel, k).next_2d()
+
+    def channels(self, color: Color3f, valid: Bool, aovs: list[Float]) -> list[Float]:
+        """What one sample stores."""
+        return self.film.channels(color, valid, aovs)
+
+    def bands(self, pixels: int) -> list[Band]:
+        """The grid in bands of whole rows of about `pixels` pixels."""
+        rows = max(1, pixels // self.width)
+        return [Band(y, min(rows, self.height - y)) for y in range(0, self.height, rows)]

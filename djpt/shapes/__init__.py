@@ -1,0 +1,13 @@
+"""Shapes: one file each, one registration line each."""
+
+from djpt.description.registry import register_shape
+from djpt.shapes.base import Face, Hit, Shape
+from djpt.shapes.cube import Cube
+from djpt.shapes.rectangle import Rectangle
+from djpt.shapes.sphere import Sphere
+
+__all__ = ["Cube", "Face", "Hit", "Rectangle", "Shape", "Sphere"]
+
+register_shape("rectangle", Rectangle)
+register_shape("cube", Cube)
+register_shape("sphere", Sphere)

@@ -1,0 +1,155 @@
+"""The contract of shapes: intersection, surface frame, sampling for area lights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import drjit as dr
+
+from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
+from djpt.records import DirectionSample3f, PositionSample3f
+from djpt.transforms import ScalarTransform4f, as_transform
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["Face", "Hit", "Shape"]
+
+
+@dataclass(frozen=True)
+class Face:
+    """A flat face: its normal and the direction of dp/du, both along axes of the scene's pool."""
+
+    normal: SignedAxis
+    tangent: SignedAxis
+
+
+@dataclass
+class Hit:
+    """A shape's answer to one ray: where `hit` is false, the rest means nothing."""
+
+    hit: Bool
+    t: Float
+    number: UInt32
+    """The scene-wide number of the face."""
+
+
+class Shape(Plugin):
+    """A surface that rays can hit; may carry a BSDF and an area light.
+
+    Two kinds of methods read a shape's `values`: `intersect` is unrolled per instance, on
+    opaque values; `surface`, `sample_position` and the like are traced once per class, with
+    values looked up per lane (see `djpt.dispatch`).
+    """
+
+    kind: ClassVar[str] = "shape"
+    face_count: ClassVar[int] = 1
+    """How many faces `intersect` tells apart."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.bsdf: Any = props.child("bsdf")
+        self.emitter: Any = props.child("emitter")
+        self.flip_normals = props.boolean("flip_normals", False)
+        # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
+        self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
+        self.to_world = props.transform("to_world")
+
+    # ---- parameters -------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        if self.bsdf is not None:
+            callback.put("bsdf", self.bsdf)
+        if self.emitter is not None:
+            callback.put("emitter", self.emitter)
+        callback.put("silhouette_sampling_weight", self.silhouette_sampling_weight)
+        self.traverse_geometry(callback)
+
+    def traverse_geometry(self, callback: TraversalCallback) -> None:
+        """Report the parameters that place the shape; by default `to_world`."""
+        callback.put("to_world", self.to_world, ParamFlags.Differentiable | ParamFlags.Discontinuous)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        return as_transform(value) if name == "to_world" else value
+
+    # ---- on the host: where the shape is -----------------------------------------
+
+    def place(self, pool: AxisPool) -> None:
+        """Compute the values that kernels read, and find the axes; again after each edit."""
+        raise NotImplementedError
+
+    def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
+        """The smallest and largest coordinate of the shape's points along `direction`."""
+        raise NotImplementedError
+
+    def plane(self) -> tuple[NDArray[np.float64], float] | None:
+        """(normal, offset) if the whole shape lies in one plane, else None."""
+        return None
+
+    def faces(self) -> Sequence[Face]:
+        """The frames of the faces; empty for curved shapes, which compute theirs in `surface`."""
+        return ()
+
+    # ---- in kernels, unrolled per instance ---------------------------------------
+
+    def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
+        """The closest intersection with 0 < t < maxt; `numbers[k]` is the scene-wide number of face k."""
+        raise NotImplementedError
+
+    # ---- in kernels, once per class ----------------------------------------------
+
+    def surface_area(self) -> Float:
+        """Total area in world space."""
+        raise NotImplementedError
+
+    def sample_position(self, sample: Point2f) -> PositionSample3f:
+        """A point uniform in area: pdf = 1 / area."""
+        raise NotImplementedError
+
+    def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+        """A point of the shape as seen from `ref`; by default from `sample_position`.
+
+        pdf = dist^2 / (area abs(cos)), the area density converted to solid angle at `ref`.
+        """
+        ps = self.sample_position(sample)
+        to_p = ps.p - ref
+        dist_squared = dr.squared_norm(to_p)
+        inv_dist = dr.rsqrt(dist_squared)
+        d = to_p * inv_dist
+        weight = dr.abs(dr.dot(d, ps.n)) * dr.square(inv_dist) * self.surface_area()
+        ok = (weight > 0) & (dist_squared > 0)
+        return DirectionSample3f(
+            ps.p,
+            ps.n,
+            ps.uv,
+            d,
+            dist_squared * inv_dist,
+            dr.select(ok, dr.rcp(weight), 0),
+            dr.select(ok, weight, 0),
+            Bool(False),
+            UInt32(0),
+        )
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        """Density with which `sample_direction` gives `ds`."""
+        pdf = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.surface_area())
+        return dr.select(dr.isfinite(pdf), pdf, 0)
+
+    def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
+        """Texture coordinates and dp/du, dp/dv at a point of the surface."""
+        raise NotImplementedError
+
+
+def opaque_vector(v: NDArray[np.float64]) -> Vector3f:
+    """A NumPy 3-vector as an opaque width-1 array."""
+    return Vector3f(*(dr.opaque(Float, float(x)) for x in v))
+
+
+def require_transform(shape: Shape) -> ScalarTransform4f:
+    """The shape's transform as our own type (edits may have assigned a bare matrix)."""
+    return as_transform(shape.to_world)

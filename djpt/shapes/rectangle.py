@@ -1,0 +1,98 @@
+"""The rectangle [-1, 1]^2 in the local xy plane, normal +z; any affine image of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+import drjit as dr
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
+from djpt.lookup import as_float
+from djpt.records import PositionSample3f
+from djpt.shapes.base import Face, Hit, Shape, opaque_vector
+from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["Rectangle"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+
+
+class Rectangle(Shape):
+    """A parallelogram with uv = ((x + 1) / 2, (y + 1) / 2).
+
+    Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
+    Normal: the direction of dp/du x dp/dv, as in Mitsuba also for mirroring transforms.
+    """
+
+    values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
+    statics = ("flip_normals",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self._axes: tuple[SignedAxis, SignedAxis, SignedAxis, SignedAxis] | None = None
+
+    def place(self, pool: AxisPool) -> None:
+        matrix = self.to_world.matrix
+        center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
+        cross = np.cross(u, v)
+        normal = cross / np.linalg.norm(cross)
+        # Duals: dual_u . (p - center) is the local x coordinate, also for sheared rectangles.
+        dual_u, dual_v = np.cross(v, cross) / cross.dot(cross), np.cross(cross, u) / cross.dot(cross)
+        outward = -normal if self.flip_normals else normal
+
+        directions = (outward, dual_u, dual_v, u)
+        previous = self._axes or (None,) * 4
+        self._axes = tuple(pool.find(d, p) for d, p in zip(directions, previous, strict=True))  # type: ignore[assignment]
+        self._host = (center, u, v, normal)
+
+        axis_n, axis_u, axis_v = (signed.axis.direction for signed in self._axes[:3])
+        self.plane_offset = as_float(center.dot(axis_n))
+        self.center_u, self.half_u = as_float(center.dot(axis_u)), as_float(1 / np.linalg.norm(dual_u))
+        self.center_v, self.half_v = as_float(center.dot(axis_v)), as_float(1 / np.linalg.norm(dual_v))
+
+        self.center, self.edge_u, self.edge_v = opaque_vector(center), opaque_vector(u), opaque_vector(v)
+        self.dual_u, self.dual_v = opaque_vector(dual_u), opaque_vector(dual_v)
+        self.normal = opaque_vector(outward)
+        self.area = as_float(4 * np.linalg.norm(cross))
+
+    def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
+        center, u, v, _ = self._host
+        middle, reach = center.dot(direction), abs(u.dot(direction)) + abs(v.dot(direction))
+        return float(middle - reach), float(middle + reach)
+
+    def plane(self) -> tuple[NDArray[np.float64], float] | None:
+        center, _, _, normal = self._host
+        return normal, float(center.dot(normal))
+
+    def faces(self) -> Sequence[Face]:
+        assert self._axes is not None
+        return [Face(self._axes[0], self._axes[3])]
+
+    def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
+        assert self._axes is not None
+        o_n, _, inv_n = ray.onto(self._axes[0].axis)
+        o_u, d_u, _ = ray.onto(self._axes[1].axis)
+        o_v, d_v, _ = ray.onto(self._axes[2].axis)
+        t = (self.plane_offset - o_n) * inv_n
+        inside_u = dr.abs(dr.fma(d_u, t, o_u) - self.center_u) <= self.half_u
+        inside_v = dr.abs(dr.fma(d_v, t, o_v) - self.center_v) <= self.half_v
+        return Hit(inside_u & inside_v & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
+
+    def surface_area(self) -> Float:
+        return self.area
+
+    def sample_position(self, sample: Point2f) -> PositionSample3f:
+        x, y = dr.fma(2, sample.x, -1), dr.fma(2, sample.y, -1)
+        p = dr.fma(self.edge_u, x, dr.fma(self.edge_v, y, self.center))
+        return PositionSample3f(p, self.normal, sample, dr.rcp(self.area))
+
+    def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
+        local = p - self.center
+        u = dr.fma(0.5, dr.dot(self.dual_u, local), 0.5)
+        v = dr.fma(0.5, dr.dot(self.dual_v, local), 0.5)
+        return Point2f(u, v), 2 * self.edge_u, 2 * self.edge_v

@@ -1,0 +1,200 @@
+"""The sphere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+import drjit as dr
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.frame import Frame3f
+from djpt.geometry.axes import AxisPool, ProjectedRay
+from djpt.lookup import as_float
+from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
+from djpt.shapes.base import Hit, Shape, opaque_vector
+from djpt.transforms import ScalarTransform4f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.warp import square_to_uniform_sphere
+
+__all__ = ["Sphere"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+
+
+class Sphere(Shape):
+    """All points at distance `radius` from `center`, mapped by `to_world`.
+
+    Parameters: `center` (default origin), `radius` (default 1), `to_world` (rotation,
+    translation and uniform scale; default identity), `flip_normals` (default false).
+    uv = (phi / 2 pi, theta / pi) in local spherical coordinates about +z.
+    """
+
+    values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
+    statics = ("flip_normals",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        local = ScalarTransform4f().translate(props.vector("center", (0, 0, 0)))
+        self.to_world = self.to_world @ local.scale(props.float("radius", 1.0, low=0.0, low_open=True))
+        problem = self._problem(self.to_world.matrix)
+        if problem:
+            raise SceneError(f"{props.node}: {problem}")
+
+    @staticmethod
+    def _problem(matrix: NDArray[np.float64]) -> str | None:
+        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+        gram = matrix[:3, :3].T @ matrix[:3, :3]
+        if np.abs(gram - np.diag(lengths**2)).max() > 1e-4 * lengths.max() ** 2 or np.ptp(lengths) > 1e-4 * lengths.max():
+            return "the 'to_world' of a sphere may scale uniformly, rotate and translate, nothing else"
+        return None
+
+    def check_parameter(self, name: str, value: object) -> object:
+        value = super().check_parameter(name, value)
+        if name == "to_world" and isinstance(value, ScalarTransform4f):
+            problem = self._problem(value.matrix)
+            if problem:
+                raise ParameterError(f"{self.id}.to_world: {problem}")
+        return value
+
+    def place(self, pool: AxisPool) -> None:
+        matrix = self.to_world.matrix
+        radius = float(np.linalg.norm(matrix[:3, 0]))
+        self._host = (matrix[:3, 3], radius)
+        self.center, self.radius = opaque_vector(matrix[:3, 3]), as_float(radius)
+        self.area = as_float(4 * math.pi * radius**2)
+        self.axis_x, self.axis_y, self.axis_z = (opaque_vector(matrix[:3, k] / radius) for k in range(3))
+
+    def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
+        center, radius = self._host
+        middle = center.dot(direction)
+        return float(middle - radius), float(middle + radius)
+
+    # ---- in kernels ----------------------------------------------------------------
+
+    def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
+        # The quadratic is solved from the point of the ray closest to the centre: the
+        # discriminant then doesn't cancel for spheres that are small or far away.
+        # E. Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, ch. 7, 2019.
+        o, d = ray.ray.o - self.center, ray.ray.d
+        inv_length_squared = dr.rcp(dr.squared_norm(d))
+        middle = -dr.dot(o, d) * inv_length_squared
+        closest = dr.fma(d, middle, o)
+        discriminant = (dr.square(self.radius) - dr.squared_norm(closest)) * inv_length_squared
+        reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
+        near, far = middle - reach, middle + reach
+        t = dr.select(near > 0, near, far)
+        return Hit((discriminant >= 0) & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
+
+    def normal_at(self, p: Point3f) -> Vector3f:
+        """Unit normal at a surface point."""
+        n = dr.normalize(p - self.center)
+        return -n if self.flip_normals else n
+
+    def onto_surface(self, p: Point3f) -> Point3f:
+        """A nearly exact surface point moved onto the sphere."""
+        return dr.fma(dr.normalize(p - self.center), self.radius, self.center)
+
+    def tangent_at(self, p: Point3f) -> Vector3f:
+        """Unit direction of dp/du; any tangent at the poles."""
+        local = p - self.center
+        s = self.axis_y * dr.dot(self.axis_x, local) - self.axis_x * dr.dot(self.axis_y, local)
+        length = dr.squared_norm(s)
+        return dr.select(length > 0, s * dr.rsqrt(length), self.axis_x)
+
+    def surface_area(self) -> Float:
+        return self.area
+
+    def sample_position(self, sample: Point2f) -> PositionSample3f:
+        local = square_to_uniform_sphere(sample)
+        d = self.axis_x * local.x + self.axis_y * local.y + self.axis_z * local.z
+        p = dr.fma(d, self.radius, self.center)
+        return PositionSample3f(p, -d if self.flip_normals else d, self._uv(local), dr.rcp(self.area))
+
+    def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+        """Outside: uniform in the cone that the sphere subtends. Inside: uniform in area.
+
+        The cone is sampled by points on the visible cap, without intersecting a ray:
+        "Sampling the visible sphere", A. Kalin (akalin.com/sampling-visible-sphere).
+        """
+        to_center = self.center - ref
+        dist_squared = dr.squared_norm(to_center)
+        outside = dist_squared > dr.square(self.radius * self._shrunk())
+
+        inv_dist = dr.rsqrt(dist_squared)
+        sin_max = self.radius * inv_dist
+        sin_max_squared = dr.square(sin_max)
+        cos_max = dr.safe_sqrt(1 - sin_max_squared)
+        # Below 1.5 degrees 1 - cos cancels: use the first term of its series.
+        sin_squared = dr.select(
+            sin_max_squared > 0.00068523,
+            1 - dr.square(dr.fma(cos_max - 1, sample.x, 1)),
+            sin_max_squared * sample.x,
+        )
+        cos = dr.safe_sqrt(1 - sin_squared)
+        inv_sin_max = dr.rcp(sin_max)
+        cos_alpha = sin_squared * inv_sin_max + cos * dr.safe_sqrt(1 - sin_squared * dr.square(inv_sin_max))
+        sin_alpha = dr.safe_sqrt(1 - dr.square(cos_alpha))
+        sin_phi, cos_phi = dr.sincos(2 * math.pi * sample.y)
+        towards = Frame3f.from_normal(to_center * -inv_dist)
+        cap = towards.to_world(Vector3f(cos_phi * sin_alpha, sin_phi * sin_alpha, cos_alpha))
+        # 1 - cos without cancellation: sin^2 / (1 + cos).
+        solid_angle = 2 * math.pi * sin_max_squared * dr.rcp(1 + cos_max)
+
+        n = dr.select(outside, cap, square_to_uniform_sphere(sample))
+        p = dr.fma(n, self.radius, self.center)
+        to_p = p - ref
+        dist = dr.norm(to_p)
+        d = to_p * dr.rcp(dist)
+        from_area = dr.abs(dr.dot(d, n)) * self.area * dr.rcp(dr.square(dist))
+        weight = dr.select(outside, solid_angle, from_area)
+        ok = (dist > 0) & (weight > 0)
+        return DirectionSample3f(
+            p,
+            -n if self.flip_normals else n,
+            self._uv(self._to_local(n)),
+            d,
+            dist,
+            dr.select(ok, dr.rcp(weight), 0),
+            dr.select(ok, weight, 0),
+            Bool(False),
+            UInt32(0),
+        )
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        dist_squared = dr.squared_norm(self.center - ref)
+        sin_squared = dr.square(self.radius) * dr.rcp(dist_squared)
+        cos = dr.safe_sqrt(1 - sin_squared)
+        outside = dist_squared > dr.square(self.radius * self._shrunk())
+        in_cone = dr.rcp(2 * math.pi * sin_squared * dr.rcp(1 + cos))
+        in_area = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.area)
+        return dr.select(outside, in_cone, dr.select(dr.isfinite(in_area), in_area, 0))
+
+    def _shrunk(self) -> float:
+        # A point that was moved off the surface must count as on its own side.
+        return 1 + RAY_EPSILON if self.flip_normals else 1 - RAY_EPSILON
+
+    def _to_local(self, d: Vector3f) -> Vector3f:
+        return Vector3f(dr.dot(self.axis_x, d), dr.dot(self.axis_y, d), dr.dot(self.axis_z, d))
+
+    def _uv(self, local: Vector3f) -> Point2f:
+        phi = dr.atan2(local.y, local.x)
+        u = dr.select(phi < 0, phi + 2 * math.pi, phi) * (1 / (2 * math.pi))
+        return Point2f(u, dr.safe_acos(local.z) * (1 / math.pi))
+
+    def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
+        local = self._to_local(p - self.center)
+        unit = local * dr.rcp(self.radius)
+        rim = dr.sqrt(dr.square(local.x) + dr.square(local.y))
+        inv_rim = dr.select(rim > 0, dr.rcp(rim), 0)
+        cos_phi, sin_phi = dr.select(rim > 0, local.x * inv_rim, 1), local.y * inv_rim
+        du = 2 * math.pi * (self.axis_y * local.x - self.axis_x * local.y)
+        dv = math.pi * (
+            self.axis_x * (local.z * cos_phi) + self.axis_y * (local.z * sin_phi) - self.axis_z * rim
+        )
+        return self._uv(unit), du, dv

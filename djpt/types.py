@@ -1,0 +1,59 @@
+"""The Dr.Jit types that djpt computes with, under Mitsuba's names.
+
+The backend (`llvm` or `cuda`) is fixed when this module is first imported: see
+`djpt.variants`. Everything else imports its types from here.
+
+Points, vectors, normals and colours are one type, Dr.Jit's `Array3f` (Dr.Jit's array
+classes can't be subclassed): the names say what is meant, not what is checked.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import drjit.llvm.ad as backend
+else:
+    from djpt.variants import load_backend
+
+    backend = load_backend()
+
+__all__ = [
+    "PCG32",
+    "Array3f",
+    "Bool",
+    "Color3f",
+    "Float",
+    "Float64",
+    "Int32",
+    "Mask",
+    "Matrix4f",
+    "Normal3f",
+    "Point2f",
+    "Point3f",
+    "TensorXf",
+    "UInt32",
+    "UInt64",
+    "Vector2f",
+    "Vector3f",
+]
+
+Float = backend.Float
+Float64 = backend.Float64
+Int32 = backend.Int
+UInt32 = backend.UInt32
+UInt64 = backend.UInt64
+Bool = backend.Bool
+Mask = backend.Bool
+
+Array3f = backend.Array3f
+Point2f = backend.Array2f
+Vector2f = backend.Array2f
+Point3f = backend.Array3f
+Vector3f = backend.Array3f
+Normal3f = backend.Array3f
+Color3f = backend.Array3f
+Matrix4f = backend.Matrix4f
+
+TensorXf = backend.TensorXf
+PCG32 = backend.PCG32

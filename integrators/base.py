@@ -1,0 +1,166 @@
+"""The contracts of integrators."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.plugin import Plugin
+from djpt.description.properties import Properties
+from djpt.records import Ray3f, SurfaceInteraction3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["Integrator", "PathIntegrator", "PathState", "Vertex", "mis_weight"]
+
+
+class Integrator(Plugin):
+    """Estimates the radiance along camera rays.
+
+    The smallest integrator overrides `sample` and nothing else: it is then run with one lane per
+    sample, and differentiated by Dr.Jit's automatic differentiation of its code.
+
+    Parameters of all integrators: `hide_emitters` (default false): camera rays pass through
+    area lights and see no environment.
+    """
+
+    kind: ClassVar[str] = "integrator"
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.hide_emitters = props.boolean("hide_emitters", False)
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        """Radiance along `ray`, whether it counts as covered (alpha), and one value per AOV."""
+        raise NotImplementedError
+
+    def aov_names(self) -> Sequence[str]:
+        """Names of the extra channels that `sample` returns."""
+        return ()
+
+
+@dataclass
+class PathState:
+    """What a path carries from one vertex to the next."""
+
+    throughput: Color3f
+    """Product of the weights f abs(cos) / pdf so far, Russian roulette included."""
+    bsdf_pdf: Float
+    """Density with which the BSDF chose the current ray; 0 if light sampling couldn't have (camera, delta)."""
+    eta: Float | None
+    """Product of relative indices of refraction; None in scenes without refraction."""
+    depth: UInt32
+    """Vertices so far."""
+
+
+@dataclass
+class Vertex:
+    """What happened at a path vertex.
+
+    Contributions include the throughput. Where the scene's values are attached to AD leaves,
+    `emitted`, `reflected` and `weight` are attached as well; all else is detached.
+    """
+
+    emitted: Color3f
+    """Light from the vertex itself, weighted against light sampling."""
+    reflected: Color3f
+    """Light of the sampled emitter, to be added if `shadow_ray` is free."""
+    shadow_ray: Ray3f
+    weight: Color3f
+    """f abs(cos) / pdf of the sampled direction."""
+    ray: Ray3f
+    """The continuation."""
+    state: PathState
+    active: Bool
+    """Does the path go on?"""
+    valid: Bool
+    """Does the sample count as covered, if the path ends here?"""
+
+
+class PathIntegrator(Integrator):
+    """An estimator that advances one path vertex at a time.
+
+    Between two ray queries lies one call of `vertex`. It makes at most one shadow query and one
+    continuation, so schedules are free in how they fill lanes, and the replay for gradients calls
+    the same code.
+    """
+
+    def start(self, scene: Scene) -> PathState:
+        """The state of a path that is about to trace its camera ray."""
+        raise NotImplementedError
+
+    def vertex(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        """Process the hit (or miss) `si` of `ray`."""
+        raise NotImplementedError
+
+    def trace(self, scene: Scene, state: PathState, ray: Ray3f) -> SurfaceInteraction3f:
+        """The next hit of a path."""
+        through = (state.depth == 0) if self.hide_emitters else None
+        pi = scene.ray_intersect_preliminary(ray, through_lights=through)
+        return scene.surface_interaction(ray, pi, full=scene.needs_uv)
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        lanes = dr.width(ray, sampler)
+        start = PathLoop(
+            ray=wide(ray, lanes),
+            sampler=sampler,
+            state=wide(self.start(scene), lanes),
+            radiance=dr.zeros(Color3f, lanes),
+            valid=dr.full(Bool, False, lanes),
+            active=Bool(active) & dr.full(Bool, True, lanes),
+        )
+
+        def body(lane: PathLoop) -> tuple[PathLoop]:
+            si = self.trace(scene, lane.state, lane.ray)
+            v = self.vertex(scene, lane.sampler, lane.state, lane.ray, si)
+            visible = scene.unoccluded(v.shadow_ray)
+            radiance = lane.radiance + v.emitted + dr.select(visible, v.reflected, 0)
+            valid = dr.select(v.active, lane.valid, v.valid)
+            return (PathLoop(v.ray, lane.sampler, v.state, radiance, valid, v.active),)
+
+        (end,) = dr.while_loop((start,), lambda lane: lane.active, body, label=type(self).__name__)
+        return end.radiance, end.valid, []
+
+
+@dataclass
+class PathLoop:
+    """Loop state of one path per lane."""
+
+    ray: Ray3f
+    sampler: SampleStream
+    state: PathState
+    radiance: Color3f
+    valid: Bool
+    active: Bool
+
+
+def wide(record: Any, lanes: int) -> Any:
+    """A record with all fields at full width: loop state must not start as width-1 variables."""
+    if record is None:
+        return None
+    if is_dataclass(record):
+        return type(record)(**{f.name: wide(getattr(record, f.name), lanes) for f in fields(record)})
+    if not dr.is_array_v(record):
+        return record
+    if dr.is_mask_v(record):
+        return record | dr.full(Bool, False, lanes)
+    return record + dr.zeros(type(record), lanes)
+
+
+def mis_weight(pdf_a: Float, pdf_b: Float) -> Float:
+    """Power heuristic a^2 / (a^2 + b^2) of strategy a (Veach and Guibas 1995); 0 if both are 0."""
+    a, b = dr.square(pdf_a), dr.square(pdf_b)
+    weight = a * dr.rcp(a + b)
+    return dr.select(dr.isfinite(weight), weight, 0)

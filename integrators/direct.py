@@ -1,0 +1,76 @@
+"""Direct illumination with several samples per strategy."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.integrators.base import Integrator, mis_weight
+from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float
+
+__all__ = ["Direct"]
+
+
+class Direct(Integrator):
+    """Light that arrives straight from emitters at the first visible surface.
+
+    L = Le + 1/n_e sum w_e f Le V / p_e + 1/n_b sum w_b f Le / p_b, with the power heuristic of
+    the densities times the share of samples of each strategy.
+
+    Parameters: `shading_samples` (sets both counts, default 1), or `emitter_samples` and
+    `bsdf_samples` (0 turns a strategy off), `hide_emitters`.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if "shading_samples" in props and ("emitter_samples" in props or "bsdf_samples" in props):
+            raise SceneError(f"{props.node}: give 'shading_samples', or 'emitter_samples' and 'bsdf_samples'")
+        both = props.integer("shading_samples", 1, low=1, high=1024)
+        self.emitter_samples = props.integer("emitter_samples", both, low=0, high=1024)
+        self.bsdf_samples = props.integer("bsdf_samples", both, low=0, high=1024)
+        if self.emitter_samples + self.bsdf_samples == 0:
+            raise SceneError(f"{props.node}: 'emitter_samples' and 'bsdf_samples' can't both be 0")
+
+    def sample(  # type: ignore[no-untyped-def]
+        self, scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        total = self.emitter_samples + self.bsdf_samples
+        emitter_share, bsdf_share = self.emitter_samples / total, self.bsdf_samples / total
+        ctx = BSDFContext()
+
+        # ------------------- Visible surface ------------------
+        through = Bool(True) if self.hide_emitters else None
+        pi = scene.ray_intersect_preliminary(ray, active, through_lights=through)
+        si = scene.surface_interaction(ray, pi)
+        result = Color3f(0)
+        if not self.hide_emitters:
+            result += si.emitter(scene).eval(si, active)
+        lit = si.is_valid() & active
+        bsdf = si.bsdf()
+
+        # ------------------- Light sampling -------------------
+        for _ in range(self.emitter_samples):
+            ds, light = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
+            value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(ds.d), lit)
+            weight = mis_weight(ds.pdf * emitter_share, pdf * bsdf_share)
+            weight = dr.select(ds.delta, 1, weight) * (1 / self.emitter_samples)
+            result += value * light * weight
+
+        # -------------------- BSDF sampling -------------------
+        for _ in range(self.bsdf_samples):
+            bs, weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sampler.next_2d(lit), lit)
+            ray_b = si.spawn_ray(si.to_world(bs.wo))
+            si_b = scene.ray_intersect(ray_b, lit)
+            ds = DirectionSample3f.along(ray_b, si_b)
+            delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
+            emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
+            mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)
+            result += weight * si_b.emitter(scene).eval(si_b, lit) * mis
+
+        valid = si.is_valid()
+        if not self.hide_emitters and scene.environment() is not None:
+            valid |= Bool(True)
+        return dr.select(active, result, 0), valid & active, []

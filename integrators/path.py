@@ -1,0 +1,108 @@
+"""The path tracer."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.integrators.base import PathIntegrator, PathState, Vertex, mis_weight
+from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, UInt32
+
+__all__ = ["Path"]
+
+UNBOUNDED = 0xFFFFFFFF
+
+
+class Path(PathIntegrator):
+    """Unidirectional path tracing with light sampling and Russian roulette.
+
+    Estimates L = sum over vertices k of T_k (w_b Le_k + w_e f Le / p_e V), T_k the product of
+    f abs(cos) / p of the sampled directions, with the power heuristic weighting BSDF sampling
+    (w_b) against light sampling (w_e).
+
+    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1; 1 shows only
+    lights, 0 nothing), `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`.
+
+    J. Kajiya 1986; E. Veach and L. Guibas 1995. Draws, weights and termination are those of
+    Mitsuba's `path`, number by number.
+    """
+
+    default_max_depth = -1
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.max_depth = props.integer("max_depth", self.default_max_depth, low=-1)
+        self.rr_depth = props.integer("rr_depth", 5, low=1)
+
+    def start(self, scene):  # type: ignore[no-untyped-def]
+        eta = Float(1) if scene.refracts else None
+        return PathState(throughput=Color3f(1), bsdf_pdf=Float(0), eta=eta, depth=UInt32(0))
+
+    def vertex(self, scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f) -> Vertex:  # type: ignore[no-untyped-def]
+        max_depth = UNBOUNDED if self.max_depth < 0 else self.max_depth
+        first = state.depth == 0
+
+        # ---------------------- Emission ----------------------
+        ds = DirectionSample3f.along(ray, si)
+        emitter_pdf = scene.pdf_emitter_direction(ray.o, ds)
+        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, emitter_pdf), 1)
+        emitted = state.throughput * mis * si.emitter(scene).eval(si)
+        if self.hide_emitters:
+            emitted = dr.select(first & ~si.is_valid(), 0, emitted)
+        if self.max_depth == 0:
+            emitted = Color3f(0)
+        # Is there an edge left to reach one more vertex?
+        proceed = si.is_valid() & (state.depth + 1 < max_depth)
+
+        # ------------------- Light sampling -------------------
+        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False)
+        shadow_ray = scene.shadow_ray(si, ds)
+
+        # -------------------- BSDF sampling -------------------
+        value, pdf, bs, weight = si.bsdf().eval_pdf_sample(
+            BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d()
+        )
+        # The power heuristic from 1 / p_e: one division less.
+        mis = dr.select(ds.delta, 1, dr.rcp(1 + dr.square(pdf * ds.weight)))
+        reflected = dr.select(proceed, state.throughput * (value * light * mis), 0)
+        next_ray = si.spawn_ray(si.to_world(bs.wo))
+        throughput = state.throughput * dr.detach(weight)
+        eta = None if state.eta is None else state.eta * bs.eta
+
+        # ------------------ Russian roulette ------------------
+        largest = maximum(maximum(throughput.x, throughput.y), throughput.z)
+        survival = minimum(largest if eta is None else largest * dr.square(eta), Float(0.95))
+        roulette = self.roulette_depth(state.depth) >= self.rr_depth
+        survives = ~roulette | (sampler.next_1d() < survival)
+        throughput = dr.select(roulette, throughput * dr.rcp(survival), throughput)
+
+        # ---------------------- Next vertex -------------------
+        delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
+        next_state = PathState(throughput, dr.select(delta, 0, bs.pdf), eta, state.depth + 1)
+        covered = ~first | si.is_valid() | (scene.environment() is not None and not self.hide_emitters)
+        return Vertex(
+            emitted=emitted,
+            reflected=reflected,
+            shadow_ray=shadow_ray,
+            weight=weight,
+            ray=next_ray,
+            state=next_state,
+            active=proceed & (largest > 0) & survives,
+            valid=covered & Bool(self.max_depth != 0),
+        )
+
+    def roulette_depth(self, depth: UInt32) -> UInt32:
+        """The depth that is compared with `rr_depth`: that of the next vertex."""
+        return depth + 1
+
+
+def minimum(a: Float, b: Float) -> Float:
+    """One instruction where `dr.minimum` takes three: NaNs need no care here."""
+    return dr.select(a < b, a, b)
+
+
+def maximum(a: Float, b: Float) -> Float:
+    """The counterpart of `minimum`."""
+    return dr.select(a > b, a, b)

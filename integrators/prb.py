@@ -1,0 +1,24 @@
+"""Path replay backpropagation."""
+
+from __future__ import annotations
+
+from djpt.integrators.path import Path
+from djpt.types import UInt32
+
+__all__ = ["PRB"]
+
+
+class PRB(Path):
+    """`path` under the name and with the defaults of Mitsuba's differentiable path tracer.
+
+    Gradients of both come from path replay (`djpt.replay`): D. Vicini, S. Speierer and W. Jakob,
+    "Path Replay Backpropagation", SIGGRAPH 2021. Sampling decisions are detached.
+
+    Parameters: as `path`, with `max_depth` 6 by default. Russian roulette starts one vertex
+    later than in `path`, as it does in Mitsuba.
+    """
+
+    default_max_depth = 6
+
+    def roulette_depth(self, depth: UInt32) -> UInt32:
+        return depth

@@ -1,0 +1,67 @@
+"""Lambertian reflection."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.materials.base import BSDF
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["Diffuse"]
+
+INV_PI = 1 / math.pi
+
+
+class Diffuse(BSDF):
+    """f = reflectance / pi, on the side of the normal only; black from behind.
+
+    Parameters: `reflectance` (texture in [0, 1], default 0.5). Sampled by the cosine:
+    pdf = cos theta_o / pi, so the weight is the reflectance.
+    """
+
+    children = ("reflectance",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.reflectance = props.texture("reflectance", 0.5, low=0.0, high=1.0)
+
+    def flags(self) -> int:
+        return int(BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        wo = square_to_cosine_hemisphere(sample2)
+        pdf = wo.z * INV_PI
+        # At the horizon the density vanishes and with it the sample.
+        ok = (si.wi.z > 0) & (pdf > 0)
+        weight = dr.select(ok, self.reflectance.eval(si, active), 0)
+        sampled_type = UInt32(int(BSDFFlags.DiffuseReflection))
+        return BSDFSample3f(wo, pdf, Float(1), sampled_type, UInt32(0)), weight
+
+    def eval(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> Color3f:
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        pdf = dr.select((si.wi.z > 0) & (wo.z > 0), wo.z * INV_PI, 0)
+        return self.reflectance.eval(si, active) * pdf, pdf
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.reflectance.eval(si, active)

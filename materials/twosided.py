@@ -1,0 +1,96 @@
+"""One-sided BSDFs made two-sided."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.materials.base import BSDF
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+
+__all__ = ["TwoSided"]
+
+TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission | BSDFFlags.Null
+
+
+class TwoSided(BSDF):
+    """The nested BSDF seen from the front; from behind the second one, or the same again.
+
+    Children: one or two BSDFs, front and back, under any key. Behind the surface the z axis
+    of the local frame is mirrored. A transmitting BSDF can't be nested.
+    """
+
+    children = ("front", "back")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        nested = [plugin for _, plugin in props.children("bsdf")]
+        if not 1 <= len(nested) <= 2:
+            raise SceneError(f"{props.node}: 'twosided' takes one or two nested BSDFs, found {len(nested)}")
+        for bsdf in nested:
+            if has_flag(bsdf.flags(), TRANSMITS):
+                raise SceneError(f"{props.node}: a transmitting BSDF can't be made two-sided")
+        self.front = nested[0]
+        # None stands for "the same": the nested BSDF is then traced once, for both sides.
+        self.back = nested[1] if len(nested) == 2 else None
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        if self.back is None:
+            callback.put("nested_bsdf", self.front)
+        else:
+            callback.put("brdf_0", self.front)
+            callback.put("brdf_1", self.back)
+
+    def flags(self) -> int:
+        back = self.back.flags() if self.back else 0
+        return self.front.flags() | back | int(BSDFFlags.FrontSide | BSDFFlags.BackSide)
+
+    def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
+        wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        return SurfaceInteraction3f(**{**vars(si), "wi": wi})
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        mirrored = self._seen_from_front(si)
+        behind = si.wi.z < 0
+        result = self.front.sample(ctx, mirrored, sample1, sample2, active)
+        if self.back is not None:
+            other = self.back.sample(ctx, mirrored, sample1, sample2, active)
+            result = dr.select(behind, other, result)
+        bs, weight = result
+        wo = Vector3f(bs.wo.x, bs.wo.y, dr.select(behind, -bs.wo.z, bs.wo.z))
+        return BSDFSample3f(wo, bs.pdf, bs.eta, bs.sampled_type, bs.sampled_component), weight
+
+    def eval(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> Color3f:
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        mirrored = self._seen_from_front(si)
+        behind = si.wi.z < 0
+        wo = Vector3f(wo.x, wo.y, dr.select(behind, -wo.z, wo.z))
+        result = self.front.eval_pdf(ctx, mirrored, wo, active)
+        if self.back is not None:
+            result = dr.select(behind, self.back.eval_pdf(ctx, mirrored, wo, active), result)
+        return result
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        result = self.front.eval_diffuse_reflectance(si, active)
+        if self.back is not None:
+            result = dr.select(si.wi.z < 0, self.back.eval_diffuse_reflectance(si, active), result)
+        return result
