@@ -1,0 +1,181 @@
+"""From a dict to plugins: names, nested nodes, references."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from djpt.description.numeric import describe
+from djpt.description.plugin import Plugin
+from djpt.description.properties import Properties
+from djpt.description.registry import lookup
+from djpt.errors import SceneError, near_miss
+
+__all__ = ["MAX_DEPTH", "load_dict"]
+
+MAX_DEPTH = 32
+"""Deepest nesting of nodes. Real scenes need about five levels."""
+
+
+def load_dict(d: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:
+    """Build a scene, or any other plugin, from Mitsuba's dict description.
+
+    ``d['type']`` names the plugin; nested dicts are nested plugins, ``{'type': 'ref', 'id':
+    'white'}`` refers to a node by its key, by its ``id`` entry, or by its path (``floor.bsdf``),
+    wherever it stands. Values may be plugins that exist already. `d` isn't modified.
+
+    Args:
+        d: the description, for example `djpt.cornell_box()`.
+        parallel: accepted for Mitsuba's signature, no effect.
+        optimize: accepted for Mitsuba's signature, no effect: shapes are never merged and names
+            are always kept (Mitsuba with ``optimize=False``).
+
+    Returns:
+        A `djpt.Scene` if the type is ``scene``, else the plugin of that type.
+
+    Raises:
+        SceneError: the description is wrong; the message names the node.
+    """
+    return Loader(d).load()
+
+
+class Loader:
+    """One call of `load_dict`: the nodes by path, and the plugins built so far."""
+
+    def __init__(self, root: Any) -> None:
+        self.root = root
+        self.nodes: dict[str, Mapping[str, Any] | Plugin] = {}
+        self.paths: dict[str, str] = {}
+        """What a reference can name (a path or an ``id`` entry), and the path that it means."""
+        self.plugins: dict[str, Plugin] = {}
+        self.open: list[str] = []
+        """Paths of the nodes under construction, outermost first: a reference to one is a cycle."""
+
+    def load(self) -> Plugin:
+        """Build the root and, with it, everything."""
+        if not isinstance(self.root, Mapping):
+            raise SceneError(f"load_dict: a scene description is a dict, found {describe(self.root)}")
+        self.label = self.root["type"] if isinstance(self.root.get("type"), str) else "scene"
+        self._collect(self.root, "", ())
+        return self._build("")
+
+    # ---- first walk: names ---------------------------------------------------------------
+
+    def _name(self, path: str) -> str:
+        """A path as messages have it: ``scene.white``."""
+        return f"{self.label}.{path}" if path else self.label
+
+    def _collect(self, node: Mapping[str, Any], path: str, parents: tuple[int, ...]) -> None:
+        """Check the form of a node and of all below it; note what references can name."""
+        where = self._name(path)
+        if id(node) in parents:
+            raise SceneError(f"{where}: the dict contains itself")
+        if len(parents) >= MAX_DEPTH:
+            raise SceneError(f"{where}: nested deeper than {MAX_DEPTH} levels")
+        self.nodes[path] = node
+        self._name_node(path, path)
+        for key in node:
+            if not isinstance(key, str) or not key:
+                raise SceneError(f"{where}: keys must be strings, found {describe(key)}")
+            if "." in key:
+                raise SceneError(f"{where}: the key '{key}' contains a '.', which separates the parts of a path")
+        kind = node.get("type")
+        if kind is None:
+            raise SceneError(f"{where}: the key 'type' is missing (found: {', '.join(sorted(node)) or 'nothing'})")
+        if not isinstance(kind, str):
+            raise SceneError(f"{where}: 'type' must be a string, found {describe(kind)}")
+        if kind == "ref":
+            return
+        identity = node.get("id")
+        if identity is not None:
+            if not isinstance(identity, str) or not identity or "." in identity:
+                raise SceneError(f"{where}: 'id' must be a name without dots, found {describe(identity)}")
+            self._name_node(identity, path)
+        for key, value in node.items():
+            below = f"{path}.{key}" if path else key
+            if isinstance(value, Mapping):
+                self._collect(value, below, (*parents, id(node)))
+            elif isinstance(value, Plugin):
+                self.nodes[below] = value
+                self._name_node(below, below)
+
+    def _name_node(self, name: str, path: str) -> None:
+        if self.paths.setdefault(name, path) != path:
+            other = self._name(self.paths[name])
+            raise SceneError(f"{self._name(path)}: the name '{name}' is taken already by {other}")
+
+    # ---- second walk: plugins ------------------------------------------------------------
+
+    def _build(self, path: str) -> Plugin:
+        """The plugin of a node, built at the first call."""
+        if path in self.plugins:
+            return self.plugins[path]
+        node = self.nodes[path]
+        if isinstance(node, Plugin):
+            self.plugins[path] = node
+            return node
+        if path in self.open:
+            circle = [*self.open[self.open.index(path) :], path]
+            raise SceneError(f"{self._name(path)}: references run in a circle: {' -> '.join(circle)}")
+        if len(self.open) >= MAX_DEPTH:
+            raise SceneError(f"{self._name(path)}: nested deeper than {MAX_DEPTH} levels")
+        self.open.append(path)
+        try:
+            plugin = self._resolve(node, path) if node["type"] == "ref" else self._construct(node, path)
+        finally:
+            self.open.pop()
+        self.plugins[path] = plugin
+        return plugin
+
+    def _resolve(self, node: Mapping[str, Any], path: str) -> Plugin:
+        """What a reference refers to."""
+        where = self._name(path)
+        extra = [key for key in node if key not in ("type", "id")]
+        if extra:
+            raise SceneError(f"{where}: unknown key '{extra[0]}' of a reference{near_miss(extra[0], ['id'])}")
+        target = node.get("id")
+        if not isinstance(target, str):
+            raise SceneError(f"{where}: a reference needs an 'id' that is a string, found {describe(target)}")
+        if target not in self.paths or target == "":
+            # Top-level names and ids; paths only if a path was asked for.
+            names = (n for n in self.paths if n and ("." in target or "." not in n))
+            possible = [n for n in names if self.paths[n] != path and not self._is_reference(self.paths[n])]
+            raise SceneError(f"{where}: nothing has the id '{target}'{near_miss(target, possible)}")
+        return self._build(self.paths[target])
+
+    def _is_reference(self, path: str) -> bool:
+        node = self.nodes[path]
+        return isinstance(node, Mapping) and node["type"] == "ref"
+
+    def _construct(self, node: Mapping[str, Any], path: str) -> Plugin:
+        name, where = node["type"], self._name(path)
+        if name == "scene" and path:
+            raise SceneError(f"{where}: a scene can't be nested")
+        try:
+            factory = lookup(None, name)
+        except SceneError as error:
+            raise SceneError(f"{where}: {error}") from None
+        values: dict[str, Any] = {}
+        for key, value in node.items():
+            if key in ("type", "id"):
+                continue
+            if isinstance(value, (Mapping, Plugin)):
+                below = f"{path}.{key}" if path else key
+                value = self._build(below)
+                # In a scene an explicit `id` is the name; elsewhere the key says what the node is for.
+                key = self._own_name(below) if name == "scene" else key
+            values[key] = value
+        props = Properties(name, where, values, self._own_name(path) or name)
+        plugin: Any = factory(props)
+        if not isinstance(plugin, Plugin):
+            raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
+        props.check_all_used()
+        return plugin
+
+    def _own_name(self, path: str) -> str:
+        """The name of a node: its ``id`` entry if it has one, else its path."""
+        node = self.nodes[path]
+        if isinstance(node, Mapping) and node["type"] != "ref":
+            identity: str = node.get("id", path)
+            return identity
+        return path

@@ -1,0 +1,103 @@
+"""What counts as a number, a vector or a matrix in a scene description.
+
+Plain Python and NumPy numbers and the width-1 arrays of Dr.Jit and Mitsuba do, as long as
+they are finite in single precision, in which kernels compute. The errors raised here don't
+name the node: the caller knows it.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import SceneError
+
+__all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe"]
+
+LARGEST = float(np.finfo(np.float32).max)
+"""Kernels compute in float32, where anything larger is infinite."""
+
+_shorten = reprlib.Repr()
+_shorten.maxstring = _shorten.maxother = 60
+_shorten.maxlist = _shorten.maxtuple = _shorten.maxdict = 8
+
+
+def describe(value: Any) -> str:
+    """What was found, for a message: ``str 'abc'``, ``list [1, 2]``."""
+    if value is None:
+        return "None"
+    try:
+        text = " ".join(_shorten.repr(value).split())
+    except Exception:  # a foreign object may fail in its own repr
+        text = ""
+    return f"{type(value).__name__} {text}".rstrip()
+
+
+def as_array(value: Any) -> NDArray[np.float64]:
+    """`value` as float64 numbers; the lane axis of width-1 Dr.Jit arrays is dropped.
+
+    Raises:
+        SceneError: not numbers, numbers of unequal length, not finite, or attached to a gradient.
+    """
+    # Strings and booleans would convert, and objects might do anything.
+    if value is None or isinstance(value, (str, bytes, bool, dict, set, type)):
+        raise SceneError(f"must be numbers, found {describe(value)}")
+    jit = dr.is_array_v(value)
+    if jit and dr.grad_enabled(value):
+        raise SceneError("must be plain numbers, found an array with gradients, which would be lost here")
+    try:
+        found = np.array(dr.detach(value) if jit else value)
+        if found.dtype.kind not in "iuf":
+            raise SceneError(f"must be numbers, found {describe(value)}")
+        array = found.astype(np.float64)
+    except SceneError:
+        raise
+    except Exception as error:
+        raise SceneError(f"must be numbers, found {describe(value)}") from error
+    if jit and dr.is_jit_v(value) and array.ndim == dr.depth_v(value) and array.shape[-1] == 1:
+        array = array[..., 0]  # the last axis counts lanes
+    if not (np.abs(array) <= LARGEST).all():
+        raise SceneError(f"must be finite in single precision, found {describe(value)}")
+    return array
+
+
+def as_number(value: Any) -> float:
+    """A finite float; raises `SceneError`."""
+    if value is None or isinstance(value, (bool, str, bytes, dict, list, tuple)):
+        raise SceneError(f"must be a float, found {describe(value)}")
+    if isinstance(value, (int, float)):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = float("inf")
+        # `not <=` also catches NaN.
+        if not abs(number) <= LARGEST:
+            raise SceneError(f"must be finite in single precision, found {describe(value)}")
+        return number
+    array = as_array(value)
+    if array.ndim != 0:
+        raise SceneError(f"must be a float, found {describe(value)}")
+    return float(array)
+
+
+def as_integer(value: Any) -> int:
+    """A whole number; floats are refused, as in Mitsuba. Raises `SceneError`."""
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return int(value)
+    if isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iu":
+        return int(value)
+    if dr.is_array_v(value) and dr.is_integral_v(value) and dr.depth_v(value) == 1 and dr.width(value) == 1:
+        return int(value[0])
+    raise SceneError(f"must be an integer, found {describe(value)}")
+
+
+def as_vector(value: Any) -> NDArray[np.float64]:
+    """Three finite numbers, (3,) float64; raises `SceneError`."""
+    array = as_array(value)
+    if array.shape != (3,):
+        raise SceneError(f"must be three numbers, found {describe(value)}")
+    return array

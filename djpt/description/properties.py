@@ -1,0 +1,242 @@
+"""The checked view of one node of a scene description."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import as_integer, as_number, as_vector, describe
+from djpt.description.plugin import Plugin
+from djpt.description.registry import kind_of
+from djpt.errors import SceneError, near_miss
+from djpt.transforms import ScalarTransform4f, as_transform
+
+if TYPE_CHECKING:
+    from djpt.textures.base import Texture
+
+__all__ = ["REQUIRED", "Properties", "bounds"]
+
+REQUIRED: Final[Any] = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
+"""Stands for "no default": the key must be there."""
+
+
+def bounds(low: float | None, high: float | None, low_open: bool = False, high_open: bool = False) -> str:
+    """A range in words: ``lie in [0, 1]``, ``be at least 1``, ``be greater than 0``."""
+    if low is not None and high is not None:
+        return f"lie in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"
+    if low is not None:
+        return f"be {'greater than' if low_open else 'at least'} {low:g}"
+    return f"be {'less than' if high_open else 'at most'} {high:g}"
+
+
+class Properties:
+    """The entries of a node, handed out by type and checked, to its plugin's constructor.
+
+    Every getter raises `SceneError` with the node's path if an entry is missing, of the wrong
+    type or out of range. What no getter asked for is an unknown key: `check_all_used`.
+
+    Args:
+        plugin_name: the node's ``type``.
+        node: path for messages, such as ``scene.white``.
+        values: the entries without ``type`` and ``id``; nested nodes are plugins already.
+        id: the name that `Plugin.id` gets; default: `node`.
+    """
+
+    def __init__(self, plugin_name: str, node: str, values: Mapping[str, Any], id: str | None = None) -> None:
+        self.plugin_name = plugin_name
+        self.node = node
+        self.id = node if id is None else id
+        self._values = dict(values)
+        self._asked: set[str] = set()
+        self._used: set[str] = set()
+
+    def __contains__(self, key: str) -> bool:
+        self._asked.add(key)
+        return key in self._values
+
+    def keys(self) -> list[str]:
+        """All keys, in the order of the description."""
+        return list(self._values)
+
+    def __repr__(self) -> str:
+        return f"Properties({self.plugin_name!r}, {self.node!r}, {describe(self._values)})"
+
+    # ---- errors ----------------------------------------------------------------------
+
+    def error(self, key: str, problem: str) -> SceneError:
+        """The error to raise for an entry: ``scene.x: 'fov' must be a float, found str 'abc'``."""
+        return SceneError(f"{self.node}: '{key}' {problem}")
+
+    def _take(self, key: str, default: Any) -> Any:
+        """The raw entry, or `default`."""
+        self._asked.add(key)
+        if key in self._values:
+            self._used.add(key)
+            return self._values[key]
+        if default is REQUIRED:
+            left = [k for k in self._values if k not in self._used]
+            raise SceneError(
+                f"{self.node}: '{self.plugin_name}' needs the key '{key}'"
+                + (near_miss(key, left).replace("possible", "found") if left else "")
+            )
+        return default
+
+    def _check_range(
+        self, key: str, value: float, low: float | None, high: float | None, low_open: bool, high_open: bool
+    ) -> None:
+        too_low = low is not None and (value <= low if low_open else value < low)
+        too_high = high is not None and (value >= high if high_open else value > high)
+        if too_low or too_high:
+            raise self.error(key, f"must {bounds(low, high, low_open, high_open)}, found {value:.9g}")
+
+    # ---- values ----------------------------------------------------------------------
+
+    def raw(self, key: str, default: Any = REQUIRED) -> Any:
+        """The entry as it is, for plugins that check it themselves."""
+        return self._take(key, default)
+
+    def float(
+        self,
+        key: str,
+        default: builtins.float = REQUIRED,
+        *,
+        low: builtins.float | None = None,
+        high: builtins.float | None = None,
+        low_open: bool = False,
+        high_open: bool = False,
+    ) -> builtins.float:
+        """A finite number between `low` and `high` (which are included unless open)."""
+        value = self._take(key, default)
+        if key not in self._values:
+            return default
+        try:
+            number = as_number(value)
+        except SceneError as error:
+            raise self.error(key, str(error)) from None
+        self._check_range(key, number, low, high, low_open, high_open)
+        return number
+
+    def integer(self, key: str, default: int = REQUIRED, *, low: int | None = None, high: int | None = None) -> int:
+        """A whole number from `low` to `high`, both included."""
+        value = self._take(key, default)
+        if key not in self._values:
+            return default
+        try:
+            number = as_integer(value)
+        except SceneError as error:
+            raise self.error(key, str(error)) from None
+        self._check_range(key, number, low, high, False, False)
+        return number
+
+    def boolean(self, key: str, default: bool = REQUIRED) -> bool:
+        """True or false; numbers are refused."""
+        value = self._take(key, default)
+        if not isinstance(value, (bool, np.bool_)):
+            raise self.error(key, f"must be True or False, found {describe(value)}")
+        return bool(value)
+
+    def string(self, key: str, default: str = REQUIRED, *, choices: Iterable[str] | None = None) -> str:
+        """A string, one of `choices` if given."""
+        value = self._take(key, default)
+        if not isinstance(value, str):
+            raise self.error(key, f"must be a string, found {describe(value)}")
+        if choices is not None and value not in (options := list(choices)):
+            raise self.error(key, f"can't be '{value}'{near_miss(value, options)}")
+        return value
+
+    def vector(self, key: str, default: Sequence[builtins.float] = REQUIRED) -> NDArray[np.float64]:
+        """Three finite numbers, (3,) float64."""
+        value = self._take(key, default)
+        try:
+            return as_vector(value)
+        except SceneError as error:
+            raise self.error(key, str(error)) from None
+
+    def transform(self, key: str = "to_world", default: ScalarTransform4f | None = None) -> ScalarTransform4f:
+        """An invertible affine transform; default: the identity."""
+        value = self._take(key, ScalarTransform4f() if default is None else default)
+        try:
+            return as_transform(value)
+        except SceneError as error:
+            raise self.error(key, str(error)) from None
+
+    # ---- plugins ---------------------------------------------------------------------
+
+    def texture(
+        self,
+        key: str,
+        default: builtins.float = REQUIRED,
+        *,
+        low: builtins.float | None = None,
+        high: builtins.float | None = None,
+    ) -> Texture:
+        """A texture; a number gives a constant grey. Its values must lie between `low` and `high`."""
+        from djpt.textures.rgb import ConstantTexture
+
+        value = self._take(key, default)
+        if not isinstance(value, Plugin):
+            if isinstance(value, (list, tuple, np.ndarray)):
+                hint = "write {'type': 'rgb', 'value': [r, g, b]} for a colour"
+                raise self.error(key, f"must be a number or a texture, found {describe(value)}; {hint}")
+            # Mitsuba takes its own colour type here; a Dr.Jit 3-array is the nearest thing that djpt has.
+            colour = dr.is_array_v(value) and not dr.is_tensor_v(value) and dr.size_v(value) == 3
+            if not colour:
+                try:
+                    value = as_number(value)
+                except SceneError as error:
+                    problem = str(error).replace("a float", "a number or a texture")
+                    raise self.error(key, problem) from None
+            path = f"{self.id}.{key}"
+            value = ConstantTexture(Properties("rgb", f"{self.node}.{key}", {"value": value}, path))
+        elif value.kind != "texture":
+            raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
+        texture: Texture = value
+        texture.restrict(low, high, f"{self.node}: '{key}'")
+        return texture
+
+    def plugin(self, key: str, kind: str, default: Any = REQUIRED) -> Any:
+        """The plugin of `kind` under one key."""
+        value = self._take(key, default)
+        if key in self._values and not (isinstance(value, Plugin) and value.kind == kind):
+            raise self.error(key, f"must be a {kind}, found {name_of(value)}")
+        return value
+
+    def child(self, kind: str, default: Any = None) -> Any:
+        """The only nested plugin of `kind`, under any key."""
+        found = self.children(kind)
+        if len(found) > 1:
+            keys = ", ".join(f"'{key}'" for key, _ in found)
+            raise SceneError(f"{self.node}: '{self.plugin_name}' takes one {kind}, found {len(found)}: {keys}")
+        if not found and default is REQUIRED:
+            raise SceneError(f"{self.node}: '{self.plugin_name}' needs a nested {kind}")
+        return found[0][1] if found else default
+
+    def children(self, kind: str) -> list[tuple[str, Any]]:
+        """All nested plugins of `kind` with their keys, in order."""
+        found = [(k, v) for k, v in self._values.items() if isinstance(v, Plugin) and v.kind == kind]
+        self._used.update(key for key, _ in found)
+        return found
+
+    # ---- what is left ----------------------------------------------------------------
+
+    def check_all_used(self) -> None:
+        """Raise `SceneError` for the first key that the plugin didn't ask for."""
+        own = kind_of(self.plugin_name) or "plugin"
+        name = f"'{self.plugin_name}'" if own == self.plugin_name else f"{own} '{self.plugin_name}'"
+        for key, value in self._values.items():
+            if key in self._used or key in self._asked:
+                continue
+            held = f" (a {value.kind})" if isinstance(value, Plugin) else ""
+            raise SceneError(f"{self.node}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
+
+
+def name_of(value: Any) -> str:
+    """What an entry is, for a message: ``the film 'hdrfilm'``, ``str 'abc'``."""
+    if not isinstance(value, Plugin):
+        return describe(value)
+    return f"the {value.kind} '{value.id}'" if value.id else f"a {value.kind}"

@@ -1,0 +1,203 @@
+"""Which plugin names exist, and what builds each.
+
+A plugin package registers its plugins in its own ``__init__``, one line each::
+
+    register_bsdf("diffuse", Diffuse)
+
+A factory takes the checked `Properties` of a node and returns a `Plugin`; usually it is
+the plugin's class. A name belongs to one kind, as in Mitsuba.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from djpt.errors import SceneError, near_miss
+
+if TYPE_CHECKING:
+    from djpt.description.plugin import Plugin
+    from djpt.description.properties import Properties
+
+__all__ = [
+    "Factory",
+    "kind_of",
+    "lookup",
+    "register",
+    "register_bsdf",
+    "register_emitter",
+    "register_film",
+    "register_integrator",
+    "register_rfilter",
+    "register_sampler",
+    "register_sensor",
+    "register_shape",
+    "register_texture",
+    "registered",
+]
+
+Factory = Callable[["Properties"], "Plugin"]
+
+PACKAGES = (
+    "djpt.textures",
+    "djpt.materials",
+    "djpt.shapes",
+    "djpt.emitters",
+    "djpt.rfilters",
+    "djpt.films",
+    "djpt.samplers",
+    "djpt.sensors",
+    "djpt.integrators",
+)
+"""The packages that register djpt's own plugins when they are imported."""
+
+MITSUBA = {
+    "bsdf": (
+        "blendbsdf bumpmap circular conductor dielectric diffuse hair mask measured measured_polarized normalmap null "
+        "plastic polarizer pplastic principled principledthin retarder roughconductor roughdielectric roughplastic "
+        "thindielectric twosided"
+    ),
+    "emitter": "area constant directional directionalarea envmap point projector spot sunsky timed_sunsky",
+    "shape": (
+        "blender bsplinecurve cube cylinder disk ellipsoids ellipsoidsmesh instance linearcurve merge obj ply "
+        "rectangle sdfgrid serialized shapegroup sphere"
+    ),
+    "sensor": "batch distant irradiancemeter orthographic perspective radiancemeter thinlens",
+    "film": "hdrfilm specfilm",
+    "rfilter": "box catmullrom gaussian lanczos mitchell tent",
+    "sampler": "independent ldsampler multijitter orthogonal stratified",
+    "texture": (
+        "bitmap blackbody checkerboard d65 irregular mesh_attribute rawconstant regular rgb spectrum srgb uniform "
+        "volume"
+    ),
+    "integrator": (
+        "aov depth direct direct_projective moment path prb prb_basic prb_projective prbvolpath ptracer stokes "
+        "volpath volpathmis volprim_rf_basic"
+    ),
+    "medium": "heterogeneous homogeneous",
+    "phase function": "blendphase hg isotropic rayleigh sggx tabphase",
+    "volume": "constvolume gridvolume",
+}
+"""Plugins of Mitsuba 3.9.1 by kind, for the message about those that djpt doesn't have."""
+
+_plugins: dict[str, tuple[str, Factory]] = {}
+_own_packages_imported = False
+
+
+def register(kind: str, name: str, factory: Factory) -> None:
+    """Make `name` known as a plugin of `kind`.
+
+    Registering a name again replaces its factory (a notebook cell may be run twice).
+
+    Raises:
+        SceneError: `name` isn't a name, `factory` can't be called, or the name belongs to another kind.
+    """
+    if not isinstance(name, str) or not name:
+        raise SceneError(f"register_{kind}: a plugin's name must be a string, found {name!r}")
+    if not callable(factory):
+        raise SceneError(f"register_{kind}: the factory of '{name}' must be callable, found {factory!r}")
+    known = _plugins.get(name)
+    if known is not None and known[0] != kind:
+        raise SceneError(f"register_{kind}: '{name}' is the name of a {known[0]} already")
+    if known is not None and is_own(factory) and not is_own(known[1]):
+        return  # the user replaced a plugin of djpt before its package was imported
+    _plugins[name] = (kind, factory)
+
+
+def is_own(factory: Factory) -> bool:
+    """Does the factory come from djpt itself?"""
+    return str(getattr(factory, "__module__", "")).split(".")[0] == "djpt"
+
+
+def register_bsdf(name: str, factory: Factory) -> None:
+    """Register a scattering model; `factory(props)` returns a `djpt.materials.BSDF`."""
+    register("bsdf", name, factory)
+
+
+def register_emitter(name: str, factory: Factory) -> None:
+    """Register a light source; `factory(props)` returns a `djpt.emitters.Emitter`."""
+    register("emitter", name, factory)
+
+
+def register_film(name: str, factory: Factory) -> None:
+    """Register a film; `factory(props)` returns a plugin of kind `film`."""
+    register("film", name, factory)
+
+
+def register_integrator(name: str, factory: Factory) -> None:
+    """Register an estimator; `factory(props)` returns a `djpt.integrators` integrator."""
+    register("integrator", name, factory)
+
+
+def register_rfilter(name: str, factory: Factory) -> None:
+    """Register a reconstruction filter; `factory(props)` returns a plugin of kind `rfilter`."""
+    register("rfilter", name, factory)
+
+
+def register_sampler(name: str, factory: Factory) -> None:
+    """Register a source of sample points; `factory(props)` returns a `djpt.samplers.Sampler`."""
+    register("sampler", name, factory)
+
+
+def register_sensor(name: str, factory: Factory) -> None:
+    """Register a camera; `factory(props)` returns a plugin of kind `sensor`."""
+    register("sensor", name, factory)
+
+
+def register_shape(name: str, factory: Factory) -> None:
+    """Register a shape; `factory(props)` returns a `djpt.shapes.Shape`."""
+    register("shape", name, factory)
+
+
+def register_texture(name: str, factory: Factory) -> None:
+    """Register a texture; `factory(props)` returns a `djpt.textures.Texture`."""
+    register("texture", name, factory)
+
+
+def registered(kind: str | None = None) -> dict[str, Factory]:
+    """All plugins by name, or those of one kind."""
+    _import_own_packages()
+    return {name: factory for name, (of, factory) in _plugins.items() if kind in (None, of)}
+
+
+def kind_of(name: str) -> str | None:
+    """The kind that `name` was registered for, or None."""
+    return _plugins[name][0] if name in _plugins else None
+
+
+def lookup(kind: str | None, name: str) -> Factory:
+    """The factory of a plugin.
+
+    Args:
+        kind: the kind that is needed here, or None for any.
+        name: the plugin's name, a node's ``type``.
+
+    Raises:
+        SceneError: nothing of that kind has that name; the message has the supported names.
+    """
+    _import_own_packages()
+    if name in _plugins and kind in (None, _plugins[name][0]):
+        return _plugins[name][1]
+    if name in _plugins:
+        raise SceneError(f"expected a {kind}, found the {_plugins[name][0]} '{name}'")
+    what = kind or "plugin"
+    home = next((of for of, names in MITSUBA.items() if name in names.split()), None)
+    if home is not None and kind in (None, home):
+        own = ", ".join(sorted(registered(home))) or f"no {home} at all"
+        raise SceneError(f"Mitsuba's {home} '{name}' isn't supported yet; supported: {own}")
+    raise SceneError(f"unknown {what} '{name}'{near_miss(name, registered(kind))}")
+
+
+def _import_own_packages() -> None:
+    """Let djpt's packages register their plugins, once."""
+    global _own_packages_imported
+    if _own_packages_imported:
+        return
+    # Set first: a package that is being imported may look a plugin up.
+    _own_packages_imported = True
+    for package in PACKAGES:
+        importlib.import_module(package)
+    from djpt.scene import Scene
+
+    register("scene", "scene", Scene)

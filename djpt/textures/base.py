@@ -1,0 +1,44 @@
+"""The contract of textures."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from djpt.description.plugin import Plugin
+from djpt.types import Bool, Color3f, Float
+
+__all__ = ["Texture"]
+
+
+class Texture(Plugin):
+    """A colour (linear sRGB) or a scalar that may vary over a surface.
+
+    The eval methods run in kernels, once per class, with per-lane values (see
+    `djpt.dispatch`). `si` is anything with a `uv`: a surface interaction or a sample on a
+    surface.
+    """
+
+    kind: ClassVar[str] = "texture"
+
+    def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
+        """The colour at `si`."""
+        raise NotImplementedError
+
+    def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
+        """The scalar at `si`; the luminance of a coloured texture."""
+        raise NotImplementedError
+
+    def mean(self) -> Float:
+        """The average over the texture's domain and channels."""
+        raise NotImplementedError
+
+    def restrict(self, low: float | None, high: float | None, where: str) -> None:
+        """All values must lie in [low, high] (None: no bound), now and after each edit.
+
+        Called by the plugin that uses the texture; `where` starts the message. A texture with
+        several users must satisfy all of them.
+
+        Raises:
+            SceneError: a value lies outside.
+        """
+        raise NotImplementedError

@@ -1,0 +1,92 @@
+"""The same colour everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import as_array, describe
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties, bounds
+from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.textures.base import Texture
+from djpt.types import Bool, Color3f, Float
+
+__all__ = ["ConstantTexture"]
+
+LUMINANCE = (0.212671, 0.715160, 0.072169)
+"""Weights of linear sRGB (ITU-R BT.709) red, green and blue."""
+
+
+class ConstantTexture(Texture):
+    """One linear sRGB colour; what numbers and ``{'type': 'rgb'}`` in a description become.
+
+    Parameters: `value` (three numbers, or one for a grey; required). As a parameter it is always a
+    `Color3f`, also for a grey (Mitsuba has a `Float` there); numbers can still be assigned.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {"value": ParamFlags.Differentiable}
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        value = props.raw("value")
+        try:
+            self.value = self._convert(value)
+        except DjptError as error:
+            raise props.error("value", str(error)) from None
+        self._low: float | None = None
+        self._high: float | None = None
+
+    def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
+        return self.value
+
+    def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
+        r, g, b = LUMINANCE
+        return self.value.x * r + self.value.y * g + self.value.z * b
+
+    def mean(self) -> Float:
+        return (self.value.x + self.value.y + self.value.z) * (1 / 3)
+
+    # ---- checks ------------------------------------------------------------------------
+
+    @staticmethod
+    def _convert(value: Any) -> Color3f:
+        """A width-1 colour from any accepted form; Dr.Jit arrays stay attached to their gradients."""
+        jit = dr.is_jit_v(value) and not dr.is_tensor_v(value)
+        numbers = as_array(dr.detach(value) if jit else value)
+        if numbers.shape not in ((), (3,)):
+            raise SceneError(f"must be one or three numbers, found {describe(value)}")
+        if jit and dr.is_float_v(value):
+            return Color3f(value)
+        return Color3f(*(float(x) for x in np.broadcast_to(numbers, 3)))
+
+    def restrict(self, low: float | None, high: float | None, where: str) -> None:
+        self._require(self._numbers(self.value), low, high, where)
+        lows = [x for x in (low, self._low) if x is not None]
+        highs = [x for x in (high, self._high) if x is not None]
+        self._low, self._high = max(lows, default=None), min(highs, default=None)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        try:
+            color = self._convert(value)
+            self._require(self._numbers(color), self._low, self._high, "the value")
+        except SceneError as error:
+            raise ParameterError(str(error)) from None
+        return color
+
+    @staticmethod
+    def _numbers(color: Color3f) -> NDArray[np.float64]:
+        return as_array(dr.detach(color))
+
+    @staticmethod
+    def _require(numbers: NDArray[np.float64], low: float | None, high: float | None, where: str) -> None:
+        # float32 rounds 0.1 up: compare what the user wrote, as float32.
+        smallest = -np.inf if low is None else np.float32(low)
+        largest = np.inf if high is None else np.float32(high)
+        outside = numbers[(numbers < smallest) | (numbers > largest)]
+        if outside.size:
+            raise SceneError(f"{where} must {bounds(low, high)}, found {outside[0]:.6g}")
