@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import sys
 from types import ModuleType
 
 from djpt.errors import BackendError, near_miss
@@ -103,13 +102,12 @@ def load_backend() -> ModuleType:
         return _State.module
     name = variant()
     backend = VARIANTS[name]
-    early = "drjit" in sys.modules
     found = prepare()
-    if backend == "llvm" and found.chosen is None and not early:
+    if backend == "llvm" and found.chosen is None and not found.too_late:
         raise BackendError(found.explain())
     drjit = _import_drjit()
     if backend == "llvm":
-        _check_llvm(drjit, early)
+        _check_llvm(drjit)
     elif not drjit.has_backend(drjit.JitBackend.CUDA):
         raise BackendError(
             f"variant {name!r} needs an NVIDIA GPU and a working CUDA driver, and Dr.Jit found none; "
@@ -131,14 +129,14 @@ def _import_drjit() -> ModuleType:
         raise BackendError(f"Dr.Jit can't be imported: {error.__context__ or error}") from error
 
 
-def _check_llvm(drjit: ModuleType, early: bool) -> None:
+def _check_llvm(drjit: ModuleType) -> None:
     """Make sure that Dr.Jit has a usable LLVM: a bad one would end the process."""
     found = prepare()
     usable = drjit.has_backend(drjit.JitBackend.LLVM)
     version = tuple(drjit.detail.llvm_version()) if usable else (0,)
     if version[0] >= MINIMUM:
         return
-    if not early:
+    if not found.too_late:
         raise BackendError(
             f"Dr.Jit can't use the LLVM library that djpt chose, {found.chosen}. The CPU must support AVX2 and FMA. "
             f"Set {PATH_VARIABLE} to another libLLVM, version {MINIMUM} or newer."

@@ -17,7 +17,7 @@ import platform
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 __all__ = [
@@ -83,13 +83,15 @@ class Search:
         spare: libraries that were not needed and not opened, best first.
         from_user: `DRJIT_LIBLLVM_PATH` was set by the user, so nothing else was considered.
         folders: the folders of `DJPT_LLVM_DIRS`, if it is set.
+        too_late: Dr.Jit had been imported already, and has made its own choice.
     """
 
     chosen: Candidate | None
     rejected: tuple[Candidate, ...] = ()
     spare: tuple[Candidate, ...] = ()
     from_user: bool = False
-    folders: tuple[str, ...] = field(default=())
+    folders: tuple[str, ...] = ()
+    too_late: bool = False
 
     def explain(self) -> str:
         """The text for the user if nothing is usable: what is needed, how to get it, what was seen."""
@@ -292,7 +294,7 @@ def prepare() -> Search:
     processes must come to the same conclusion. Never raises: whoever needs the CPU
     backend reads `Search.chosen`.
     """
-    found = search()
+    found = replace(search(), too_late="drjit" in sys.modules)
     _open_private_libatomic()
     if not found.from_user:
         os.environ[PATH_VARIABLE] = os.environ[_MARK] = found.chosen.path if found.chosen else _NOTHING_USABLE

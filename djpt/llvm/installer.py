@@ -79,6 +79,10 @@ def _put(source: Path, target: Path) -> None:
     partial.replace(target)
 
 
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def install_llvm() -> Path:
     """Download the wheel and keep its libLLVM; return the folder.
 
@@ -96,7 +100,7 @@ def install_llvm() -> Path:
         options = ["--quiet", "--no-deps", "--only-binary=:all:", "--dest", name, *WHEEL_TAGS]
         _run([*pip, "download", *options, WHEEL], f"download {WHEEL} from the package index")
         wheel = next(temporary.glob("*.whl"))
-        if hashlib.sha256(wheel.read_bytes()).hexdigest() != WHEEL_SHA256:
+        if _sha256(wheel) != WHEEL_SHA256:
             raise BackendError(f"{wheel.name} isn't the file that djpt knows (its SHA-256 differs); nothing was kept")
         with zipfile.ZipFile(wheel) as archive:
             members = [m for m in archive.namelist() if ".libs/" in m]
