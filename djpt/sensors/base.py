@@ -1,0 +1,82 @@
+"""The contract of sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from djpt.description.numeric import as_number
+from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.description.registry import lookup
+from djpt.errors import ParameterError, SceneError
+from djpt.records import Ray3f
+from djpt.transforms import ScalarTransform4f, as_transform
+from djpt.types import Bool, Point2f
+
+__all__ = ["Sensor"]
+
+
+class Sensor(Plugin):
+    """Where an image is taken from: makes the rays of film positions; owns a film and a sampler.
+
+    Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up;
+    no scale; default identity), `shutter_open` and `shutter_close` (0: nothing moves yet, so they
+    change no image), a nested `film` (default `hdrfilm`) and `sampler` (default `independent`).
+    """
+
+    kind: ClassVar[str] = "sensor"
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.film: Any = props.child("film") or default(props, "film", "hdrfilm")
+        self.sampler: Any = props.child("sampler") or default(props, "sampler", "independent")
+        self.to_world = props.transform("to_world")
+        try:
+            self._require_rigid(self.to_world)
+        except SceneError as error:
+            raise props.error("to_world", str(error)) from None
+        self.shutter_open = props.float("shutter_open", 0.0)
+        self.shutter_open_time = props.float("shutter_close", self.shutter_open) - self.shutter_open
+        if self.shutter_open_time < 0:
+            raise props.error("shutter_close", f"must not be less than 'shutter_open' ({self.shutter_open:g})")
+
+    @staticmethod
+    def _require_rigid(transform: ScalarTransform4f) -> None:
+        if transform.has_scale():
+            raise SceneError("must not scale: a camera has no size")
+
+    # ---- parameters --------------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("shutter_open", self.shutter_open)
+        callback.put("shutter_open_time", self.shutter_open_time)
+        callback.put("film", self.film)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "to_world":
+            transform = as_transform(value)
+            self._require_rigid(transform)
+            return transform
+        number = as_number(value)
+        if name == "shutter_open_time" and number < 0:
+            raise ParameterError(f"must be at least 0, found {number:g}")
+        return number
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        """Recompute what kernels read; ``film`` is among the keys if the film's size or crop changed."""
+        raise NotImplementedError
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def sample_ray(self, film_position: Point2f, active: Bool | bool = True) -> Ray3f:
+        """The ray through a position in [0, 1]^2 of the film's crop window, y downwards.
+
+        Reads only `values`. The ray's `d` has unit length; it covers near to far clip.
+        """
+        raise NotImplementedError
+
+
+def default(props: Properties, kind: str, name: str) -> Any:
+    """A nested plugin that the description leaves out, with its own defaults."""
+    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", {}, f"{props.id}.{kind}"))
