@@ -32,13 +32,14 @@ P = TypeVar("P", bound=Plugin)
 
 
 def structure(plugin: Plugin) -> Hashable:
-    """What a kernel depends on: class, statics, and the structure of the children."""
+    """What a kernel depends on: class, statics, types of the values, structure of the children."""
     children = []
     for name in plugin.children:
         child = getattr(plugin, name)
         children.append(structure(child) if isinstance(child, Plugin) else child)
     statics = tuple(getattr(plugin, name) for name in plugin.statics)
-    return (type(plugin), statics, tuple(children))
+    value_types = tuple(type(getattr(plugin, name)) for name in plugin.values)
+    return (type(plugin), statics, value_types, tuple(children))
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,14 @@ class Detached:
             self._copies[key] = opaque(getattr(owner, attribute))
         return self._copies[key]
 
+    def snapshot(self, needed: Sequence[tuple[Plugin, str]]) -> Detached:
+        """A copy that holds the `needed` values as they are now, whatever happens to the plugins."""
+        clone = Detached()
+        for owner, attribute in needed:
+            self.value(owner, attribute)
+        clone._copies = dict(self._copies)
+        return clone
+
     def forget(self) -> None:
         """Values have changed: read them again at the next use."""
         self._copies.clear()
@@ -88,15 +97,21 @@ class Detached:
 
 
 class Attached:
-    """Gathers from buffers that are attached to the plugins' own (differentiable) values."""
+    """Gathers from buffers attached to AD variables that stand in for some of the values."""
 
-    def __init__(self) -> None:
+    def __init__(self, overrides: dict[tuple[int, str], Any]) -> None:
+        """`overrides`: (id of a plugin, attribute) -> the attached value; all others are detached."""
+        self._overrides = overrides
         self._flats: dict[int, tuple[Leaf, Flat]] = {}
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         if id(leaf) not in self._flats:
+            rows = [
+                self._overrides.get((id(owner), leaf.attribute), dr.detach(getattr(owner, leaf.attribute)))
+                for owner in leaf.owners
+            ]
             # The leaf is kept beside its buffer so that its id stays taken.
-            self._flats[id(leaf)] = (leaf, Flat(leaf.rows()))
+            self._flats[id(leaf)] = (leaf, Flat(rows))
         return self._flats[id(leaf)][1].gather(slot)
 
 

@@ -113,3 +113,13 @@ class HDRFilm(Plugin):
         if self.pixel_format == "rgba":
             result.append(Float(valid))
         return result + list(aovs)
+
+    def tangent_channels(self, color: Color3f) -> list[Float]:
+        """The derivative of `channels` in the direction of a change of the colour."""
+        return self.channels(color, Bool(False))
+
+    def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
+        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
+        if self.pixel_format == "luminance":
+            return Color3f(*(weight * channels[0] for weight in LUMINANCE))
+        return Color3f(channels[0], channels[1], channels[2])

@@ -19,20 +19,10 @@ import drjit as dr
 from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Float, Int32, UInt32
 
-__all__ = ["RowSums", "add_box", "spread"]
+__all__ = ["RowSums", "add_box", "add_rows", "sample_adjoints", "spread"]
 
 RowSums = list[Float]
 """Sums of one band, index row_tap * (channels + 1) + channel; the last channel is the weight."""
-
-
-def tap_weights(job: Job, pixel: UInt32, k: UInt32, taps: int) -> tuple[list[Float], list[Float]]:
-    """Weights of a sample for the columns and rows -reach .. reach around its own pixel."""
-    offset, reach = job.film_offset(pixel, k), taps // 2
-    weight = job.film.rfilter.eval
-    return (
-        [weight(i - reach + 0.5 - offset.x) for i in range(taps)],
-        [weight(i - reach + 0.5 - offset.y) for i in range(taps)],
-    )
 
 
 def add_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: RowSums | None) -> RowSums:
@@ -110,3 +100,45 @@ def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, su
     _, result = dr.while_loop((dr.zeros(UInt32, pixels), sums), lambda k, s: k < count, body, label="film box")
     dr.eval(result)
     return result
+
+
+def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: int) -> list[Float]:
+    """The transpose of both steps: derivatives by the samples begin <= k < end of a band.
+
+    `image` holds the derivatives by the weighted sums, that is those by the pixels over the sum
+    of weights. delta_s = sum over pixels j of w_j(s) image_j. Layout [k - begin][pixel] per channel.
+    """
+    taps, pixels = job.film.taps, band.rows * job.width
+    reach = taps // 2
+    lane = dr.arange(UInt32, pixels)
+    pixel = lane + dr.opaque(UInt32, band.first_row * job.width)
+    width, height = Int32(job.width_value), dr.opaque(Int32, job.height)
+    row = Int32(pixel) // width
+    column = Int32(pixel) - row * width
+    size, count, first = (dr.opaque(UInt32, n) for n in (pixels, end - begin, begin))
+
+    around = []
+    for j in range(taps):
+        for i in range(taps):
+            x, y = column + (i - reach), row + (j - reach)
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+            around.append([dr.gather(Float, channel, UInt32(y * width + x), inside) for channel in image])
+    buffers = [dr.empty(Float, pixels * (end - begin)) for _ in image]
+
+    def body(k: UInt32) -> tuple[UInt32]:
+        offset = job.film_offset(pixel, k + first)
+        wx = [job.film.rfilter.eval(i - reach + 0.5 - offset.x) for i in range(taps)]
+        wy = [job.film.rfilter.eval(j - reach + 0.5 - offset.y) for j in range(taps)]
+        for c, buffer in enumerate(buffers):
+            total = Float(0)
+            for j in range(taps):
+                in_row = Float(0)
+                for i in range(taps):
+                    in_row = dr.fma(wx[i], around[j * taps + i][c], in_row)
+                total = dr.fma(wy[j], in_row, total)
+            dr.scatter(buffer, total, dr.fma(k, size, lane))
+        return (k + 1,)
+
+    dr.while_loop((dr.zeros(UInt32, pixels),), lambda k: k < count, body, label="film adjoint")
+    dr.eval(buffers)
+    return buffers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
@@ -64,6 +64,10 @@ class Job:
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size]
         self._inverse_crop = Point2f(*inverse)
         self._camera = opaque_copy(self.sensor)
+
+    def with_scene(self, scene: Scene) -> Job:
+        """The same job over another view of the scene."""
+        return replace(self, scene=scene)
 
     @property
     def samples(self) -> int:

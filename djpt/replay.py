@@ -1,0 +1,150 @@
+"""Local automatic differentiation: the derivative of one path vertex.
+
+Path replay (`djpt.schedules.replay`) walks a path twice: first to know its radiance, then
+vertex by vertex to differentiate it. At a vertex only few expressions depend on parameters,
+so instead of attaching the whole scene, `Leaves` hands the vertex *fresh* AD leaves for
+exactly the values that it looks up. After differentiating that one expression, the leaves'
+gradients are added to the parameters that they were copies of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.description.plugin import ParamFlags, Plugin
+from djpt.dispatch import Detached, Leaf
+from djpt.errors import RenderError
+from djpt.lookup import MAX_CHAIN, choose, is_one_of
+from djpt.scene import Scene
+from djpt.types import Bool, Float, UInt32
+
+__all__ = ["Accumulator", "Leaves", "Parameter", "attached_parameters"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value of the scene that has gradients enabled."""
+
+    owner: Plugin
+    attribute: str
+
+    @property
+    def value(self) -> Any:
+        """The current (attached) value."""
+        return getattr(self.owner, self.attribute)
+
+    @property
+    def size(self) -> int:
+        """Number of components."""
+        return int(dr.size_v(type(self.value))) if dr.depth_v(self.value) > 1 else 1
+
+
+def attached_parameters(scene: Scene) -> list[Parameter]:
+    """All parameters of the scene with gradients enabled, each once.
+
+    Raises:
+        RenderError: One of them is a value that path replay has no derivative for.
+    """
+    found: dict[tuple[int, str], Parameter] = {}
+    for ensemble in (scene.bsdfs, scene.lights):
+        for group in ensemble.groups:
+            for leaf in group.leaves():
+                for owner in leaf.owners:
+                    value = getattr(owner, leaf.attribute)
+                    if not dr.grad_enabled(value):
+                        continue
+                    if not owner.values[leaf.attribute] & ParamFlags.Differentiable:
+                        raise RenderError(f"no gradient is available for '{owner.id}.{leaf.attribute}'")
+                    found[id(owner), leaf.attribute] = Parameter(owner, leaf.attribute)
+    return list(found.values())
+
+
+class Leaves:
+    """A `Lookup` that returns fresh AD leaves for attached parameters and remembers them."""
+
+    def __init__(self, values: Detached, parameters: Sequence[Parameter], tangents: Sequence[Any] | None = None):
+        """`values`: the detached values; `tangents`: for forward mode, one per parameter."""
+        self._values = values
+        self._number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
+        self._tangents = tangents
+        self.taken: list[tuple[Leaf, UInt32, Any]] = []
+
+    def numbers(self, leaf: Leaf) -> list[int | None]:
+        """Per member of the leaf's group the number of the parameter that it shows, or None."""
+        return [self._number.get((id(owner), leaf.attribute)) for owner in leaf.owners]
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        value = self._values(leaf, slot)
+        numbers = self.numbers(leaf)
+        if all(n is None for n in numbers):
+            return value
+        fresh = type(value)(dr.detach(value))
+        dr.enable_grad(fresh)
+        if self._tangents is not None:
+            zero = dr.zeros(type(value))
+            rows = [zero if n is None else self._tangents[n] for n in numbers]
+            dr.set_grad(fresh, choose(slot, rows, [-1 if n is None else n for n in numbers]))
+        self.taken.append((leaf, slot, fresh))
+        return fresh
+
+
+class Accumulator:
+    """Where the gradients of leaves are summed: per-lane registers, or memory if there are many.
+
+    Register sums are added up in a fixed order at the end. Sums in memory are atomic additions,
+    whose rounding may differ from run to run.
+    """
+
+    def __init__(self, parameters: Sequence[Parameter], lanes: int) -> None:
+        self.parameters = parameters
+        self._starts: list[int] = []
+        self.size = 0
+        for parameter in parameters:
+            self._starts.append(self.size)
+            self.size += parameter.size
+        self.in_registers = len(parameters) <= MAX_CHAIN
+        self._memory = None if self.in_registers else dr.zeros(Float, self.size)
+        self._lanes = lanes
+
+    def start(self) -> list[Float]:
+        """Loop state: one sum per component, or none."""
+        return [dr.zeros(Float, self._lanes) for _ in range(self.size)] if self.in_registers else []
+
+    def add(self, sums: list[Float], leaves: Leaves, active: Bool) -> list[Float]:
+        """Add the gradients of all leaves taken at a vertex."""
+        sums = list(sums)
+        for leaf, slot, value in leaves.taken:
+            gradient = dr.grad(value)
+            components = [gradient[c] for c in range(len(value))] if dr.depth_v(value) > 1 else [gradient]
+            numbers = leaves.numbers(leaf)
+            if self.in_registers:
+                for number in {n for n in numbers if n is not None}:
+                    mine = is_one_of(slot, [i for i, n in enumerate(numbers) if n == number])
+                    for c, component in enumerate(components):
+                        at = self._starts[number] + c
+                        sums[at] = sums[at] + dr.select(mine, component, 0)
+            else:
+                nowhere = self.size
+                starts = [nowhere if n is None else self._starts[n] for n in numbers]
+                start = choose(slot, [UInt32(s) for s in starts], starts)
+                for c, component in enumerate(components):
+                    dr.scatter_add(self._memory, component, start + c, active & (start < nowhere))
+        return sums
+
+    def gradients(self, sums: list[Float]) -> list[Any]:
+        """The finished gradients, one per parameter, of the parameters' types."""
+        if self.in_registers:
+            totals = [dr.sum(s) for s in sums]
+        else:
+            totals = [dr.gather(Float, self._memory, UInt32(i)) for i in range(self.size)]
+        dr.eval(totals)
+        result = []
+        for parameter, start in zip(self.parameters, self._starts, strict=True):
+            kind = type(parameter.value)
+            parts = totals[start : start + parameter.size]
+            result.append(kind(*parts))
+        return result

@@ -1,0 +1,158 @@
+"""Passes: which samples are computed when, and how they add up to an image.
+
+Passes bound memory and let progress be shown. They split the samples of each pixel into
+ranges, and the grid into bands of rows where samples must be stored; sums are carried from
+pass to pass, so that the image is the same, bit for bit, for any split.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import drjit as dr
+
+from djpt.films.reconstruction import add_box, add_rows, spread
+from djpt.schedules import flat, wave
+from djpt.schedules.job import Band, Job
+from djpt.types import Float, TensorXf, UInt32
+
+__all__ = [
+    "develop",
+    "filtered_sums",
+    "image_of_samples",
+    "primal_image",
+    "ranges",
+    "register_spp",
+    "stepwise_sums",
+    "stored_image",
+    "stored_passes",
+]
+
+PASS_SAMPLES = 2**26
+"""Samples of one kernel launch when nothing is stored: about a second on two cores."""
+
+STORED_SAMPLES = 2**21
+"""Samples whose values are held at once: they should stay in the last-level cache."""
+
+BAND_PIXELS = 2**16
+"""Pixels of a band when samples are stored."""
+
+Samples = Callable[[Job, Band, int, int], list[Float]]
+"""Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
+
+
+def primal_image(job: Job, use_flat: bool, pass_spp: int = 0) -> TensorXf:
+    """The image, without derivatives; `pass_spp` overrides the number of samples per pixel of a pass."""
+    with dr.suspend_grad():
+        if use_flat and not job.film.filters:
+
+            def step(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+                return flat.radiance_sums(job, begin, end, sums)
+
+            return develop(job, stepwise_sums(job, step, pass_spp), dr.opaque(Float, job.spp))
+        samples = flat.radiance_samples if use_flat else wave.radiance_samples
+        return stored_image(job, samples, pass_spp)
+
+
+def stored_image(job: Job, samples: Samples, pass_spp: int = 0) -> TensorXf:
+    """The image from samples that are stored, pass by pass."""
+    if job.film.filters:
+        *sums, weight = filtered_sums(job, samples, pass_spp)
+        return develop(job, sums, weight)
+    sums = [dr.concat(parts) for parts in zip(*box_sums(job, samples, pass_spp), strict=True)]
+    return develop(job, sums, dr.opaque(Float, job.spp))
+
+
+def image_of_samples(job: Job, samples: list[Float]) -> TensorXf:
+    """The image from all samples at once."""
+    band = Band(0, job.height)
+    if not job.film.filters:
+        return develop(job, add_box(job, band, samples, 0, job.spp, None), dr.opaque(Float, job.spp))
+    blank = [dr.zeros(Float, job.width * job.height) for _ in range(len(samples) + 1)]
+    *sums, weight = spread(job, band, add_rows(job, band, samples, 0, job.spp, None), blank)
+    return develop(job, sums, weight)
+
+
+def stepwise_sums(job: Job, step: Callable[[int, int, Any], list[Float]], pass_spp: int = 0) -> list[Float]:
+    """All samples, added up in registers by ``step(begin, end, sums)``."""
+    sums = None
+    for begin, end in ranges(job.spp, pass_spp or register_spp(job)):
+        sums = step(begin, end, sums)
+        report(job, end * job.width * job.height)
+    assert sums is not None
+    return flat.total(job, sums)
+
+
+def box_sums(job: Job, samples: Samples, pass_spp: int) -> Iterator[list[Float]]:
+    """Per band, all samples added up pixel by pixel."""
+    for band in job.bands(BAND_PIXELS):
+        sums = None
+        for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
+            sums = add_box(job, band, samples(job, band, begin, end), begin, end, sums)
+            report(job, (band.first_row * job.spp + band.rows * end) * job.width)
+        assert sums is not None
+        yield sums
+
+
+def filtered_sums(job: Job, samples: Samples, pass_spp: int) -> list[Float]:
+    """The weighted sums of all channels and of the weights, over the whole grid."""
+    image = [dr.zeros(Float, job.width * job.height) for _ in range(job.channel_count() + 1)]
+    for band in job.bands(BAND_PIXELS):
+        rows = None
+        for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
+            rows = add_rows(job, band, samples(job, band, begin, end), begin, end, rows)
+            report(job, (band.first_row * job.spp + band.rows * end) * job.width)
+        assert rows is not None
+        image = spread(job, band, rows, image)
+    return image
+
+
+def stored_passes(job: Job) -> Iterator[tuple[Band, int, int]]:
+    """The passes of a job whose samples are stored: (band, begin, end)."""
+    for band in job.bands(BAND_PIXELS):
+        for begin, end in ranges(job.spp, stored_spp(job, band)):
+            yield band, begin, end
+
+
+def register_spp(job: Job) -> int:
+    """Samples per pixel of a pass that stores nothing."""
+    return max(1, PASS_SAMPLES // (job.width * job.height))
+
+
+def stored_spp(job: Job, band: Band) -> int:
+    """Samples per pixel that a pass over `band` may store."""
+    return max(1, STORED_SAMPLES // (band.rows * job.width))
+
+
+def ranges(spp: int, size: int) -> Iterator[tuple[int, int]]:
+    """Split 0 .. spp into ranges of at most `size`."""
+    for begin in range(0, spp, size):
+        yield begin, min(begin + size, spp)
+
+
+def report(job: Job, done: int) -> None:
+    """Tell the caller's progress function; waits for the kernel, so that the number is true."""
+    if job.progress is not None:
+        dr.sync_thread()
+        job.progress(done, job.samples)
+
+
+def develop(job: Job, sums: list[Float], weight: Float) -> TensorXf:
+    """Weighted sums over weights, cropped: the image."""
+    border, (width, height) = job.film.border, job.film.crop_size
+    weight = dr.select(weight == 0, 1, weight)
+    channels = [s / weight for s in sums]
+    if border:
+        pixel = dr.arange(UInt32, width * height)
+        row = pixel // width
+        source = (row + border) * job.width + (pixel - row * width) + border
+        dr.eval(channels)
+        channels = [dr.gather(Float, c, source) for c in channels]
+    dr.eval(channels)
+    count = len(channels)
+    flat_image = dr.empty(Float, width * height * count)
+    slot = dr.arange(UInt32, width * height) * count
+    for c, channel in enumerate(channels):
+        dr.scatter(flat_image, channel, slot + c)
+    return TensorXf(flat_image, shape=(height, width, count))
