@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -240,14 +240,15 @@ def _write_jpg(path: Path, image: Pixels, channels: Sequence[str] | None) -> Non
     _picture(pixels).save(path, format="JPEG", quality=95, subsampling=0)
 
 
-def _as_bytes(image: Pixels | Bytes) -> Bytes:
+def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
     return image if image.dtype == np.uint8 else to_srgb8(image)
 
 
 def _read_picture(path: Path) -> Pixels:
     from PIL import Image
 
-    with Image.open(path, formats=("PNG", "JPEG")) as picture:
+    with Image.open(path, formats=("PNG", "JPEG")) as file:
+        picture: Picture = file
         if picture.mode.startswith("I"):  # 16 bit grey
             wide = np.asarray(picture, np.float64)[..., None] / 65535.0
             return np.where(wide <= 0.04045, wide / 12.92, ((wide + 0.055) / 1.055) ** 2.4).astype(np.float32)

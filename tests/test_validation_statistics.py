@@ -11,7 +11,7 @@ import pytest
 import djpt  # noqa: F401  (before anything that might load LLVM)
 from djpt.validation.metrics import ComparisonError, mean_bias, relative_bias, relative_rmse, rmse
 from djpt.validation.same_seed import agreement
-from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, pixel_test, sidak
+from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, noise_ratio, pixel_test, sidak
 
 pytest.importorskip("scipy")
 
@@ -225,6 +225,17 @@ def test_moments_are_numpys() -> None:
     np.testing.assert_allclose(accumulated.image().variance, means.var(0, ddof=1), rtol=1e-4)
     np.testing.assert_allclose(accumulated.image(True).variance, images.var(0, ddof=1).sum((0, 1)) / 399**2, rtol=1e-4)
     assert np.all(accumulated.image(True).dof > 1000)
+
+
+@pytest.mark.parametrize("counts", [(3, 3), (3, 20), (9, 4)])
+def test_noise_ratio_is_that_of_the_typical_pixel(counts: tuple[int, int]) -> None:
+    rng = np.random.default_rng(10)
+    noisy = batches(rng, counts[0], (48, 48, 3), lambda rng, shape: 1 + 1.05 * (normal(rng, shape) - 1))
+    assert noise_ratio(noisy, batches(rng, counts[1], (48, 48, 3))) == pytest.approx(1.05, rel=0.03)
+    still = Batches()
+    for _ in range(2):
+        still.add(np.ones((4, 4, 3)))
+    assert noise_ratio(still, still) == 1.0
 
 
 def test_metrics() -> None:

@@ -1,0 +1,258 @@
+"""The command line: ``djpt render``, ``compare``, ``scenes``, ``doctor``.
+
+Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
+it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
+bar to stderr; the bar only to a terminal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import djpt
+from djpt.errors import BackendError, DjptError, RenderError
+
+if TYPE_CHECKING:
+    from rich.progress import Task
+    from rich.text import Text
+
+__all__ = ["ExitCode", "app", "main"]
+
+
+class ExitCode(IntEnum):
+    """What the process returns."""
+
+    DONE = 0
+    DIFFERENT = 1
+    BAD_INPUT = 2
+    UNUSABLE = 3
+    INTERRUPTED = 130
+
+
+app = typer.Typer(
+    help="A differentiable path tracer in pure Python over Dr.Jit that reads Mitsuba 3's scenes.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A built-in scene; see 'djpt scenes'.")]
+Seed = Annotated[int, typer.Option(help="Seed: the same one gives the same image.")]
+Width = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --height is given.")]
+Height = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --width is given.")]
+RFilter = Annotated[str | None, typer.Option(help="Reconstruction filter, instead of the scene's.")]
+IntegratorName = Annotated[str | None, typer.Option("--integrator", help="Integrator, instead of the scene's.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+) -> None:
+    if version:
+        print(f"djpt {djpt.__version__}")
+        raise typer.Exit(ExitCode.DONE)
+
+
+@app.command()
+def render(
+    scene: SceneName,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="exr hdr pfm npy (linear), png jpg (sRGB). Default: SCENE.exr"),
+    ] = None,
+    spp: Annotated[int | None, typer.Option(help="Samples per pixel. Default: the scene's.")] = None,
+    seed: Seed = 0,
+    width: Width = None,
+    height: Height = None,
+    rfilter: RFilter = None,
+    integrator: IntegratorName = None,
+    schedule: Annotated[str, typer.Option(help="How lanes are filled: auto, flat or wave.")] = "auto",
+    quiet: Quiet = False,
+) -> None:
+    """Render SCENE to an image file."""
+    with _readable_errors():
+        from djpt.description.overrides import described, override
+        from djpt.image import check_writable
+
+        _require_positive(spp=spp, width=width, height=height)
+        name, description = described(scene)
+        target = output or Path(f"{name}.exr")
+        check_writable(target)
+        description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
+        loaded = djpt.load_dict(description)
+        start = time.perf_counter()
+        samples = 0
+        with _progress_bar("rendering", "samples", quiet) as show:
+
+            def progress(done: int, total: int) -> None:
+                nonlocal samples
+                samples = total
+                show(done, total)
+
+            image = djpt.render(loaded, spp=spp or 0, seed=seed, schedule=schedule, progress=progress).numpy()
+        seconds = time.perf_counter() - start
+        djpt.write(target, image)
+        if not quiet:
+            rows, columns, _ = image.shape
+            speed = f"{_short(samples / seconds)}samples/s"
+            count = spp or loaded.sensors()[0].sampler.sample_count
+            print(f"{target}: {columns} x {rows}, {count} spp, {seconds:.2f} s, {speed}")
+
+
+@app.command()
+def compare(
+    scene: SceneName,
+    spp: Annotated[int, typer.Option(help="Samples per pixel of djpt's image.")] = 64,
+    rmse: Annotated[float | None, typer.Option(help="Fail if the RMSE is above this.")] = None,
+    same_seed: Annotated[
+        float | None, typer.Option(help="Fail if a smaller share of pixels agrees at equal seeds, 0 to 1.")
+    ] = None,
+    reference_spp: Annotated[
+        int | None, typer.Option(help="Samples per pixel of Mitsuba's image. Default: the same.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="The picture, png or jpg. Default: SCENE_comparison.png")
+    ] = None,
+    picture: Annotated[bool, typer.Option(help="Write ours | Mitsuba | difference.")] = True,
+    seed: Seed = 0,
+    width: Width = None,
+    height: Height = None,
+    rfilter: RFilter = None,
+    integrator: IntegratorName = None,
+    quiet: Quiet = False,
+) -> None:
+    """Render SCENE in djpt and in Mitsuba and compare: exit code 1 if they differ."""
+    with _readable_errors():
+        from djpt.description.overrides import described
+        from djpt.image import check_writable
+        from djpt.validation.compare import compare as run
+
+        _require_positive(spp=spp, reference_spp=reference_spp, width=width, height=height)
+        target = output or Path(f"{described(scene)[0]}_comparison.png")
+        if picture:
+            check_writable(target)
+        with _progress_bar("comparing", "renders", quiet) as progress:
+            result = run(
+                scene,
+                spp,
+                rmse,
+                same_seed=same_seed,
+                reference_spp=reference_spp,
+                seed=seed,
+                width=width,
+                height=height,
+                rfilter=rfilter,
+                integrator=integrator,
+                progress=progress,
+            )
+        if picture:
+            result.write_picture(target)
+        if not quiet:
+            print(result)
+            if picture:
+                print(f"picture: {target}")
+    if not result.passed:
+        raise typer.Exit(ExitCode.DIFFERENT)
+
+
+@app.command()
+def scenes() -> None:
+    """List the built-in scenes."""
+    with _readable_errors():
+        from djpt.scenes import SCENES
+
+        width = max(len(name) for name in SCENES)
+        for name in sorted(SCENES):
+            summary = (SCENES[name].__doc__ or "").strip().splitlines()
+            print(f"{name:<{width}}  {summary[0] if summary else ''}".rstrip())
+
+
+@app.command()
+def doctor() -> None:
+    """Say what was found on this machine, what was chosen and why, and what to do."""
+    from djpt.doctor import main as examine
+
+    raise typer.Exit(examine())
+
+
+def main() -> int:
+    """The entry point of ``djpt`` and ``python -m djpt``; returns the exit code."""
+    try:
+        app(prog_name="djpt")
+    except SystemExit as end:  # how Click always ends
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return ExitCode.DONE
+
+
+@contextlib.contextmanager
+def _readable_errors() -> Iterator[None]:
+    """What a user can cause ends with one line and an exit code, not with a traceback."""
+    try:
+        yield
+    except BackendError as error:
+        _fail(str(error), ExitCode.UNUSABLE)  # its advice has lines of its own
+    except DjptError as error:
+        _fail(" ".join(str(error).split()), ExitCode.BAD_INPUT)
+    except MemoryError:
+        _fail("out of memory", ExitCode.BAD_INPUT)
+    except KeyboardInterrupt:
+        _fail("interrupted", ExitCode.INTERRUPTED)
+
+
+def _fail(message: str, code: ExitCode) -> None:
+    print(f"djpt: error: {message}", file=sys.stderr)
+    raise typer.Exit(code) from None
+
+
+def _require_positive(**options: int | None) -> None:
+    for name, value in options.items():
+        if value is not None and value < 1:
+            raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
+
+
+@contextlib.contextmanager
+def _progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A bar with `unit`/s and the time left, for a function that is called with (done, total).
+
+    Shows nothing where nobody watches: in a pipe, in a log, with --quiet.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield lambda done, total: None
+        return
+
+    class Speed(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text("" if task.speed is None else f"{_short(task.speed)}{unit}/s")
+
+    columns: list[Any] = [TextColumn(title), BarColumn(), TaskProgressColumn(), Speed(), TimeRemainingColumn()]
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def update(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield update
+
+
+def _short(number: float) -> str:
+    """Three digits and a prefix: ``13.5 M``."""
+    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= factor:
+            return f"{number / factor:.3g} {prefix}"
+    return f"{number:.3g} "

@@ -1,0 +1,132 @@
+"""Find a scene description by name, and change it before it is loaded: image size, filter, integrator.
+
+For command lines and comparisons, which take a scene as it is and vary one thing. Works on dicts of
+Mitsuba's schema, so the same change reaches djpt and Mitsuba.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from djpt.errors import SceneError, near_miss
+
+__all__ = ["described", "override", "rfilter_name"]
+
+SENSORS = frozenset(
+    {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
+)
+"""Types of the nodes that hold a film."""
+
+INTEGRATORS = frozenset(
+    {"path", "direct", "depth", "aov", "moment", "ptracer", "stokes", "volpath", "volpathmis"}
+    | {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective", "volprim_rf_basic"},
+)
+
+
+def described(scene: Mapping[str, Any] | str) -> tuple[str, dict[str, Any]]:
+    """The name and the description of a scene that is given as a dict or by a built-in name.
+
+    Raises `SceneError` for unknown names, saying which there are, and for files.
+    """
+    from djpt.scenes import SCENES
+
+    if isinstance(scene, Mapping):
+        return "scene", dict(scene)
+    if not isinstance(scene, str):
+        raise SceneError(f"a scene is a dict or the name of a built-in scene, found {type(scene).__name__}")
+    if scene.lower().endswith(".xml"):
+        raise SceneError(
+            f"'{scene}': XML files can't be loaded yet; supported: dicts of Mitsuba's schema (djpt.load_dict in "
+            f"Python) and the built-in scenes {', '.join(sorted(SCENES))}"
+        )
+    if scene not in SCENES:
+        raise SceneError(f"unknown scene '{scene}'{near_miss(scene, SCENES)}")
+    return scene, SCENES[scene]()
+
+
+def override(
+    scene: Mapping[str, Any],
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    rfilter: str | Mapping[str, Any] | None = None,
+    integrator: str | Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """A copy of `scene` with changes for all of its sensors; `None` changes nothing.
+
+    * `width`, `height`: pixels of the film. With one given, the other keeps the shape of the image.
+    * `rfilter`: the reconstruction filter, by name or as a dict.
+    * `integrator`: by name or as a dict; replaces the scene's. A name keeps the other settings of the
+      scene's integrator that both have: `max_depth`, `rr_depth`, `hide_emitters`.
+
+    The given dicts are not modified. Raises `SceneError` if there is no sensor to change, if it is a
+    plugin object already, or if a film whose size shall change has a crop window.
+    """
+    result = dict(scene)
+    if integrator is not None:
+        _set_integrator(result, integrator)
+    if width is None and height is None and rfilter is None:
+        return result
+    sensors = [key for key, node in result.items() if isinstance(node, Mapping) and node.get("type") in SENSORS]
+    if not sensors:
+        raise SceneError("the scene has no sensor described by a dict, so its film can't be changed")
+    for key in sensors:
+        sensor = dict(result[key])
+        name = _film_key(sensor)
+        film = dict(sensor.get(name, {"type": "hdrfilm"}))
+        if width is not None or height is not None:
+            _set_size(film, f"{key}.{name}", width, height)
+        if rfilter is not None:
+            for other in [k for k, node in film.items() if isinstance(node, Mapping) and k != "rfilter"]:
+                del film[other]
+            film["rfilter"] = {"type": rfilter} if isinstance(rfilter, str) else dict(rfilter)
+        sensor[name] = film
+        result[key] = sensor
+    return result
+
+
+def rfilter_name(scene: Mapping[str, Any]) -> str:
+    """The type of the first sensor's reconstruction filter; Mitsuba's default is `gaussian`."""
+    for sensor in scene.values():
+        if isinstance(sensor, Mapping) and sensor.get("type") in SENSORS:
+            film = sensor.get(_film_key(sensor), {})
+            nodes = [node for node in film.values() if isinstance(node, Mapping)] if isinstance(film, Mapping) else []
+            return str(nodes[0].get("type")) if nodes else "gaussian"
+    return "gaussian"
+
+
+def _film_key(sensor: Mapping[str, Any]) -> str:
+    for key, node in sensor.items():
+        if isinstance(node, Mapping) and str(node.get("type", "")).endswith("film"):
+            return key
+    return "film"
+
+
+def _set_size(film: dict[str, Any], node: str, width: int | None, height: int | None) -> None:
+    if any(key.startswith("crop_") for key in film):
+        raise SceneError(f"{node}: the film has a crop window, so its size can't be changed from outside")
+    old_width, old_height = film.get("width", 768), film.get("height", 576)
+    if width is None:
+        assert height is not None
+        width = max(1, round(old_width * height / old_height))
+    elif height is None:
+        height = max(1, round(old_height * width / old_width))
+    film["width"], film["height"] = width, height
+
+
+def _set_integrator(scene: dict[str, Any], integrator: str | Mapping[str, Any]) -> None:
+    key, old = "integrator", {}
+    for name, node in scene.items():
+        if isinstance(node, Mapping) and node.get("type") in INTEGRATORS:
+            key, old = name, dict(node)
+            break
+    if not isinstance(integrator, str):
+        scene[key] = dict(integrator)
+        return
+    kept = {name: old[name] for name in ("max_depth", "rr_depth", "hide_emitters") if name in old}
+    if integrator in ("depth", "aov"):
+        kept = {}
+    elif integrator == "direct":
+        kept = {name: value for name, value in kept.items() if name == "hide_emitters"}
+    scene[key] = {"type": integrator, **kept}

@@ -1,0 +1,244 @@
+"""The command line: what it writes, what it prints where, and its exit codes."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import djpt
+from djpt import cli
+from djpt.cli import ExitCode, app, main
+from djpt.errors import BackendError, DjptError, FileError, RenderError
+from djpt.image import read_pixels
+
+SMALL = ["cornell_box", "--width", "16", "--spp", "4"]
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout, stderr."""
+    result = CliRunner().invoke(app, list(arguments))
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def process(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "djpt", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **(environment or {})},
+        timeout=120,
+    )
+
+
+# ---------------------------------------------------------------- render
+
+
+def test_render_writes_the_image_that_python_renders() -> None:
+    code, out, err = run("render", *SMALL, "--seed", "3", "-o", "a.exr")
+    assert code == ExitCode.DONE, err
+    assert out.startswith("a.exr: 16 x 16, 4 spp, ")
+    assert out.endswith("samples/s\n")
+    assert err == ""
+    description = djpt.cornell_box()
+    description["sensor"]["film"].update(width=16, height=16)
+    image = djpt.render(djpt.load_dict(description), spp=4, seed=3)
+    np.testing.assert_array_equal(read_pixels("a.exr"), image.numpy())
+
+
+def test_render_has_defaults() -> None:
+    code, out, _ = run("render", *SMALL, "--rfilter", "box", "--integrator", "direct", "--height", "8")
+    assert code == ExitCode.DONE
+    assert out.startswith("cornell_box.exr: 16 x 8, ")
+    assert Path("cornell_box.exr").exists()
+
+
+def test_quiet_prints_nothing() -> None:
+    assert run("render", *SMALL, "-o", "a.png", "--quiet") == (ExitCode.DONE, "", "")
+    assert Path("a.png").exists()
+
+
+def test_no_bar_in_a_pipe() -> None:
+    done = process("render", *SMALL, "-o", "a.png")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert len(done.stdout.splitlines()) == 1
+
+
+def test_bar_on_a_terminal() -> None:
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+    command = [sys.executable, "-m", "djpt", "render", *SMALL, "-o", "a.png"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, env=environment) as child:
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                piece = os.read(ours, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not piece:
+                break
+            shown += piece
+        assert child.stdout is not None
+        out = child.stdout.read()
+    os.close(ours)
+    assert child.returncode == 0
+    assert b"rendering" in shown and b"100%" in shown
+    assert out.startswith(b"a.png: 16 x 16")
+
+
+def test_speeds_are_short() -> None:
+    assert [cli._short(x) for x in (0.5, 12.0, 13_540.0, 13.54e6, 1.2e9)] == [
+        "0.5 ",
+        "12 ",
+        "13.5 k",
+        "13.5 M",
+        "1.2 G",
+    ]
+
+
+# ---------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["render", "cornel_box"], "unknown scene 'cornel_box'; did you mean 'cornell_box'?"),
+        (["render", "scene.xml"], "XML files can't be loaded yet"),
+        (["render", "cornell_box", "-o", "a.exe"], "unknown extension 'exe'; did you mean 'exr'?"),
+        (["render", "cornell_box", "-o", "nowhere/a.exr"], "there is no folder"),
+        (["render", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),
+        (["render", "cornell_box", "--spp", "-1"], "--spp must be at least 1, found -1"),
+        (["render", "cornell_box", "--width", "0"], "--width must be at least 1, found 0"),
+        (["render", "cornell_box", "--seed", "-1", "--width", "4", "--spp", "1"], "seed"),
+        (["render", "cornell_box", "--integrator", "paht"], "did you mean 'path'?"),
+        (["render", "cornell_box", "--rfilter", "bix"], "did you mean 'box'?"),
+        (["render", "cornell_box", "--schedule", "fast", "--width", "4", "--spp", "1"], "unknown schedule 'fast'"),
+        (["compare", "cornel_box"], "did you mean 'cornell_box'?"),
+        (["compare", "cornell_box", "-o", "a.gif"], "unknown extension 'gif'"),
+        (["compare", "cornell_box", "-o", "a.exr"], "png or a jpg"),
+        (["compare", "cornell_box", "--spp", "2"], "'spp' must be an integer of at least 4"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments: list[str], message: str) -> None:
+    code, out, err = run(*arguments)
+    assert code == ExitCode.BAD_INPUT
+    assert out == ""
+    assert message in err
+    assert err.startswith("djpt: error: ")
+    assert len(err.splitlines()) == 1
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["render"], ["rendr", "x"], ["render", "cornell_box", "--spp", "many"], []])
+def test_wrong_usage_is_exit_code_2(arguments: list[str]) -> None:
+    code, out, err = run(*arguments)
+    assert code == ExitCode.BAD_INPUT
+    assert "Usage" in out + err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (RenderError("a\nb"), ExitCode.BAD_INPUT),
+        (FileError("disk full"), ExitCode.BAD_INPUT),
+        (DjptError("any"), ExitCode.BAD_INPUT),
+        (MemoryError(), ExitCode.BAD_INPUT),
+        (BackendError("no LLVM\n    do this"), ExitCode.UNUSABLE),
+        (KeyboardInterrupt(), ExitCode.INTERRUPTED),
+    ],
+)
+def test_errors_have_exit_codes(
+    error: BaseException, code: ExitCode, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("djpt.description.overrides.described", fail)
+    monkeypatch.setattr(sys, "argv", ["djpt", "render", "cornell_box"])
+    assert main() == code
+    err = capsys.readouterr().err
+    assert err.startswith("djpt: error: ")
+    assert "Traceback" not in err
+
+
+def test_no_usable_backend_is_exit_code_3() -> None:
+    done = process("render", *SMALL, environment={"DJPT_VARIANT": "llvm_mono"})
+    assert done.returncode == ExitCode.UNUSABLE
+    assert "unknown variant 'llvm_mono'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_comparing_without_mitsuba_is_exit_code_3(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mitsuba", None)  # import raises ImportError
+    code, _, err = run("compare", *SMALL)
+    assert code == ExitCode.UNUSABLE
+    assert "pip install 'djpt[validate]'" in err
+
+
+# ---------------------------------------------------------------- compare, scenes, doctor
+
+
+def test_compare_prints_a_table_and_writes_a_picture() -> None:
+    pytest.importorskip("mitsuba")
+    code, out, err = run("compare", "cornell_box", "--width", "24", "--spp", "16", "--rfilter", "box", "--rmse", "1")
+    assert code == ExitCode.DONE, out + err
+    assert err == ""
+    assert "RMSE" in out and "same seed" in out and "\npassed\n" in out
+    assert Path("cornell_box_comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert "picture: cornell_box_comparison.png" in out
+
+
+def test_a_difference_is_exit_code_1() -> None:
+    pytest.importorskip("mitsuba")
+    code, out, _ = run("compare", "cornell_box", "--width", "16", "--spp", "8", "--rmse", "1e-6", "--no-picture")
+    assert code == ExitCode.DIFFERENT
+    assert out.rstrip().endswith("FAILED")
+    assert list(Path().iterdir()) == []
+
+
+def test_scenes_are_listed() -> None:
+    code, out, _ = run("scenes")
+    assert code == ExitCode.DONE
+    names = [line.split()[0] for line in out.splitlines()]
+    assert "cornell_box" in names
+    assert names == sorted(names)
+    assert all(len(line.split(maxsplit=1)) == 2 for line in out.splitlines()), "each with a summary"
+
+
+def test_doctor_reports(monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, _ = run("doctor")
+    assert code == ExitCode.DONE
+    assert "LLVM" in out
+    monkeypatch.setattr("djpt.doctor.main", lambda: 3)
+    assert run("doctor")[0] == ExitCode.UNUSABLE
+
+
+def test_version_and_help() -> None:
+    assert run("--version") == (ExitCode.DONE, f"djpt {djpt.__version__}\n", "")
+    code, out, _ = run("--help")
+    assert code == ExitCode.DONE
+    for command in ("render", "compare", "scenes", "doctor"):
+        assert command in out
+    assert run("render", "-h")[0] == ExitCode.DONE
+
+
+@pytest.mark.parametrize("command", ["--help", "--version"])
+def test_help_needs_no_backend(command: str) -> None:
+    done = process(command, environment={"DJPT_VARIANT": "none_such"})
+    assert done.returncode == 0, done.stderr

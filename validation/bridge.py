@@ -1,0 +1,112 @@
+"""The bridge to Mitsuba 3: the same scene description, rendered by the ground truth in this process.
+
+Only this module imports Mitsuba, and only when it is used: rendering never needs it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from djpt.description.numeric import as_array
+from djpt.description.overrides import described
+from djpt.description.plugin import Plugin
+from djpt.errors import BackendError, SceneError
+from djpt.transforms import as_transform
+from djpt.validation.metrics import ComparisonError
+from djpt.variants import load_backend, variant
+
+__all__ = ["VERSION", "Renderer", "mitsuba_renderer", "render_in_mitsuba", "to_mitsuba"]
+
+VERSION = "3.9.1"
+"""The ground truth is this release: names and conventions change in the next one."""
+
+Renderer = Callable[[int, int], npt.NDArray[np.float32]]
+"""``renderer(spp, seed)`` -> linear pixels (H, W, C)."""
+
+
+def render_in_mitsuba(scene: Mapping[str, Any] | str, spp: int, seed: int = 0) -> npt.NDArray[np.float32]:
+    """Render `scene` in Mitsuba: a dict, or the name of a built-in scene. Linear pixels (H, W, C)."""
+    return mitsuba_renderer(described(scene)[1])(spp, seed)
+
+
+def mitsuba_renderer(scene: Mapping[str, Any]) -> Renderer:
+    """Load `scene` into Mitsuba once, to be rendered many times.
+
+    Raises:
+        BackendError: Mitsuba isn't installed, or its variant can't be used.
+        ComparisonError: Mitsuba refuses the scene.
+    """
+    with _variant() as mi:
+        try:
+            loaded = mi.load_dict(to_mitsuba(scene))
+        except (RuntimeError, TypeError, ValueError) as error:
+            raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
+
+    def render(spp: int, seed: int) -> npt.NDArray[np.float32]:
+        with _variant() as mi:
+            return np.array(mi.render(loaded, spp=spp, seed=seed), np.float32)
+
+    return render
+
+
+def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """`scene` with djpt's values replaced by those that Mitsuba's `load_dict` takes.
+
+    Transforms (ours, NumPy 4 x 4, nested lists) become `mitsuba.ScalarTransform4f`; Dr.Jit and NumPy scalars and
+    short arrays become Python's. Mitsuba's own objects and tensors stay. `scene` is not modified.
+    Raises `ComparisonError` for djpt's plugin objects, which only djpt can render.
+    """
+    with _variant() as mi:
+        return {key: _value(mi, value, f"scene.{key}") for key, value in scene.items()}
+
+
+def _value(mi: Any, value: Any, node: str) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _value(mi, inner, f"{node}.{key}") for key, inner in value.items()}
+    if isinstance(value, Plugin):
+        raise ComparisonError(
+            f"{node}: a {type(value).__name__} object of djpt means nothing to Mitsuba; describe it by a dict"
+        )
+    if isinstance(value, (str, bool, int, float)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if type(value).__module__ == "mitsuba" and type(value).__name__.startswith("Scalar"):
+        return value
+    if hasattr(value, "matrix") and not dr.is_array_v(value):
+        return mi.ScalarTransform4f(as_transform(value).matrix.tolist())
+    try:
+        array = as_array(value)
+    except SceneError:
+        return value  # an object of Mitsuba, or something that Mitsuba will refuse by name
+    if array.ndim == 3:
+        return value  # pixels
+    return mi.ScalarTransform4f(array.tolist()) if array.shape == (4, 4) else array.tolist()
+
+
+@contextlib.contextmanager
+def _variant() -> Iterator[Any]:
+    """Mitsuba with the variant that is djpt's; a script's own variant comes back afterwards."""
+    load_backend()  # so that both use one LLVM, found by djpt
+    try:
+        import mitsuba as mi
+    except ImportError as error:
+        raise BackendError(
+            f"comparing needs Mitsuba {VERSION}, which can't be imported ({error}): pip install 'djpt[validate]'"
+        ) from None
+    name, before = variant(), mi.variant()
+    if name not in mi.variants():
+        raise BackendError(f"this Mitsuba has no variant '{name}'; it has {', '.join(mi.variants())}")
+    if before != name:
+        mi.set_variant(name)
+    try:
+        yield mi
+    finally:
+        if before not in (None, name):
+            mi.set_variant(before)
