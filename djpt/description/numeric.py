@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 
-__all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe"]
+__all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe", "is_readable"]
 
 LARGEST = float(np.finfo(np.float32).max)
 """Kernels compute in float32, where anything larger is infinite."""
@@ -35,6 +35,11 @@ def describe(value: Any) -> str:
     except Exception:  # a foreign object may fail in its own repr
         text = ""
     return f"{type(value).__name__} {text}".rstrip()
+
+
+def is_readable() -> bool:
+    """Can array contents be read now? Not while `dr.freeze` records: values go unchecked then."""
+    return not dr.flag(dr.JitFlag.FreezingScope)
 
 
 def as_array(value: Any) -> NDArray[np.float64]:

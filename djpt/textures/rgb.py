@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_array, describe
+from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties, bounds
 from djpt.errors import DjptError, ParameterError, SceneError
@@ -57,6 +57,8 @@ class ConstantTexture(Texture):
     def _convert(value: Any) -> Color3f:
         """A width-1 colour from any accepted form; Dr.Jit arrays stay attached to their gradients."""
         jit = dr.is_jit_v(value) and not dr.is_tensor_v(value)
+        if jit and not is_readable():
+            return Color3f(value)
         numbers = as_array(dr.detach(value) if jit else value)
         if numbers.shape not in ((), (3,)):
             raise SceneError(f"must be one or three numbers, found {describe(value)}")
@@ -73,7 +75,8 @@ class ConstantTexture(Texture):
     def check_parameter(self, name: str, value: Any) -> Any:
         try:
             color = self._convert(value)
-            self._require(self._numbers(color), self._low, self._high, "the value")
+            if is_readable():
+                self._require(self._numbers(color), self._low, self._high)
         except SceneError as error:
             raise ParameterError(str(error)) from None
         return color
@@ -83,10 +86,10 @@ class ConstantTexture(Texture):
         return as_array(dr.detach(color))
 
     @staticmethod
-    def _require(numbers: NDArray[np.float64], low: float | None, high: float | None, where: str) -> None:
+    def _require(numbers: NDArray[np.float64], low: float | None, high: float | None, where: str = "") -> None:
         # float32 rounds 0.1 up: compare what the user wrote, as float32.
         smallest = -np.inf if low is None else np.float32(low)
         largest = np.inf if high is None else np.float32(high)
         outside = numbers[(numbers < smallest) | (numbers > largest)]
         if outside.size:
-            raise SceneError(f"{where} must {bounds(low, high)}, found {outside[0]:.6g}")
+            raise SceneError(f"{where} must {bounds(low, high)}, found {outside[0]:.6g}".lstrip())

@@ -1,0 +1,336 @@
+"""`traverse()`: read and edit the parameters of a plugin tree under Mitsuba's names."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.description.numeric import as_array, as_integer, as_number, describe, is_readable
+from djpt.description.plugin import ParamFlags, Plugin
+from djpt.errors import DjptError, ParameterError, SceneError, near_miss
+
+__all__ = ["SceneParameters", "traverse"]
+
+
+def traverse(node: Plugin) -> SceneParameters:
+    """The parameters of `node` and of all that is nested in it, by name.
+
+    Names are Mitsuba's: the path of scene names and attributes, such as
+    ``white.reflectance.value``. A plugin that is used in several places appears once, under
+    its first path.
+
+    Raises:
+        ParameterError: `node` isn't a djpt plugin.
+    """
+    if not isinstance(node, Plugin):
+        raise ParameterError(f"traverse: expected a plugin that djpt.load_dict made, found {describe(node)}")
+    walk = Walk(node)
+    return SceneParameters(node, walk.entries, walk.parents)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Where a parameter is kept."""
+
+    owner: Plugin
+    name: str
+    """As the owner reported it."""
+    attribute: str
+    flags: ParamFlags
+    path: tuple[str, ...]
+    """Names of the plugins between the root and the owner."""
+
+    def read(self) -> Any:
+        return getattr(self.owner, self.attribute)
+
+    def write(self, value: Any) -> None:
+        setattr(self.owner, self.attribute, value)
+
+    def is_computed(self) -> bool:
+        """Is the value made anew at each reading?"""
+        return isinstance(getattr(type(self.owner), self.attribute, None), property)
+
+
+class Loan:
+    """A value that a caller has had in hand and may have edited in place."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+        # The copy also keeps the Dr.Jit index taken, so that an equal index means an equal value.
+        self.before = type(value)(value) if dr.is_array_v(value) else value
+        self.state = state_of(value)
+
+    def is_edited(self) -> bool:
+        """Has the value changed since it was lent?"""
+        return state_of(self.value) != self.state
+
+
+class Walk:
+    """One traversal: the parameters in order, and every plugin's parent."""
+
+    def __init__(self, root: Plugin) -> None:
+        self.entries: dict[str, Entry] = {}
+        self.parents: dict[int, Plugin | None] = {id(root): None}
+        root.traverse(Visit(self, root, ()))
+
+
+class Visit:
+    """The callback of one plugin."""
+
+    def __init__(self, walk: Walk, node: Plugin, path: tuple[str, ...]) -> None:
+        self.walk, self.node, self.path = walk, node, path
+
+    def put(
+        self,
+        name: str,
+        value: Any,
+        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        attribute: str | None = None,
+    ) -> None:
+        """See `djpt.description.plugin.TraversalCallback`."""
+        if isinstance(value, Plugin):
+            if id(value) not in self.walk.parents:
+                self.walk.parents[id(value)] = self.node
+                value.traverse(Visit(self.walk, value, (*self.path, name)))
+            return
+        key = ".".join((*self.path, name))
+        self.walk.entries[key] = Entry(self.node, name, attribute or name, flags, self.path)
+
+
+class SceneParameters(Mapping[str, Any]):
+    """A dict-like view of parameters; made by `traverse`.
+
+    Assigning (``params[key] = value``) converts numbers, lists, NumPy and Mitsuba arrays to the
+    parameter's type, checks the value, and writes it to the plugin; Dr.Jit arrays stay attached to
+    their gradients. After the last assignment call `update`, which recomputes what depends on the
+    changed values. In-place edits (``params[key] *= 2``, `dr.enable_grad`) are noticed as well, except
+    writes through `dr.scatter`: call `set_dirty` after those.
+
+    A scene is brought up to date by the parameters of the scene, not by those of a part of it.
+    Iterating yields the keys, as any mapping does (Mitsuba yields pairs: use `items`).
+    """
+
+    def __init__(self, root: Plugin, entries: Mapping[str, Entry], parents: Mapping[int, Plugin | None]) -> None:
+        self._root = root
+        self._entries = dict(entries)
+        self._parents = parents
+        self._lent: dict[str, Loan] = {}
+        self._dirty: dict[str, tuple[Entry, Any]] = {}
+        """What has changed since the last update, each with the value it had before."""
+
+    # ---- reading -----------------------------------------------------------------------
+
+    def __getitem__(self, key: str) -> Any:
+        entry = self._entry(key)
+        loan, value = self._lent.get(key), entry.read()
+        if loan is None or not (loan.value is value or entry.is_computed()):
+            loan = self._lent[key] = Loan(value)
+        return loan.value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._entries
+
+    def flags(self, key: str) -> ParamFlags:
+        """Whether a parameter is differentiable, and whether it moves edges (`Discontinuous`)."""
+        return self._entry(key).flags
+
+    def copy(self) -> SceneParameters:
+        """The same parameters of the same plugins, to be narrowed down with `keep` independently."""
+        return SceneParameters(self._root, self._entries, self._parents)
+
+    def _entry(self, key: str) -> Entry:
+        if isinstance(key, str) and key in self._entries:
+            return self._entries[key]
+        # A scene has hundreds of names: show the nearest.
+        nearest = difflib.get_close_matches(str(key), self._entries, n=6, cutoff=0.3)
+        raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), nearest)}")
+
+    # ---- narrowing down ------------------------------------------------------------------
+
+    def keep(self, keys: str | Iterable[str] | None = None) -> None:
+        """Forget all parameters but those whose names begin with a match of a regular expression.
+
+        Args:
+            keys: one pattern or several; None keeps the differentiable parameters.
+        """
+        if keys is None:
+            kept = [key for key, entry in self._entries.items() if entry.flags & ParamFlags.Differentiable]
+        else:
+            patterns = [keys] if isinstance(keys, str) else list(keys)
+            try:
+                matches = [re.compile(pattern).match for pattern in patterns]
+            except (re.error, TypeError) as error:
+                raise ParameterError(f"keep: {describe(keys)} isn't a regular expression: {error}") from None
+            kept = [key for key in self._entries if any(match(key) for match in matches)]
+        self._entries = {key: self._entries[key] for key in kept}
+
+    def __delitem__(self, key: str) -> None:
+        self._entry(key)
+        del self._entries[key]
+
+    # ---- editing -------------------------------------------------------------------------
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        entry = self._entry(key)
+        current, loan = entry.read(), self._lent.get(key)
+        in_place = loan is not None and value is loan.value and not entry.is_computed()
+        try:
+            converted = convert(entry.owner.check_parameter(entry.name, value), current)
+            if not entry.flags & ParamFlags.Differentiable and dr.grad_enabled(value):
+                raise ParameterError("isn't differentiable, but the value has gradients enabled")
+        except DjptError as error:
+            if in_place and loan is not None:
+                # The edit has reached the plugin already: take it back.
+                entry.write(loan.before)
+                del self._lent[key]
+            message = str(error)
+            raise ParameterError(message if key in message else f"{key}: {message}") from None
+        if in_place and loan is not None:
+            if loan.is_edited():
+                self._dirty.setdefault(key, (entry, loan.before))
+            return
+        if type(converted) is type(current) and state_of(converted) == state_of(current):
+            return
+        self._dirty.setdefault(key, (entry, current if loan is None or entry.is_computed() else loan.before))
+        self._lent.pop(key, None)
+        entry.write(converted)
+
+    def set_dirty(self, key: str) -> None:
+        """Make the next `update` treat a parameter as changed."""
+        entry = self._entry(key)
+        self._dirty.setdefault(key, (entry, entry.read()))
+
+    def update(self, values: Mapping[str, Any] | None = None) -> list[tuple[Plugin, set[str]]]:
+        """Recompute what depends on the parameters that have changed since the last update.
+
+        Args:
+            values: assigned first, if given; keys that aren't parameters are ignored, as in Mitsuba
+                (so an optimiser with further variables can be passed).
+
+        Returns:
+            The plugins that were told, nested ones first, each with the names that changed in it.
+
+        Raises:
+            ParameterError: a value can't be used. If values contradict each other, all changes since
+                the last update are taken back.
+        """
+        if values is not None:
+            if not hasattr(values, "items"):
+                raise ParameterError(f"update: expected a mapping of names to values, found {describe(values)}")
+            for key, value in values.items():
+                if key in self._entries:
+                    self[key] = value
+        for key, loan in list(self._lent.items()):
+            if key in self._entries and loan.is_edited():
+                self[key] = loan.value
+        self._lent.clear()
+
+        changes, self._dirty = list(self._dirty.values()), {}
+        told = self._who_must_know([entry for entry, _ in changes])
+        try:
+            tell(told)
+        except DjptError as error:
+            for entry, before in changes:
+                entry.write(before)
+            tell(told)
+            raise ParameterError(str(error)) from None
+        refresh = getattr(self._root, "refresh", None)
+        if told and refresh is not None:
+            edited = {id(entry.owner) for entry, _ in changes}
+            refresh([node for node, _ in told if id(node) in edited])
+        return told
+
+    def _who_must_know(self, changed: Iterable[Entry]) -> list[tuple[Plugin, set[str]]]:
+        """The owners of changed parameters and all plugins around them, innermost first, with names."""
+        found: dict[int, tuple[int, Plugin, set[str]]] = {}
+        for entry in changed:
+            node: Plugin | None = entry.owner
+            names = [*entry.path, entry.name]
+            while node is not None:
+                _, _, keys = found.setdefault(id(node), (len(names), node, set()))
+                keys.add(names.pop())
+                node = self._parents[id(node)]
+        return [(node, keys) for _, node, keys in sorted(found.values(), key=lambda item: -item[0])]
+
+    # ---- display -------------------------------------------------------------------------
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._entries)
+
+    def __repr__(self) -> str:
+        if not self._entries:
+            return "SceneParameters[]"
+        rows = [("Name", "Flags", "Type", "Parent")]
+        for key, entry in self._entries.items():
+            flags = [
+                sign
+                for sign, flag in (("∂", ParamFlags.Differentiable), ("D", ParamFlags.Discontinuous))
+                if entry.flags & flag
+            ]
+            rows.append((key, ", ".join(flags), type(entry.read()).__name__, type(entry.owner).__name__))
+        widths = [max(len(row[i]) for row in rows) for i in range(4)]
+        lines = ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+        rule = "  " + "-" * (sum(widths) + 6)
+        return "\n".join(
+            ["SceneParameters[", rule, lines[0].rstrip(), rule, *(x.rstrip() for x in lines[1:]), rule, "]"]
+        )
+
+
+def tell(told: Iterable[tuple[Plugin, set[str]]]) -> None:
+    """Let plugins recompute what they derive."""
+    for node, keys in told:
+        node.parameters_changed(sorted(keys))
+
+
+def state_of(value: Any) -> Any:
+    """Something that differs after any edit: the Dr.Jit and gradient indices of an array, else the value."""
+    return tuple(dr.detail.collect_indices(value)) if dr.is_array_v(value) else value
+
+
+def convert(value: Any, current: Any) -> Any:
+    """`value` as the type of `current`, copied if it is an array; raises `SceneError`."""
+    if dr.is_array_v(current):
+        return convert_array(value, type(current))
+    if isinstance(current, (bool, int, float, str)) and type(value) is not type(current):
+        if isinstance(current, float):
+            return as_number(value)
+        if isinstance(current, int) and not isinstance(current, bool):
+            return as_integer(value)
+        raise SceneError(f"must be a {type(current).__name__}, found {describe(value)}")
+    if isinstance(value, float):
+        return as_number(value)
+    return value
+
+
+def convert_array(value: Any, target: Any) -> Any:
+    """`value` as a finite Dr.Jit array of type `target`, copied, attached to the same gradients."""
+    if dr.is_array_v(value):
+        if dr.is_integral_v(target) and dr.is_float_v(value):
+            raise SceneError(f"must be integers, found {describe(value)}")
+        parts = [value]
+    else:
+        array = as_array(value)
+        if dr.is_integral_v(target) and (array != np.round(array)).any():
+            raise SceneError(f"must be integers, found {describe(value)}")
+        array = array.astype(np.float32 if dr.is_float_v(target) else np.int64)
+        fixed = not dr.is_tensor_v(target) and dr.size_v(target) > 0
+        parts = array.tolist() if fixed and array.ndim == 1 else [array if dr.is_tensor_v(target) else array.ravel()]
+    try:
+        converted = target(*parts)
+    except Exception as error:
+        raise SceneError(f"must be a {target.__name__}, found {describe(value)}") from error
+    if is_readable() and not dr.all(dr.isfinite(dr.detach(converted)), axis=None):
+        raise SceneError(f"must be finite, found {describe(value)}")
+    return converted
