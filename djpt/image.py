@@ -35,8 +35,8 @@ class Image:
 
     `tensor`: a `TensorXf`, a NumPy array or an `Image`, of shape (H, W) or (H, W, C). Floating
     point values are linear; `uint8` values are already sRGB. Nothing is clipped until it is shown.
-    The third and fourth of four channels and so on mean what they mean in the file formats: 1 grey,
-    2 grey and alpha, 3 RGB, 4 RGB and alpha; of more channels the first three are shown.
+    Channels mean what they mean in the file formats: 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and
+    alpha; of more channels the first three are shown.
     Raises `FileError` if the shape or the type isn't an image's.
     """
 

@@ -304,6 +304,13 @@ def test_djpt_matches_mitsuba_with_its_filter() -> None:
     assert_matches(djpt.cornell_box(), spp=64, width=48, rmse=0.1)
 
 
+@pytest.mark.parametrize("name", sorted(djpt.scenes.SCENES))
+def test_same_seed_in_every_built_in_scene(name: str) -> None:
+    """Also with many emitters, where Mitsuba would pick others if it merged them."""
+    result = compare(name, spp=16, width=48, rfilter="box", same_seed=0.995)
+    assert result.passed, str(result)
+
+
 def test_a_wrong_scene_does_not_match() -> None:
     """The same test fails for an albedo that is 4 % off in one of the two renderers."""
     from djpt.validation.compare import djpt_renderer

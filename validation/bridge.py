@@ -35,8 +35,11 @@ def render_in_mitsuba(scene: Mapping[str, Any] | str, spp: int, seed: int = 0) -
     return mitsuba_renderer(described(scene)[1])(spp, seed)
 
 
-def mitsuba_renderer(scene: Mapping[str, Any]) -> Renderer:
+def mitsuba_renderer(scene: Mapping[str, Any], optimize: bool = True) -> Renderer:
     """Load `scene` into Mitsuba once, to be rendered many times.
+
+    `optimize`: Mitsuba merges shapes and materials that look alike, its default and its fastest. Emitters that
+    merge leave the image as it is, but not what a random number picks: for equal seeds pass False.
 
     Raises:
         BackendError: Mitsuba isn't installed, or its variant can't be used.
@@ -44,7 +47,7 @@ def mitsuba_renderer(scene: Mapping[str, Any]) -> Renderer:
     """
     with _variant() as mi:
         try:
-            loaded = mi.load_dict(to_mitsuba(scene))
+            loaded = mi.load_dict(to_mitsuba(scene), optimize=optimize)
         except (RuntimeError, TypeError, ValueError) as error:
             raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
 

@@ -182,6 +182,7 @@ def compare(
     return compare_renderers(
         djpt_renderer(description, schedule),
         mitsuba_renderer(theirs),
+        paired=mitsuba_renderer(theirs, optimize=False),
         name=name,
         spp=spp,
         rmse=rmse,
@@ -221,6 +222,7 @@ def compare_renderers(
     ours: Renderer,
     theirs: Renderer,
     *,
+    paired: Renderer | None = None,
     name: str = "scene",
     spp: int = 64,
     rmse: float | None = None,
@@ -236,7 +238,8 @@ def compare_renderers(
 ) -> Comparison:
     """`compare` for any two functions (spp, seed) -> (H, W, C).
 
-    `same_estimator`: both have the same variance. `independent_pixels`: pixels share no samples (box filter).
+    `paired`: renders the reference of the same-seed pair in place of `theirs`. `same_estimator`: both
+    have the same variance. `independent_pixels`: pixels share no samples (box filter).
     """
     batch_spp, count, reference_count = _plan(spp, reference_spp, batches)
     limits = {key: value for key, value in (("rmse", rmse), ("same_seed", same_seed)) if value is not None}
@@ -255,7 +258,7 @@ def compare_renderers(
                     progress(done, total)
     pair = None
     if same_seed_spp:
-        pair = agreement(ours(same_seed_spp, seed), theirs(same_seed_spp, seed))
+        pair = agreement(ours(same_seed_spp, seed), (paired or theirs)(same_seed_spp, seed))
         if progress:
             progress(total, total)
 
