@@ -20,7 +20,7 @@ def coordinate_system(n: Vector3f) -> tuple[Vector3f, Vector3f]:
     sign = dr.sign(n.z)
     a = -dr.rcp(sign + n.z)
     b = n.x * n.y * a
-    s = Vector3f(dr.mulsign(dr.square(n.x) * a, n.z) + 1, dr.mulsign(b, n.z), dr.mulsign_neg(n.x, n.z))
+    s = Vector3f(dr.mulsign(dr.square(n.x) * a, n.z) + 1, dr.mulsign(b, n.z), -dr.mulsign(n.x, n.z))
     t = Vector3f(b, dr.fma(n.y, n.y * a, sign), -n.y)
     return s, t
 

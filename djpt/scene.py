@@ -56,16 +56,13 @@ class Scene(Plugin):
         if len(integrators) > 1:
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
-        # Mitsuba numbers emitters in this order: free-standing ones first, then those of shapes.
-        self._emitters: list[Emitter] = self._of_kind("emitter")
-        for shape in self._shapes:
-            if shape.emitter is not None:
-                if not isinstance(shape.emitter, Area):
-                    raise SceneError(f"{shape.id}: only an 'area' emitter can be nested in a shape")
-                if shape.emitter.shape not in (None, shape):
-                    raise SceneError(f"{shape.id}: its emitter already belongs to '{shape.emitter.shape.id}'")
-                shape.emitter.shape = shape
-                self._emitters.append(shape.emitter)
+        # Light sampling numbers emitters in the order of the description, those of shapes included.
+        self._emitters: list[Emitter] = []
+        for _, plugin in self.named:
+            if plugin.kind == "emitter":
+                self._emitters.append(plugin)
+            elif plugin.kind == "shape" and plugin.emitter is not None:
+                self._emitters.append(adopt(plugin))
         for emitter in self._emitters:
             if isinstance(emitter, Area) and emitter.shape is None:
                 raise SceneError(f"{emitter.id}: an 'area' emitter must be nested in a shape")
@@ -216,6 +213,13 @@ class Scene(Plugin):
             )
         return si
 
+    def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
+        """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of boxes and rectangles."""
+        if not self._shapes:
+            return UInt32(0)
+        face = self.geometry.local_face(si.prim_index)
+        return self.surfaces.call(si.shape_index, self.lookup, lambda shape: shape.triangle(face, si.uv), None)
+
     def _frame(self, pi: PreliminaryIntersection3f, p: Point3f) -> Frame3f:
         """The shading frame at a hit: flat faces from the unrolled set, curved shapes by their class."""
         flat = [i for i, shape in enumerate(self._shapes) if shape.faces()]
@@ -294,6 +298,17 @@ class Scene(Plugin):
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
 """What may stand at the top level of a scene."""
+
+
+def adopt(shape: Shape) -> Emitter:
+    """The emitter nested in a shape, told which shape it is."""
+    emitter = shape.emitter
+    if not isinstance(emitter, Area):
+        raise SceneError(f"{shape.id}: only an 'area' emitter can be nested in a shape")
+    if emitter.shape not in (None, shape):
+        raise SceneError(f"{shape.id}: its emitter already belongs to '{emitter.shape.id}'")
+    emitter.shape = shape
+    return emitter
 
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission

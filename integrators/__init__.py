@@ -6,13 +6,17 @@ if __name__ != "djpt.integrators":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.integrators instead")
 
 from djpt.description.registry import register_integrator
+from djpt.integrators.aov import AOV
 from djpt.integrators.base import Integrator, PathIntegrator, PathState, Vertex
+from djpt.integrators.depth import Depth
 from djpt.integrators.direct import Direct
 from djpt.integrators.path import Path
 from djpt.integrators.prb import PRB
 
-__all__ = ["PRB", "Direct", "Integrator", "Path", "PathIntegrator", "PathState", "Vertex"]
+__all__ = ["AOV", "PRB", "Depth", "Direct", "Integrator", "Path", "PathIntegrator", "PathState", "Vertex"]
 
 register_integrator("path", Path)
 register_integrator("prb", PRB)
 register_integrator("direct", Direct)
+register_integrator("depth", Depth)
+register_integrator("aov", AOV)

@@ -32,6 +32,11 @@ class Integrator(Plugin):
 
     kind: ClassVar[str] = "integrator"
 
+    needs_light = False
+    """Is every image black without an emitter? `render` then refuses."""
+    writes_color = True
+    """False if the image consists of AOVs alone."""
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
@@ -92,6 +97,8 @@ class PathIntegrator(Integrator):
     continuation, so schedules are free in how they fill lanes, and the replay for gradients calls
     the same code.
     """
+
+    needs_light = True
 
     def start(self, scene: Scene) -> PathState:
         """The state of a path that is about to trace its camera ray."""

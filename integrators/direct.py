@@ -24,6 +24,8 @@ class Direct(Integrator):
     `bsdf_samples` (0 turns a strategy off), `hide_emitters`.
     """
 
+    needs_light = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         if "shading_samples" in props and ("emitter_samples" in props or "bsdf_samples" in props):
@@ -61,7 +63,9 @@ class Direct(Integrator):
 
         # -------------------- BSDF sampling -------------------
         for _ in range(self.bsdf_samples):
-            bs, weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sampler.next_2d(lit), lit)
+            # Direction before lobe: the order in which Mitsuba's `direct` draws them.
+            sample2 = sampler.next_2d(lit)
+            bs, weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sample2, lit)
             ray_b = si.spawn_ray(si.to_world(bs.wo))
             si_b = scene.ray_intersect(ray_b, lit)
             ds = DirectionSample3f.along(ray_b, si_b)

@@ -100,19 +100,19 @@ class HDRFilm(Plugin):
         reach = self.rfilter.radius - 0.5
         return 2 * max(0, -int(-reach // 1)) + 1
 
-    def channel_names(self, aovs: Sequence[str] = ()) -> tuple[str, ...]:
-        """Names of the channels of the developed image."""
-        return CHANNELS[self.pixel_format] + tuple(aovs)
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels of a colour."""
+        return CHANNELS[self.pixel_format]
 
-    def channels(self, color: Color3f, valid: Bool, aovs: Sequence[Float] = ()) -> list[Float]:
-        """What one sample stores: the colour in the film's format, then AOVs."""
+    def channels(self, color: Color3f, valid: Bool) -> list[Float]:
+        """What one sample stores for a colour."""
         if self.pixel_format == "luminance":
             result = [color.x * LUMINANCE[0] + color.y * LUMINANCE[1] + color.z * LUMINANCE[2]]
         else:
             result = [color.x, color.y, color.z]
         if self.pixel_format == "rgba":
             result.append(Float(valid))
-        return result + list(aovs)
+        return result
 
     def tangent_channels(self, color: Color3f) -> list[Float]:
         """The derivative of `channels` in the direction of a change of the colour."""

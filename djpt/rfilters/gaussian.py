@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 
 from djpt.description.properties import Properties
@@ -44,15 +46,22 @@ class Gaussian(ReconstructionFilter):
         self.radius = 4 * self.stddev
 
     def eval(self, x: Float) -> Float:
-        y = dr.square(x * (1 / self.stddev))
-        w = horner(y, MINIMAX)
+        y = dr.square(x)
+        scale = 1 / self.stddev**2
+        w = estrin(y, [c * scale**i for i, c in enumerate(MINIMAX)])
         # Beyond the radius the fit means nothing.
-        return dr.select((y < 16) & (w > 0), w, 0)
+        return dr.select((y < self.radius**2) & (w > 0), w, 0)
 
 
-def horner(x: Float, coefficients: tuple[float, ...]) -> Float:
-    """A polynomial, lowest coefficient first."""
-    result = Float(coefficients[-1])
-    for c in reversed(coefficients[:-1]):
-        result = dr.fma(result, x, c)
-    return result
+def estrin(x: Float, coefficients: Sequence[float | Float]) -> Float:
+    """A polynomial, lowest coefficient first, by Estrin's scheme: pairs in parallel, then pairs of pairs.
+
+    Near the edge terms of size 1 cancel to 1e-6, so the order of operations shows: it is
+    Dr.Jit's, which Mitsuba uses.
+    """
+    if len(coefficients) == 1:
+        return coefficients[0]
+    paired = [dr.fma(x, coefficients[i + 1], coefficients[i]) for i in range(0, len(coefficients) - 1, 2)]
+    if len(coefficients) % 2:
+        paired.append(coefficients[-1])
+    return estrin(dr.square(x), paired)

@@ -76,7 +76,12 @@ class Job:
 
     def channel_count(self) -> int:
         """Channels per pixel of the developed image."""
-        return len(self.film.channel_names(self.integrator.aov_names()))
+        return len(self.channel_names())
+
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels of the developed image."""
+        color = self.film.channel_names() if self.integrator.writes_color else ()
+        return color + tuple(self.integrator.aov_names())
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
@@ -99,7 +104,7 @@ class Job:
 
     def channels(self, color: Color3f, valid: Bool, aovs: list[Float]) -> list[Float]:
         """What one sample stores."""
-        return self.film.channels(color, valid, aovs)
+        return (self.film.channels(color, valid) if self.integrator.writes_color else []) + aovs
 
     def bands(self, pixels: int) -> list[Band]:
         """The grid in bands of whole rows of about `pixels` pixels."""

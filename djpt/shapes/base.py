@@ -144,6 +144,10 @@ class Shape(Plugin):
         """Texture coordinates and dp/du, dp/dv at a point of the surface."""
         raise NotImplementedError
 
+    def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
+        """The number that Mitsuba gives to the primitive under a point; 0 for single-primitive shapes."""
+        return UInt32(0)
+
 
 def opaque_vector(v: NDArray[np.float64]) -> Vector3f:
     """A NumPy 3-vector as an opaque width-1 array."""

@@ -242,6 +242,10 @@ class Cube(Shape):
         _, du, dv = self._face_vectors(face)
         return Point2f(u, v), 2 * du, 2 * dv
 
+    def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
+        # Two triangles per face, cut along the diagonal u + v = 1.
+        return 2 * face + dr.select(uv.x + uv.y < 1, UInt32(1), UInt32(0))
+
 
 def minimum(a: Float, b: Float) -> Float:
     """One instruction where `dr.minimum` takes three: NaNs need no care here."""

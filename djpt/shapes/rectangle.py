@@ -96,3 +96,7 @@ class Rectangle(Shape):
         u = dr.fma(0.5, dr.dot(self.dual_u, local), 0.5)
         v = dr.fma(0.5, dr.dot(self.dual_v, local), 0.5)
         return Point2f(u, v), 2 * self.edge_u, 2 * self.edge_v
+
+    def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
+        # Two triangles, cut along the diagonal u + v = 1.
+        return dr.select(uv.x + uv.y > 1, UInt32(1), UInt32(0))

@@ -1,0 +1,31 @@
+"""Distance to the first surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.integrators.base import Integrator
+from djpt.records import Ray3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["Depth"]
+
+
+class Depth(Integrator):
+    """Distance along the camera ray from the near plane, as a grey colour; 0 on a miss.
+
+    Mitsuba measures from the near plane too: add near_clip / cos for the distance from the camera.
+    """
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        pi = scene.ray_intersect_preliminary(ray, active)
+        valid = pi.is_valid()
+        return Color3f(dr.select(valid, pi.t, 0)), valid, []
