@@ -48,6 +48,12 @@ class Chained(Generic[P]):
         return chained
 
 
+def matrix_of(value: Any) -> Any:
+    """The matrix of a transform (ours or Mitsuba's), or `value` itself."""
+    # Dr.Jit's arrays answer to this name as well: they take it for a swizzle.
+    return value if dr.is_array_v(value) else getattr(value, "matrix", value)
+
+
 class ScalarTransform4f:
     """An affine transform, immutable: a 4x4 float64 matrix that acts on column vectors.
 
@@ -68,7 +74,7 @@ class ScalarTransform4f:
     __array_ufunc__ = None
 
     def __init__(self, matrix: Any = None) -> None:
-        value = np.eye(4) if matrix is None else as_array(getattr(matrix, "matrix", matrix))
+        value = np.eye(4) if matrix is None else as_array(matrix_of(matrix))
         if value.shape != (4, 4):
             raise SceneError(f"must be a 4x4 matrix, found {describe(matrix)} of shape {value.shape}")
         if not np.array_equal(value[3], (0, 0, 0, 1)):
@@ -146,7 +152,7 @@ class ScalarTransform4f:
         """
         if isinstance(other, ScalarTransform4f):
             return ScalarTransform4f(self._matrix @ other._matrix)
-        if hasattr(other, "matrix"):
+        if matrix_of(other) is not other:
             return ScalarTransform4f(self._matrix @ ScalarTransform4f(other)._matrix)
         return self._apply(other, 1.0)
 
