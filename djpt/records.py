@@ -212,13 +212,20 @@ class DirectionSample3f:
     emitter_index: UInt32
 
     @staticmethod
-    def along(ray: Ray3f, si: SurfaceInteraction3f) -> DirectionSample3f:
-        """The hit of a ray described as if its emitter had been sampled from `ray.o`.
+    def between(ref: Point3f, ray: Ray3f, si: SurfaceInteraction3f) -> DirectionSample3f:
+        """The hit of a ray described as if its emitter had been sampled from `ref`.
 
-        `ray.d` must have unit length; `pdf` and `weight` are left at 0.
+        `ray` started at `ref`, moved off the surface there. `pdf` and `weight` are left at 0.
         """
         index = si.scene.emitter_index_at(si)
-        return DirectionSample3f(si.p, si.n, si.uv, ray.d, si.t, Float(0), Float(0), Bool(False), index)
+        to_p = si.p - ref
+        dist_squared = dr.squared_norm(to_p)
+        inv_dist = dr.rsqrt(dist_squared)
+        # On a miss the emitter is the environment, known by its direction alone.
+        d = dr.select(si.valid, to_p * inv_dist, ray.d)
+        return DirectionSample3f(
+            si.p, si.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index
+        )
 
 
 @dataclass

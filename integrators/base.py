@@ -12,7 +12,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -56,6 +56,8 @@ class Integrator(Plugin):
 class PathState:
     """What a path carries from one vertex to the next."""
 
+    p: Point3f
+    """The previous vertex, before rays were moved off its surface."""
     throughput: Color3f
     """Product of the weights f abs(cos) / pdf so far, Russian roulette included."""
     bsdf_pdf: Float

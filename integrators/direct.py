@@ -68,7 +68,7 @@ class Direct(Integrator):
             bs, weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sample2, lit)
             ray_b = si.spawn_ray(si.to_world(bs.wo))
             si_b = scene.ray_intersect(ray_b, lit)
-            ds = DirectionSample3f.along(ray_b, si_b)
+            ds = DirectionSample3f.between(si.p, ray_b, si_b)
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
             emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
             mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)

@@ -8,7 +8,7 @@ from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState, Vertex, mis_weight
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
 __all__ = ["Path"]
 
@@ -38,15 +38,15 @@ class Path(PathIntegrator):
 
     def start(self, scene):  # type: ignore[no-untyped-def]
         eta = Float(1) if scene.refracts else None
-        return PathState(throughput=Color3f(1), bsdf_pdf=Float(0), eta=eta, depth=UInt32(0))
+        return PathState(p=Point3f(0), throughput=Color3f(1), bsdf_pdf=Float(0), eta=eta, depth=UInt32(0))
 
     def vertex(self, scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f) -> Vertex:  # type: ignore[no-untyped-def]
         max_depth = UNBOUNDED if self.max_depth < 0 else self.max_depth
         first = state.depth == 0
 
         # ---------------------- Emission ----------------------
-        ds = DirectionSample3f.along(ray, si)
-        emitter_pdf = scene.pdf_emitter_direction(ray.o, ds)
+        ds = DirectionSample3f.between(state.p, ray, si)
+        emitter_pdf = scene.pdf_emitter_direction(state.p, ds)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, emitter_pdf), 1)
         emitted = state.throughput * mis * si.emitter(scene).eval(si)
         if self.hide_emitters:
@@ -80,7 +80,7 @@ class Path(PathIntegrator):
 
         # ---------------------- Next vertex -------------------
         delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
-        next_state = PathState(throughput, dr.select(delta, 0, bs.pdf), eta, state.depth + 1)
+        next_state = PathState(si.p, throughput, dr.select(delta, 0, bs.pdf), eta, state.depth + 1)
         covered = ~first | si.is_valid() | (scene.environment() is not None and not self.hide_emitters)
         return Vertex(
             emitted=emitted,

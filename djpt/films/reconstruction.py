@@ -34,6 +34,8 @@ def add_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, s
     row = Int32(lane) // width
     column = Int32(lane) - row * width
     start_of_row = row * width
+    film_row = Float(row + dr.opaque(Int32, band.first_row))
+    center, weight = job.on_film(Float(column), film_row) + 0.5, job.film.rfilter.eval
     first_pixel = dr.opaque(UInt32, band.first_row * job.width)
     size, count, first = (dr.opaque(UInt32, n) for n in (pixels, end - begin, begin))
     if sums is None:
@@ -46,12 +48,13 @@ def add_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, s
             inside = (source_column >= 0) & (source_column < width)
             source = UInt32(start_of_row + source_column)
             offset = job.film_offset(source + first_pixel, k + first)
-            # The target lies `reach - i` columns to the right of the source.
-            wx = dr.select(inside, job.film.rfilter.eval(reach - i + 0.5 - offset.x), 0)
+            # Distances come from rounded film positions, as in Mitsuba: in the kernel's tail the rounding shows.
+            position = job.on_film(Float(source_column), film_row) + offset
+            wx = dr.select(inside, weight(center.x - position.x), 0)
             slot = dr.fma(k, size, source)
             values = [dr.gather(Float, s, slot, inside) * wx for s in samples] + [wx]
             for j in range(taps):
-                wy = job.film.rfilter.eval(j - reach + 0.5 - offset.y)
+                wy = weight(center.y + (j - reach) - position.y)
                 for c, value in enumerate(values):
                     at = j * (channels + 1) + c
                     sums[at] = dr.fma(value, wy, sums[at])
@@ -117,6 +120,7 @@ def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: i
     column = Int32(pixel) - row * width
     size, count, first = (dr.opaque(UInt32, n) for n in (pixels, end - begin, begin))
 
+    corner, weight = job.on_film(Float(column), Float(row)), job.film.rfilter.eval
     around = []
     for j in range(taps):
         for i in range(taps):
@@ -126,9 +130,9 @@ def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: i
     buffers = [dr.empty(Float, pixels * (end - begin)) for _ in image]
 
     def body(k: UInt32) -> tuple[UInt32]:
-        offset = job.film_offset(pixel, k + first)
-        wx = [job.film.rfilter.eval(i - reach + 0.5 - offset.x) for i in range(taps)]
-        wy = [job.film.rfilter.eval(j - reach + 0.5 - offset.y) for j in range(taps)]
+        position = corner + job.film_offset(pixel, k + first)
+        wx = [weight(corner.x + (i - reach + 0.5) - position.x) for i in range(taps)]
+        wy = [weight(corner.y + (j - reach + 0.5) - position.y) for j in range(taps)]
         for c, buffer in enumerate(buffers):
             total = Float(0)
             for j in range(taps):

@@ -112,6 +112,7 @@ def restart(ended: Bool, fresh: PathState, state: PathState) -> PathState:
     """The fresh state where a path has ended."""
     eta = None if state.eta is None else dr.select(ended, fresh.eta, state.eta)
     return PathState(
+        state.p,
         dr.select(ended, fresh.throughput, state.throughput),
         dr.select(ended, fresh.bsdf_pdf, state.bsdf_pdf),
         eta,

@@ -61,6 +61,7 @@ class Job:
         self.spp_value = dr.opaque(UInt32, self.spp)
         self.width_value = dr.opaque(UInt32, self.width)
         self._border = dr.opaque(Float, border)
+        self._origin = Point2f(*(dr.opaque(Float, n - border) for n in self.film.crop_offset))
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size]
         self._inverse_crop = Point2f(*inverse)
         self._camera = opaque_copy(self.sensor)
@@ -97,6 +98,10 @@ class Job:
         offset = stream.next_2d()
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
         return self._camera.sample_ray(position * self._inverse_crop)
+
+    def on_film(self, column: Float, row: Float) -> Point2f:
+        """The position on the whole film, in pixels, of the corner of a pixel of the grid."""
+        return Point2f(column, row) + self._origin
 
     def film_offset(self, pixel: UInt32, k: UInt32) -> Point2f:
         """The film offset in [0, 1)^2 of a sample, drawn again."""
