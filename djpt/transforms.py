@@ -165,7 +165,7 @@ class ScalarTransform4f:
         return self._apply(v, 0.0)
 
     def _apply(self, value: Any, w: float) -> Any:
-        if dr.is_jit_v(value) and not dr.is_tensor_v(value) and dr.size_v(value) == 3:
+        if dr.is_array_v(value) and dr.is_jit_v(value) and not dr.is_tensor_v(value) and dr.size_v(value) == 3:
             rows = (
                 dr.fma(float(a), value.x, dr.fma(float(b), value.y, dr.fma(float(c), value.z, float(d) * w)))
                 for a, b, c, d in self._matrix[:3]
@@ -225,6 +225,8 @@ def as_transform(value: Any) -> ScalarTransform4f:
     Raises:
         SceneError: not an affine 4x4 matrix, not finite, or singular.
     """
+    if value is None:
+        raise SceneError("must be a 4x4 matrix, found None")
     transform = value if isinstance(value, ScalarTransform4f) else ScalarTransform4f(value)
     if transform.is_singular():
         raise SceneError(f"must be invertible, found a singular matrix: {transform.matrix.tolist()}")

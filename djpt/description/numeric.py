@@ -34,7 +34,8 @@ def describe(value: Any) -> str:
         text = " ".join(_shorten.repr(value).split())
     except Exception:  # a foreign object may fail in its own repr
         text = ""
-    return f"{type(value).__name__} {text}".rstrip()
+    name = type(value).__name__
+    return text if text.startswith(name) else f"{name} {text}".rstrip()
 
 
 def is_readable() -> bool:
@@ -72,9 +73,7 @@ def as_array(value: Any) -> NDArray[np.float64]:
 
 def as_number(value: Any) -> float:
     """A finite float; raises `SceneError`."""
-    if value is None or isinstance(value, (bool, str, bytes, dict, list, tuple)):
-        raise SceneError(f"must be a float, found {describe(value)}")
-    if isinstance(value, (int, float)):
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
         try:
             number = float(value)
         except OverflowError:
@@ -83,6 +82,8 @@ def as_number(value: Any) -> float:
         if not abs(number) <= LARGEST:
             raise SceneError(f"must be finite in single precision, found {describe(value)}")
         return number
+    if not (isinstance(value, (np.ndarray, np.number)) or dr.is_array_v(value)):
+        raise SceneError(f"must be a float, found {describe(value)}")
     array = as_array(value)
     if array.ndim != 0:
         raise SceneError(f"must be a float, found {describe(value)}")

@@ -63,6 +63,9 @@ class Plugin:
     def __init__(self, props: Properties) -> None:
         self.id = props.id
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.id!r})"
+
     def traverse(self, callback: TraversalCallback) -> None:
         """Report all parameters; by default the `values` and the `children`."""
         for name, flags in self.values.items():

@@ -82,6 +82,7 @@ MITSUBA = {
 """Plugins of Mitsuba 3.9.1 by kind, for the message about those that djpt doesn't have."""
 
 _plugins: dict[str, tuple[str, Factory]] = {}
+_own_names: set[str] = set()
 _own_packages_imported = False
 
 
@@ -98,11 +99,21 @@ def register(kind: str, name: str, factory: Factory) -> None:
     if not callable(factory):
         raise SceneError(f"register_{kind}: the factory of '{name}' must be callable, found {factory!r}")
     known = _plugins.get(name)
-    if known is not None and known[0] != kind:
-        raise SceneError(f"register_{kind}: '{name}' is the name of a {known[0]} already")
-    if known is not None and is_own(factory) and not is_own(known[1]):
+    taken = known[0] if known is not None else home_of(name)
+    if taken not in (None, kind):
+        # Mitsuba's names count, also those that djpt lacks: a description must mean the same in both.
+        raise SceneError(f"register_{kind}: '{name}' is the name of another kind of plugin already: {taken}")
+    first_own = is_own(factory) and name not in _own_names
+    if first_own:
+        _own_names.add(name)
+    if first_own and known is not None and not is_own(known[1]):
         return  # the user replaced a plugin of djpt before its package was imported
     _plugins[name] = (kind, factory)
+
+
+def home_of(name: str) -> str | None:
+    """The kind that a name has in Mitsuba, or None."""
+    return next((kind for kind, names in MITSUBA.items() if name in names.split()), None)
 
 
 def is_own(factory: Factory) -> bool:
@@ -182,7 +193,7 @@ def lookup(kind: str | None, name: str) -> Factory:
     if name in _plugins:
         raise SceneError(f"expected a {kind}, found the {_plugins[name][0]} '{name}'")
     what = kind or "plugin"
-    home = next((of for of, names in MITSUBA.items() if name in names.split()), None)
+    home = home_of(name)
     if home is not None and kind in (None, home):
         own = ", ".join(sorted(registered(home))) or f"no {home} at all"
         raise SceneError(f"Mitsuba's {home} '{name}' isn't supported yet; supported: {own}")

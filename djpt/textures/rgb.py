@@ -56,7 +56,7 @@ class ConstantTexture(Texture):
     @staticmethod
     def _convert(value: Any) -> Color3f:
         """A width-1 colour from any accepted form; Dr.Jit arrays stay attached to their gradients."""
-        jit = dr.is_jit_v(value) and not dr.is_tensor_v(value)
+        jit = dr.is_array_v(value) and dr.is_jit_v(value) and not dr.is_tensor_v(value)
         if jit and not is_readable():
             return Color3f(value)
         numbers = as_array(dr.detach(value) if jit else value)
