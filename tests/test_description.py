@@ -196,7 +196,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
         r"^scene\.white: unknown key 'reflectence' \(a texture\) of bsdf 'diffuse'; did you mean 'reflectance'\?",
     ),
     "number in a scene": (scene(a=3), r"^scene: unknown key 'a' of 'scene'$"),
-    "box in a sphere": (sphere(a={"type": "box"}), r"^scene\.ball: unknown key 'a' \(a rfilter\) of shape 'sphere'"),
+    "box in a sphere": (sphere(a={"type": "box"}), r"^scene\.ball: unknown key 'a' \(an rfilter\) of shape 'sphere'"),
     "two names": (
         scene(a={"type": "cube", "id": "x"}, b={"type": "cube", "id": "x"}),
         r"^scene\.b: the name 'x' is taken already by scene\.a$",
@@ -380,9 +380,9 @@ def test_registering_again_replaces() -> None:
 
 
 def test_factories_are_checked() -> None:
-    with pytest.raises(SceneError, match="register_bsdf: 'sphere' is the name of another kind .*: shape"):
+    with pytest.raises(SceneError, match=r"register_bsdf: 'sphere' is the name of another kind .*: shape"):
         djpt.register_bsdf("sphere", Stripes)
-    with pytest.raises(SceneError, match="register_bsdf: 'envmap' is the name of another kind .*: emitter"):
+    with pytest.raises(SceneError, match=r"register_bsdf: 'envmap' is the name of another kind .*: emitter"):
         djpt.register_bsdf("envmap", Stripes)
     with pytest.raises(SceneError, match="register_bsdf: a plugin's name must be a string, found 3"):
         djpt.register_bsdf(3, Stripes)  # type: ignore[arg-type]
@@ -394,7 +394,7 @@ def test_factories_are_checked() -> None:
 
 
 def test_lookup_by_kind() -> None:
-    with pytest.raises(SceneError, match="expected a bsdf, found the shape 'sphere'"):
+    with pytest.raises(SceneError, match="expected the kind 'bsdf', found the shape 'sphere'"):
         registry.lookup("bsdf", "sphere")
     with pytest.raises(SceneError, match="unknown film 'hdrfil'; did you mean 'hdrfilm'"):
         registry.lookup("film", "hdrfil")

@@ -132,7 +132,7 @@ REFUSED = {
     "shutter": ({"shutter_open": 1.0, "shutter_close": 0.5}, r"'shutter_close' must not be less than 'shutter_open'"),
     "scale": ({"to_world": T().scale(2)}, r"perspective: 'to_world' must not scale"),
     "unknown": ({"fow": 30}, r"perspective: unknown key 'fow' of sensor 'perspective'; did you mean 'fov'\?"),
-    "film": ({"film": {"type": "box"}}, r"perspective: unknown key 'film' \(a rfilter\)"),
+    "film": ({"film": {"type": "box"}}, r"perspective: unknown key 'film' \(an rfilter\)"),
     "two films": (
         {"a": {"type": "hdrfilm"}, "b": {"type": "hdrfilm"}},
         r"'perspective' takes one film, found 2: 'a', 'b'",

@@ -203,7 +203,7 @@ class Properties:
         """The plugin of `kind` under one key."""
         value = self._take(key, default)
         if key in self._values and not (isinstance(value, Plugin) and value.kind == kind):
-            raise self.error(key, f"must be a {kind}, found {name_of(value)}")
+            raise self.error(key, f"must be {article(kind)}, found {name_of(value)}")
         return value
 
     def child(self, kind: str, default: Any = None) -> Any:
@@ -231,7 +231,7 @@ class Properties:
         for key, value in self._values.items():
             if key in self._used or key in self._asked:
                 continue
-            held = f" (a {value.kind})" if isinstance(value, Plugin) else ""
+            held = f" ({article(value.kind)})" if isinstance(value, Plugin) else ""
             raise SceneError(f"{self.node}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
 
 
@@ -239,4 +239,9 @@ def name_of(value: Any) -> str:
     """What an entry is, for a message: ``the film 'hdrfilm'``, ``str 'abc'``."""
     if not isinstance(value, Plugin):
         return describe(value)
-    return f"the {value.kind} '{value.id}'" if value.id else f"a {value.kind}"
+    return f"the {value.kind} '{value.id}'" if value.id else article(value.kind)
+
+
+def article(kind: str) -> str:
+    """``a film``, ``an emitter``."""
+    return f"{'an' if kind[:1] in 'aeio' or kind == 'rfilter' else 'a'} {kind}"

@@ -191,7 +191,7 @@ def lookup(kind: str | None, name: str) -> Factory:
     if name in _plugins and kind in (None, _plugins[name][0]):
         return _plugins[name][1]
     if name in _plugins:
-        raise SceneError(f"expected a {kind}, found the {_plugins[name][0]} '{name}'")
+        raise SceneError(f"expected the kind '{kind}', found the {_plugins[name][0]} '{name}'")
     what = kind or "plugin"
     home = home_of(name)
     if home is not None and kind in (None, home):
