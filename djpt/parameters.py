@@ -302,7 +302,7 @@ def state_of(value: Any) -> Any:
 def convert(value: Any, current: Any) -> Any:
     """`value` as the type of `current`, copied if it is an array; raises `SceneError`."""
     if dr.is_array_v(current):
-        return convert_array(value, type(current))
+        return convert_array(value, current)
     if isinstance(current, (bool, int, float, str)) and type(value) is not type(current):
         if isinstance(current, float):
             return as_number(value)
@@ -314,23 +314,31 @@ def convert(value: Any, current: Any) -> Any:
     return value
 
 
-def convert_array(value: Any, target: Any) -> Any:
-    """`value` as a finite Dr.Jit array of type `target`, copied, attached to the same gradients."""
-    if dr.is_array_v(value):
-        if dr.is_integral_v(target) and dr.is_float_v(value):
-            raise SceneError(f"must be integers, found {describe(value)}")
-        parts = [value]
-    else:
+def convert_array(value: Any, current: Any) -> Any:
+    """`value` as a finite array of the type of `current`, copied, attached to the same gradients.
+
+    Where `current` is uniform (of width 1), the result must be, too.
+    """
+    target = type(current)
+    fixed = not dr.is_tensor_v(target) and dr.size_v(target) > 0
+    wanted = f"{dr.size_v(target)} numbers" if fixed else "numbers"
+    if dr.is_integral_v(target) and dr.is_array_v(value) and not dr.is_integral_v(value):
+        raise SceneError(f"must be integers, found {describe(value)}")
+    parts = [value]
+    if not dr.is_array_v(value):
         array = as_array(value)
         if dr.is_integral_v(target) and (array != np.round(array)).any():
             raise SceneError(f"must be integers, found {describe(value)}")
         array = array.astype(np.float32 if dr.is_float_v(target) else np.int64)
-        fixed = not dr.is_tensor_v(target) and dr.size_v(target) > 0
-        parts = array.tolist() if fixed and array.ndim == 1 else [array if dr.is_tensor_v(target) else array.ravel()]
+        if fixed and array.shape != (dr.size_v(target),):
+            raise SceneError(f"must be {wanted}, found {describe(value)}")
+        parts = array.tolist() if fixed else [array if dr.is_tensor_v(target) else array.ravel()]
     try:
         converted = target(*parts)
     except Exception as error:
-        raise SceneError(f"must be a {target.__name__}, found {describe(value)}") from error
-    if is_readable() and not dr.all(dr.isfinite(dr.detach(converted)), axis=None):
-        raise SceneError(f"must be finite, found {describe(value)}")
+        raise SceneError(f"must be {wanted}, found {describe(value)}") from error
+    if not dr.is_tensor_v(target) and dr.width(current) == 1 != dr.width(converted):
+        raise SceneError(f"must be {wanted}, found {describe(value)}")
+    if is_readable():
+        as_array(dr.detach(converted))  # for its check that they are finite
     return converted

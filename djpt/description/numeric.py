@@ -56,7 +56,7 @@ def as_array(value: Any) -> NDArray[np.float64]:
     if jit and dr.grad_enabled(value):
         raise SceneError("must be plain numbers, found an array with gradients, which would be lost here")
     try:
-        found = np.array(dr.detach(value) if jit else value)
+        found = from_device(dr.detach(value)) if jit else np.array(value)
         if found.dtype.kind not in "iuf":
             raise SceneError(f"must be numbers, found {describe(value)}")
         array = found.astype(np.float64)
@@ -64,11 +64,25 @@ def as_array(value: Any) -> NDArray[np.float64]:
         raise
     except Exception as error:
         raise SceneError(f"must be numbers, found {describe(value)}") from error
-    if jit and dr.is_jit_v(value) and array.ndim == dr.depth_v(value) and array.shape[-1] == 1:
-        array = array[..., 0]  # the last axis counts lanes
     if not (np.abs(array) <= LARGEST).all():
         raise SceneError(f"must be finite in single precision, found {describe(value)}")
     return array
+
+
+def from_device(value: Any) -> NDArray[Any]:
+    """The contents of a Dr.Jit array; lanes are the last axis, unless there is only one.
+
+    NumPy's own conversion would compile a kernel to interleave the components, and another one for
+    every new literal.
+    """
+    if not dr.is_jit_v(value) or dr.is_tensor_v(value) or dr.width(value) != 1:
+        return np.array(value)
+    dr.eval(value)
+
+    def read(part: Any) -> Any:
+        return part[0] if dr.depth_v(part) == 1 else [read(component) for component in part]
+
+    return np.array(read(value))
 
 
 def as_number(value: Any) -> float:
