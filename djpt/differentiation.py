@@ -13,7 +13,7 @@ offer `sample` by Dr.Jit's automatic differentiation of their code.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import drjit as dr
 
@@ -34,6 +34,7 @@ from djpt.schedules.passes import (
     stored_image,
     stored_passes,
 )
+from djpt.tracing import begin_trace
 from djpt.types import Float, TensorXf, UInt32
 
 __all__ = ["differentiable_image", "gradient_seed"]
@@ -69,15 +70,17 @@ class Derivative(Protocol):
 class ImageOp(dr.CustomOp):
     """An image with its derivative."""
 
-    def eval(self, values: list[Any], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:  # type: ignore[override]
+    def eval(self, values: list[Any], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
         self.derivative = derivative
         return primal()
 
     def backward(self) -> None:
-        self.set_grad_in("values", self.derivative.backward(self.grad_out()))
+        begin_trace()
+        self.set_grad_in("values", self.derivative.backward(cast(TensorXf, self.grad_out())))
 
     def forward(self) -> None:
-        self.set_grad_out(self.derivative.forward(list(self.grad_in("values"))))
+        begin_trace()
+        self.set_grad_out(self.derivative.forward(list(cast("list[Any]", self.grad_in("values")))))
 
     def name(self) -> str:
         return "djpt.render"

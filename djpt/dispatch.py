@@ -135,7 +135,7 @@ class Group(Generic[P]):
         """All values of the group, children's included."""
 
         def walk(tree: dict[str, Any]) -> list[Leaf]:
-            found = []
+            found: list[Leaf] = []
             for node in tree.values():
                 found += walk(node) if isinstance(node, dict) else [node]
             return found

@@ -81,10 +81,9 @@ class Flat:
     def __init__(self, rows: Sequence[Any]) -> None:
         self.dtype = type(rows[0])
         self.size = len(rows)
-        components = [c for row in rows for c in (row if dr.depth_v(row) > 1 else (row,))]
-        packed = dr.concat([dr.ravel(c) if dr.depth_v(c) > 1 else c for c in components])
+        components: list[Any] = [c for row in rows for c in (row if dr.depth_v(row) > 1 else (row,))]
         # An own, aligned buffer: gathers from literals or shared memory don't become packet loads.
-        self.data = packed
+        self.data: Any = dr.concat(components)
         dr.make_opaque(self.data)
 
     def gather(self, index: UInt32, active: Bool | bool = True) -> Any:

@@ -6,7 +6,8 @@ that scripts written against Mitsuba's `BSDFPtr` and `EmitterPtr` run unchanged.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -15,6 +16,7 @@ from djpt.records import BSDFContext, BSDFSample3f, DirectionSample3f, SurfaceIn
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
+    from djpt.materials import BSDF
     from djpt.scene import Scene
 
 __all__ = ["BSDFPtr", "EmitterPtr"]
@@ -43,10 +45,8 @@ class BSDFPtr:
         bs, weight = self._call(lambda bsdf: bsdf.sample(ctx, si, sample1, sample2, active))
         return bs, dr.select(active, weight, 0)
 
-    def eval(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> Color3f:
-        """f abs(cos); 0 on inactive lanes."""
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        """F abs(cos); 0 on inactive lanes."""
         return dr.select(active, self._call(lambda bsdf: bsdf.eval(ctx, si, wo, active)), 0)
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
@@ -77,7 +77,7 @@ class BSDFPtr:
         value = self._call(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
         return dr.select(active, value, 0)
 
-    def _call(self, method):  # type: ignore[no-untyped-def]
+    def _call(self, method: Callable[[BSDF], Any]) -> Any:
         # Every surface has a BSDF, so no value is needed for "none".
         return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None)
 
@@ -110,9 +110,7 @@ class EmitterPtr:
     ) -> tuple[DirectionSample3f, Color3f]:
         """A direction towards the emitter; weight 0 where there is none."""
         scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
-        ds, weight = scene.lights.call(
-            self.index, scene.lookup, lambda e: e.sample_direction(p, sample, active), None
-        )
+        ds, weight = scene.lights.call(self.index, scene.lookup, lambda e: e.sample_direction(p, sample, active), None)
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
 

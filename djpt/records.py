@@ -223,9 +223,7 @@ class DirectionSample3f:
         inv_dist = dr.rsqrt(dist_squared)
         # On a miss the emitter is the environment, known by its direction alone.
         d = dr.select(si.valid, to_p * inv_dist, ray.d)
-        return DirectionSample3f(
-            si.p, si.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index
-        )
+        return DirectionSample3f(si.p, si.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index)
 
 
 @dataclass

@@ -13,11 +13,13 @@ from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
 from djpt.schedules.passes import primal_image
+from djpt.tracing import begin_trace
 from djpt.types import TensorXf
 
 __all__ = ["render"]
 
 SCHEDULES = ("auto", "flat", "wave")
+
 
 def render(
     scene: Scene,
@@ -57,6 +59,7 @@ def render(
     Raises:
         RenderError: Nothing to render, or arguments out of range.
     """
+    begin_trace()
     job = make_job(scene, sensor, integrator, seed, spp, progress)
     check_count("spp_grad", spp_grad)
     check_count("pass_spp", pass_spp)

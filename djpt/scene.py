@@ -6,9 +6,8 @@ import copy
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import numpy as np
-
 import drjit as dr
+import numpy as np
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties

@@ -159,7 +159,7 @@ def wide(record: Any, lanes: int) -> Any:
     """A record with all fields at full width: loop state must not start as width-1 variables."""
     if record is None:
         return None
-    if is_dataclass(record):
+    if is_dataclass(record) and not isinstance(record, type):
         return type(record)(**{f.name: wide(getattr(record, f.name), lanes) for f in fields(record)})
     if not dr.is_array_v(record):
         return record

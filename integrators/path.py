@@ -6,6 +6,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState, Vertex, mis_weight
+from djpt.minmax import maximum, minimum
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
@@ -96,13 +97,3 @@ class Path(PathIntegrator):
     def roulette_depth(self, depth: UInt32) -> UInt32:
         """The depth that is compared with `rr_depth`: that of the next vertex."""
         return depth + 1
-
-
-def minimum(a: Float, b: Float) -> Float:
-    """One instruction where `dr.minimum` takes three: NaNs need no care here."""
-    return dr.select(a < b, a, b)
-
-
-def maximum(a: Float, b: Float) -> Float:
-    """The counterpart of `minimum`."""
-    return dr.select(a > b, a, b)

@@ -44,9 +44,7 @@ class BSDF(Plugin):
         """Sample `wo`; `sample1` picks the lobe, `sample2` the direction."""
         raise NotImplementedError
 
-    def eval(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> Color3f:
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
         """f(wi, wo) abs(cos theta_o)."""
         raise NotImplementedError
 

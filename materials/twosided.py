@@ -38,10 +38,8 @@ class TwoSided(BSDF):
         self.back = nested[1] if len(nested) == 2 else None
 
     def traverse(self, callback: TraversalCallback) -> None:
-        if self.back is None:
-            callback.put("nested_bsdf", self.front)
-        else:
-            callback.put("brdf_0", self.front)
+        callback.put("brdf_0", self.front)
+        if self.back is not None:
             callback.put("brdf_1", self.back)
 
     def flags(self) -> int:
@@ -70,9 +68,7 @@ class TwoSided(BSDF):
         wo = Vector3f(bs.wo.x, bs.wo.y, dr.select(behind, -bs.wo.z, bs.wo.z))
         return BSDFSample3f(wo, bs.pdf, bs.eta, bs.sampled_type, bs.sampled_component), weight
 
-    def eval(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> Color3f:
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
         return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.errors import ParameterError
 from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f
 
@@ -30,6 +31,11 @@ class Emitter(Plugin):
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.sampling_weight)
         super().traverse(callback)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "sampling_weight" and not float(value) >= 0:
+            raise ParameterError(f"{self.id}.sampling_weight: must be at least 0, found {value}")
+        return super().check_parameter(name, value)
 
     def flags(self) -> int:
         """The `EmitterFlags`."""

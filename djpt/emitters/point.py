@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import drjit as dr
 
@@ -23,7 +24,7 @@ class PointLight(Emitter):
     (texture, W sr^-1, default 1, not negative).
     """
 
-    values = {"position": ParamFlags.NonDifferentiable}
+    values: ClassVar[Mapping[str, ParamFlags]] = {"position": ParamFlags.NonDifferentiable}
     children = ("intensity",)
 
     def __init__(self, props: Properties) -> None:

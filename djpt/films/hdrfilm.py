@@ -54,9 +54,8 @@ class HDRFilm(Plugin):
         for axis in range(2):
             if size[axis] < 1 or offset[axis] + size[axis] > self.size[axis]:
                 name = ("width", "height")[axis]
-                raise SceneError(
-                    f"{node}: crop of {name} {size[axis]} at offset {offset[axis]} doesn't fit in {self.size[axis]} pixels"
-                )
+                place = f"{size[axis]} at offset {offset[axis]}"
+                raise SceneError(f"{node}: a crop of {name} {place} doesn't fit in {self.size[axis]} pixels")
 
     # ---- parameters -------------------------------------------------------------
 

@@ -11,10 +11,11 @@ next render compiles a kernel for the new structure.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
 import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
 
 from djpt.lookup import as_float
 from djpt.records import Ray3f
@@ -27,25 +28,25 @@ ALIGNED = 2e-7
 
 
 class Axis:
-    """A unit direction, up to its sign. Coordinate axes are known at trace time."""
+    """A unit direction, up to its sign.
 
-    def __init__(self, direction: NDArray[np.float64]) -> None:
+    Coordinate axes are known at trace time, unless `movable`: an axis that came into being by an
+    edit stays a value even if it happens to be one, so that the next edit compiles nothing.
+    """
+
+    def __init__(self, direction: NDArray[np.float64], movable: bool = False) -> None:
         self.users = 0
         self.assign(direction)
         unit = np.eye(3)[int(np.argmax(np.abs(direction)))]
-        self.coordinate = int(np.argmax(unit)) if np.abs(direction - unit).max() < ALIGNED else None
-        if self.coordinate is not None:
+        aligned = not movable and np.abs(direction - unit).max() < ALIGNED
+        self.coordinate = int(np.argmax(unit)) if aligned else None
+        if aligned:
             self.vector = Vector3f(*(float(x) for x in unit))
 
     def assign(self, direction: NDArray[np.float64]) -> None:
         """Take a new direction; for axes with one user, whose kernels read `vector` as a value."""
         self.direction = direction
         self.vector = Vector3f(*(as_float(x) for x in direction))
-
-    @property
-    def movable(self) -> bool:
-        """Can the direction change without changing the structure?"""
-        return self.coordinate is None and self.users == 1
 
     def dot(self, v: Vector3f) -> Float:
         """The component of `v` along the axis."""
@@ -77,37 +78,60 @@ class AxisPool:
     def __init__(self) -> None:
         self.axes: list[Axis] = []
 
-    def find(self, direction: NDArray[np.float64], previous: SignedAxis | None = None) -> SignedAxis:
-        """The axis for a shape's direction.
+    def find(
+        self, directions: Sequence[NDArray[np.float64]], previous: Sequence[SignedAxis] | None = None
+    ) -> tuple[SignedAxis, ...]:
+        """The axes for a shape's directions.
 
-        Without `previous`, an existing axis of that direction or a new one. With `previous`
-        (the shape was edited), the same axis if it still fits or can move, else one of its own.
+        Without `previous`, existing axes of those directions or new ones. With `previous` (the shape
+        was edited), the same axes where they still fit or can move along, else axes of its own.
         """
-        unit, negative = canonical(direction)
         if previous is None:
-            for axis in self.axes:
-                if np.abs(axis.direction - unit).max() < ALIGNED:
-                    axis.users += 1
-                    return SignedAxis(axis, negative)
-        else:
-            axis = previous.axis
+            return tuple(self._join(direction) for direction in directions)
+        self._move_private(directions, previous)
+        kept = [self._keep(d, p) for d, p in zip(directions, previous, strict=True)]
+        if all(signed is not None for signed in kept):
+            return tuple(signed for signed in kept if signed is not None)
+        # An alignment has ended. The shape leaves all its axes at once, so that this happens once.
+        for signed in previous:
+            signed.axis.users -= 1
+        own = AxisPool()
+        result = tuple(own._join(d, movable=True) for d in directions)
+        self.axes.extend(own.axes)
+        return result
+
+    def _join(self, direction: NDArray[np.float64], movable: bool = False) -> SignedAxis:
+        unit, negative = canonical(direction)
+        for axis in self.axes:
             if np.abs(axis.direction - unit).max() < ALIGNED:
-                return SignedAxis(axis, negative)
-            if axis.movable:
-                # Keep the old sense if possible: flipping the vector is a value, the sense is structure.
-                if negative != previous.negative:
-                    unit, negative = -unit, previous.negative
-                axis.assign(unit)
-                return SignedAxis(axis, negative)
-            axis.users -= 1
-        axis = Axis(unit)
-        if previous is not None and axis.coordinate is not None:
-            # An axis that came into being by an edit stays a value: the next edit must not recompile.
-            axis.coordinate = None
-            axis.assign(unit)
-        axis.users = 1
-        self.axes.append(axis)
+                break
+        else:
+            axis = Axis(unit, movable)
+            self.axes.append(axis)
+        axis.users += 1
         return SignedAxis(axis, negative)
+
+    def _move_private(self, directions: Sequence[NDArray[np.float64]], previous: Sequence[SignedAxis]) -> None:
+        """Turn the axes that only this shape uses, where all its uses agree on the new direction."""
+        for axis in {id(signed.axis): signed.axis for signed in previous}.values():
+            wanted = [
+                d / np.linalg.norm(d) * (-1 if signed.negative else 1)
+                for d, signed in zip(directions, previous, strict=True)
+                if signed.axis is axis
+            ]
+            agree = all(np.abs(w - wanted[0]).max() < ALIGNED for w in wanted)
+            if axis.coordinate is None and axis.users == len(wanted) and agree:
+                axis.assign(wanted[0])
+
+    def _keep(self, direction: NDArray[np.float64], previous: SignedAxis) -> SignedAxis | None:
+        """The previous axis if it still has the direction."""
+        sense = -1 if previous.negative else 1
+        unit = direction / np.linalg.norm(direction) * sense
+        if np.abs(previous.axis.direction - unit).max() < ALIGNED:
+            return previous
+        if np.abs(previous.axis.direction + unit).max() < ALIGNED:
+            return SignedAxis(previous.axis, not previous.negative)
+        return None
 
 
 class ProjectedRay:

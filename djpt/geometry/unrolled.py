@@ -16,16 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 
-import numpy as np
-
 import drjit as dr
+import numpy as np
 
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.lookup import choose, is_one_of
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.base import Shape
-from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Point3f, UInt32, Vector3f
 
 __all__ = ["Unrolled"]
 
@@ -114,7 +113,9 @@ class Unrolled:
 
     # ---- queries -------------------------------------------------------------------
 
-    def closest(self, ray: Ray3f, skip: Sequence[bool] | None = None, skipping: Bool | None = None) -> PreliminaryIntersection3f:
+    def closest(
+        self, ray: Ray3f, skip: Sequence[bool] | None = None, skipping: Bool | None = None
+    ) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt; `prim_index` is a face number of this set.
 
         Shapes marked in `skip` are ignored by the lanes where `skipping` is true.

@@ -49,11 +49,11 @@ class Gaussian(ReconstructionFilter):
     def eval(self, x: Float) -> Float:
         y = dr.square(x)
         scale = 1 / self.stddev**2
-        w = estrin(y, [c * scale**i for i, c in enumerate(MINIMAX)])
+        w = estrin(y, [Float(c * scale**i) for i, c in enumerate(MINIMAX)])
         return dr.select(w > 0, w, 0)
 
 
-def estrin(x: Float, coefficients: Sequence[float | Float]) -> Float:
+def estrin(x: Float, coefficients: Sequence[Float]) -> Float:
     """A polynomial, lowest coefficient first, by Estrin's scheme: pairs in parallel, then pairs of pairs.
 
     Near the edge terms of size 1 cancel to 1e-6, so the order of operations shows: it is

@@ -31,4 +31,4 @@ class Lanczos(ReconstructionFilter):
         b = a * (1 / self.radius)
         value = dr.sin(a) * dr.sin(b) * dr.rcp(a * b)
         # At the centre the quotient is 0/0 and its limit 1.
-        return dr.select(x < 1e-4, 1, dr.select(x < self.radius, value, 0))
+        return dr.select(x < 1e-4, Float(1), dr.select(x < self.radius, value, 0))

@@ -8,7 +8,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.types import Bool, Float, Point2f, UInt32
 
-__all__ = ["Sampler", "SampleStream"]
+__all__ = ["SampleStream", "Sampler"]
 
 
 class SampleStream(Protocol):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 from djpt.hashing import sample_tea_32
 from djpt.samplers.base import Sampler
 from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
@@ -15,18 +17,18 @@ MULTIPLIER = 0x5851F42D4C957F2D
 class IndependentStream:
     """A PCG32 generator (M. O'Neill, 2014) per lane."""
 
-    DRJIT_STRUCT = {"rng": PCG32}
+    DRJIT_STRUCT: ClassVar[dict[str, Any]] = {"rng": PCG32}
 
     def __init__(self, rng: PCG32 | None = None) -> None:
         if rng is not None:
             self.rng = rng
 
     def next_1d(self, active: Bool | bool = True) -> Float:
-        return self.rng.next_float32(active)
+        return self.rng.next_float32(Bool(active))
 
     def next_2d(self, active: Bool | bool = True) -> Point2f:
-        x = self.rng.next_float32(active)
-        return Point2f(x, self.rng.next_float32(active))
+        x = self.rng.next_float32(Bool(active))
+        return Point2f(x, self.rng.next_float32(Bool(active)))
 
 
 class Independent(Sampler):

@@ -62,6 +62,7 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sum
     assert isinstance(integrator, PathIntegrator)
     scene, lanes = job.scene, dr.width(pixel)
     x, y = job.coordinates(pixel)
+    slot_stride = dr.opaque(UInt32, lanes)
     sampler = job.stream(pixel, first)
     ray = job.camera_ray(sampler, x, y)
     start = Lane(
@@ -88,7 +89,7 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sum
             slot = lane.slot
         else:
             store(lane.slot, channels, ended)
-            sink, slot = lane.sink, dr.select(ended, lane.slot + lanes, lane.slot)
+            sink, slot = lane.sink, dr.select(ended, lane.slot + slot_stride, lane.slot)
         k = dr.select(ended, lane.k + stride, lane.k)
         fresh = job.stream(pixel, lane.k + stride)
         camera_ray = job.camera_ray(fresh, x, y)

@@ -91,7 +91,8 @@ def run(job: Job, values: Detached, parameters: list[Parameter], lanes: Lanes, m
     x, y = job.coordinates(lanes.pixel)
     sampler = job.stream(lanes.pixel, lanes.first)
     slot = dr.arange(UInt32, count)
-    delta = dr.zeros(Color3f, count)
+    slot_stride = dr.opaque(UInt32, count)
+    delta: Any = dr.zeros(Color3f, count)
     if isinstance(mode, Reverse):
         delta = mode.delta if mode.adjoint is None else mode.adjoint(slot, Bool(True))
     start = Lane(
@@ -121,7 +122,8 @@ def run(job: Job, values: Detached, parameters: list[Parameter], lanes: Lanes, m
             scattered = v.weight * dr.select(weight != 0, radiance * dr.rcp(weight), 0)
             outgoing = here + dr.select(v.active, scattered, 0)
             if isinstance(mode, Reverse):
-                dr.backward(dr.dot(outgoing, dr.select(lane.again, lane.delta, 0)))
+                adjoint: Any = dr.select(lane.again, lane.delta, 0)
+                dr.backward(dr.dot(outgoing, adjoint))
                 delta, sums = lane.delta, mode.accumulator.add(lane.sums, leaves, lane.again)
             else:
                 change = dr.forward_to(outgoing) if dr.grad_enabled(outgoing) else Color3f(0)
@@ -131,7 +133,7 @@ def run(job: Job, values: Detached, parameters: list[Parameter], lanes: Lanes, m
         ended = ~v.active
         finished = ended & lane.again
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
-        next_slot = dr.select(finished, lane.slot + count, lane.slot)
+        next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
         if isinstance(mode, Reverse):
             if mode.adjoint is not None:
                 delta = dr.select(finished, mode.adjoint(next_slot, finished & (k < lanes.end)), delta)

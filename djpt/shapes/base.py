@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-import drjit as dr
-
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.errors import ParameterError
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.records import DirectionSample3f, PositionSample3f
-from djpt.transforms import ScalarTransform4f, as_transform
+from djpt.transforms import as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Face", "Hit", "Shape"]
@@ -75,6 +75,10 @@ class Shape(Plugin):
         callback.put("to_world", self.to_world, ParamFlags.Differentiable | ParamFlags.Discontinuous)
 
     def check_parameter(self, name: str, value: Any) -> Any:
+        if dr.grad_enabled(value):
+            raise ParameterError(f"{self.id}.{name}: gradients by geometry aren't available")
+        if name == "silhouette_sampling_weight" and not float(value) >= 0:
+            raise ParameterError(f"{self.id}.{name}: must be at least 0, found {value}")
         return as_transform(value) if name == "to_world" else value
 
     # ---- on the host: where the shape is -----------------------------------------
@@ -102,6 +106,14 @@ class Shape(Plugin):
         raise NotImplementedError
 
     # ---- in kernels, once per class ----------------------------------------------
+
+    def normal_at(self, p: Point3f) -> Vector3f:
+        """Curved shapes: the unit normal at a surface point."""
+        raise NotImplementedError
+
+    def tangent_at(self, p: Point3f) -> Vector3f:
+        """Curved shapes: the unit direction of dp/du at a surface point, across the normal."""
+        raise NotImplementedError
 
     def surface_area(self) -> Float:
         """Total area in world space."""
@@ -152,8 +164,3 @@ class Shape(Plugin):
 def opaque_vector(v: NDArray[np.float64]) -> Vector3f:
     """A NumPy 3-vector as an opaque width-1 array."""
     return Vector3f(*(dr.opaque(Float, float(x)) for x in v))
-
-
-def require_transform(shape: Shape) -> ScalarTransform4f:
-    """The shape's transform as our own type (edits may have assigned a bare matrix)."""
-    return as_transform(shape.to_world)

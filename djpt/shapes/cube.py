@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
-
-import drjit as dr
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.lookup import as_float, choose
+from djpt.minmax import maximum, minimum
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape, opaque_vector
 from djpt.transforms import ScalarTransform4f
@@ -100,6 +100,10 @@ class Cube(Shape):
         solution = np.linalg.lstsq(source, target, rcond=None)[0]
         matrix = np.eye(4)
         matrix[:3] = solution.T
+        # Vertices are float32: where only their rounding shows, keep the exact edges.
+        before = self.to_world.matrix[:3, :3]
+        if np.abs(matrix[:3, :3] - before).max() < 1e-6 * np.abs(before).max():
+            matrix[:3, :3] = before
         extent = np.ptp(target, axis=0).max()
         if np.abs(source @ solution - target).max() > 1e-5 * extent or abs(np.linalg.det(matrix)) < 1e-12 * extent**3:
             raise ParameterError(
@@ -131,14 +135,12 @@ class Cube(Shape):
         center, edges = matrix[:3, 3], matrix[:3, :3]
         duals = np.linalg.inv(edges)  # row k . (p - center) is the local coordinate k
         self.mirrored = bool(np.linalg.det(edges) < 0)
-        directions = [*duals, *edges.T]
-        previous = self._axes or (None,) * 6
-        self._axes = tuple(pool.find(d, p) for d, p in zip(directions, previous, strict=True))
+        self._axes = pool.find((*duals, *edges.T), self._axes)
         self._host = (center, edges)
 
         along = [signed.axis.direction for signed in self._axes[:3]]
         self.slab_center = [as_float(center.dot(a)) for a in along]
-        self.slab_half = [as_float(1 / np.linalg.norm(d)) for d in duals]
+        self.slab_half = [as_float(float(1 / np.linalg.norm(d))) for d in duals]
 
         self.center = opaque_vector(center)
         self.edge_x, self.edge_y, self.edge_z = (opaque_vector(e) for e in edges.T)
@@ -245,13 +247,3 @@ class Cube(Shape):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles per face, cut along the diagonal u + v = 1.
         return 2 * face + dr.select(uv.x + uv.y < 1, UInt32(1), UInt32(0))
-
-
-def minimum(a: Float, b: Float) -> Float:
-    """One instruction where `dr.minimum` takes three: NaNs need no care here."""
-    return dr.select(a < b, a, b)
-
-
-def maximum(a: Float, b: Float) -> Float:
-    """The counterpart of `minimum`."""
-    return dr.select(a > b, a, b)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
-
-import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
@@ -34,7 +33,7 @@ class Rectangle(Shape):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self._axes: tuple[SignedAxis, SignedAxis, SignedAxis, SignedAxis] | None = None
+        self._axes: tuple[SignedAxis, ...] | None = None
 
     def place(self, pool: AxisPool) -> None:
         matrix = self.to_world.matrix
@@ -45,20 +44,18 @@ class Rectangle(Shape):
         dual_u, dual_v = np.cross(v, cross) / cross.dot(cross), np.cross(cross, u) / cross.dot(cross)
         outward = -normal if self.flip_normals else normal
 
-        directions = (outward, dual_u, dual_v, u)
-        previous = self._axes or (None,) * 4
-        self._axes = tuple(pool.find(d, p) for d, p in zip(directions, previous, strict=True))  # type: ignore[assignment]
+        self._axes = pool.find((outward, dual_u, dual_v, u), self._axes)
         self._host = (center, u, v, normal)
 
         axis_n, axis_u, axis_v = (signed.axis.direction for signed in self._axes[:3])
         self.plane_offset = as_float(center.dot(axis_n))
-        self.center_u, self.half_u = as_float(center.dot(axis_u)), as_float(1 / np.linalg.norm(dual_u))
-        self.center_v, self.half_v = as_float(center.dot(axis_v)), as_float(1 / np.linalg.norm(dual_v))
+        self.center_u, self.half_u = as_float(center.dot(axis_u)), as_float(float(1 / np.linalg.norm(dual_u)))
+        self.center_v, self.half_v = as_float(center.dot(axis_v)), as_float(float(1 / np.linalg.norm(dual_v)))
 
         self.center, self.edge_u, self.edge_v = opaque_vector(center), opaque_vector(u), opaque_vector(v)
         self.dual_u, self.dual_v = opaque_vector(dual_u), opaque_vector(dual_v)
         self.normal = opaque_vector(outward)
-        self.area = as_float(4 * np.linalg.norm(cross))
+        self.area = as_float(float(4 * np.linalg.norm(cross)))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         center, u, v, _ = self._host

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
-
-import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
@@ -50,7 +49,10 @@ class Sphere(Shape):
     def _problem(matrix: NDArray[np.float64]) -> str | None:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
         gram = matrix[:3, :3].T @ matrix[:3, :3]
-        if np.abs(gram - np.diag(lengths**2)).max() > 1e-4 * lengths.max() ** 2 or np.ptp(lengths) > 1e-4 * lengths.max():
+        if (
+            np.abs(gram - np.diag(lengths**2)).max() > 1e-4 * lengths.max() ** 2
+            or np.ptp(lengths) > 1e-4 * lengths.max()
+        ):
             return "the 'to_world' of a sphere may scale uniformly, rotate and translate, nothing else"
         return None
 
@@ -92,16 +94,11 @@ class Sphere(Shape):
         return Hit((discriminant >= 0) & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
     def normal_at(self, p: Point3f) -> Vector3f:
-        """Unit normal at a surface point."""
         n = dr.normalize(p - self.center)
         return -n if self.flip_normals else n
 
-    def onto_surface(self, p: Point3f) -> Point3f:
-        """A nearly exact surface point moved onto the sphere."""
-        return dr.fma(dr.normalize(p - self.center), self.radius, self.center)
-
     def tangent_at(self, p: Point3f) -> Vector3f:
-        """Unit direction of dp/du; any tangent at the poles."""
+        # At the poles dp/du vanishes: any tangent will do.
         local = p - self.center
         s = self.axis_y * dr.dot(self.axis_x, local) - self.axis_x * dr.dot(self.axis_y, local)
         length = dr.squared_norm(s)
@@ -194,7 +191,5 @@ class Sphere(Shape):
         inv_rim = dr.select(rim > 0, dr.rcp(rim), 0)
         cos_phi, sin_phi = dr.select(rim > 0, local.x * inv_rim, 1), local.y * inv_rim
         du = 2 * math.pi * (self.axis_y * local.x - self.axis_x * local.y)
-        dv = math.pi * (
-            self.axis_x * (local.z * cos_phi) + self.axis_y * (local.z * sin_phi) - self.axis_z * rim
-        )
+        dv = math.pi * (self.axis_x * (local.z * cos_phi) + self.axis_y * (local.z * sin_phi) - self.axis_z * rim)
         return self._uv(unit), du, dv
