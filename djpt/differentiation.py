@@ -19,7 +19,7 @@ import drjit as dr
 
 from djpt.dispatch import Attached, Detached
 from djpt.errors import RenderError
-from djpt.films.reconstruction import add_rows, sample_adjoints, spread
+from djpt.films.reconstruction import add_samples, sample_adjoints, spread
 from djpt.hashing import sample_tea_32
 from djpt.integrators import PathIntegrator
 from djpt.replay import Parameter
@@ -210,7 +210,7 @@ def filter_weights(job: Job) -> Float:
     """The sum of the weights of all samples that reach a pixel of the grid."""
     image = [dr.zeros(Float, job.width * job.height)]
     for band in job.bands(2**16):
-        rows = add_rows(job, band, [], 0, job.spp, None)
+        rows = add_samples(job, band, [], 0, job.spp, None)
         image = spread(job, band, rows, image)
     return image[0]
 

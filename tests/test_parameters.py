@@ -64,7 +64,6 @@ def test_names_are_mitsubas(mi: Any) -> None:
         assert bool(ours.flags(key) & ParamFlags.Discontinuous) == (flags & discontinuous != 0), key
 
 
-@pytest.mark.xfail(reason="TwoSided still reports a single nested BSDF as nested_bsdf")
 def test_names_in_a_twosided_of_one(mi: Any) -> None:
     description = {"type": "twosided", "inner": {"type": "diffuse"}}
     assert list(djpt.traverse(djpt.load_dict(description))) == list(mi.traverse(mi.load_dict(description)).keys())

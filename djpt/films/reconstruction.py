@@ -2,14 +2,16 @@
 
 Every sample adds w L and w, w = f(dx) f(dy), to all pixels within the filter's radius. Adding
 from the samples' side would need atomics, whose order (and so rounding) changes from run to
-run. Instead the work is split along the two axes:
+run. Instead a lane keeps sums of its own for all targets in its reach, and afterwards every
+pixel collects the sums that its neighbourhood holds for it, in a fixed order. There are two ways
+to cut the work, with the same interface:
 
-1. A lane belongs to a target column and a source row. It visits the samples of the row's
-   pixels around its column and adds f(dx) f(dy) L to one sum per target row in reach.
-2. A pixel adds up the sums that the source rows around it hold for it, top to bottom.
+* *By pixels*: a lane is a source pixel with taps x taps sums. Each sample is read once.
+* *By rows*: a lane is a target column in a source row with one sum per target row. Samples are
+  read once per column in reach, but `taps` times fewer sums are needed: for many channels.
 
-Film offsets aren't stored: they are the first two numbers of each sample's stream.
-The order of additions depends on the image alone, not on passes or bands.
+Film offsets aren't stored: they are the first two numbers of each sample's stream. The order
+of additions depends on the image alone, not on passes or bands.
 """
 
 from __future__ import annotations
@@ -17,75 +19,162 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.schedules.job import Band, Job
-from djpt.types import Bool, Float, Int32, UInt32
+from djpt.types import Float, Int32, Point2f, UInt32
 
-__all__ = ["RowSums", "add_box", "add_rows", "sample_adjoints", "spread"]
+__all__ = ["Sums", "add_box", "add_samples", "sample_adjoints", "spread"]
 
-RowSums = list[Float]
-"""Sums of one band, index row_tap * (channels + 1) + channel; the last channel is the weight."""
+Sums = list[Float]
+"""The lanes' sums for one band: one array per tap and channel; the last channel is the weight."""
+
+MAX_SUMS = 128
+"""Sums per lane up to which working by pixels is faster; more don't stay near the registers."""
 
 
-def add_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: RowSums | None) -> RowSums:
-    """Step 1 for the samples begin <= k < end of a band, added to `sums`."""
-    taps, pixels = job.film.taps, band.rows * job.width
-    reach, channels = taps // 2, len(samples)
-    lane = dr.arange(UInt32, pixels)
+def by_pixels(job: Job, channels: int) -> bool:
+    """Which of the two ways to go for an image of `channels` channels, the weight included."""
+    return job.film.taps**2 * channels <= MAX_SUMS
+
+
+def add_samples(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
+    """Add the samples begin <= k < end of a band (per channel [k - begin][pixel]) to the lanes' sums."""
+    add = add_by_pixels if by_pixels(job, len(samples) + 1) else add_by_rows
+    return add(job, band, samples, begin, end, sums)
+
+
+def spread(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+    """Add a finished band's sums to the image (channels and weight, one array each).
+
+    Bands must come top to bottom: every pixel then collects its source rows in that order.
+    """
+    return (spread_from_pixels if by_pixels(job, len(image)) else spread_from_rows)(job, band, sums, image)
+
+
+def pixels_of(job: Job, band: Band) -> tuple[UInt32, Int32, Int32, Point2f]:
+    """A lane per pixel of a band: its number, column and row in the grid, and its corner on the film."""
+    pixel = dr.arange(UInt32, band.rows * job.width) + dr.opaque(UInt32, band.first_row * job.width)
     width = Int32(job.width_value)
-    row = Int32(lane) // width
-    column = Int32(lane) - row * width
-    start_of_row = row * width
-    film_row = Float(row + dr.opaque(Int32, band.first_row))
-    center, weight = job.on_film(Float(column), film_row) + 0.5, job.film.rfilter.eval
-    first_pixel = dr.opaque(UInt32, band.first_row * job.width)
-    size, count, first = (dr.opaque(UInt32, n) for n in (pixels, end - begin, begin))
-    if sums is None:
-        sums = [dr.zeros(Float, pixels) for _ in range(taps * (channels + 1))]
+    row = Int32(pixel) // width
+    column = Int32(pixel) - row * width
+    return pixel, column, row, job.on_film(Float(column), Float(row))
 
-    def body(k: UInt32, sums: RowSums) -> tuple[UInt32, RowSums]:
+
+# ---- by pixels ----------------------------------------------------------------------------
+
+
+def add_by_pixels(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
+    """Sums[(row tap * taps + column tap) * (channels + 1) + channel]."""
+    taps, count = job.film.taps, dr.opaque(UInt32, end - begin)
+    pixel, _, _, corner = pixels_of(job, band)
+    lanes = dr.width(pixel)
+    lane, size, first = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes), dr.opaque(UInt32, begin)
+    channels = len(samples) + 1
+    if sums is None:
+        sums = [dr.zeros(Float, lanes) for _ in range(taps * taps * channels)]
+
+    def body(k: UInt32, sums: Sums) -> tuple[UInt32, Sums]:
+        sums = list(sums)
+        wx, wy = tap_weights(job, pixel, k + first, corner)
+        slot = dr.fma(k, size, lane)
+        values = [dr.gather(Float, s, slot) for s in samples]
+        for i in range(taps):
+            column = [v * wx[i] for v in values] + [wx[i]]
+            for j in range(taps):
+                for c in range(channels):
+                    at = (j * taps + i) * channels + c
+                    sums[at] = dr.fma(column[c], wy[j], sums[at])
+        return k + 1, sums
+
+    _, result = dr.while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film pixels")
+    dr.eval(result)
+    return result
+
+
+def tap_weights(job: Job, pixel: UInt32, k: UInt32, corner: Point2f) -> tuple[list[Float], list[Float]]:
+    """Weights of a sample of `pixel` for the columns and rows in its reach."""
+    # Distances come from rounded film positions, as in Mitsuba: in the kernel's tail the rounding shows.
+    position = corner + job.film_offset(pixel, k)
+    taps, weight = job.film.taps, job.film.rfilter.eval
+    centers = [i - taps // 2 + 0.5 for i in range(taps)]
+    return (
+        [weight(corner.x + c - position.x) for c in centers],
+        [weight(corner.y + c - position.y) for c in centers],
+    )
+
+
+def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+    """A pixel collects one sum of every source pixel around it."""
+    taps, channels = job.film.taps, len(image)
+    reach = taps // 2
+    _, column, row, _ = pixels_of(job, Band(0, job.height))
+    width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
+    result = list(image)
+    for j in reversed(range(taps)):
+        y = row - (j - reach) - first
+        for i in reversed(range(taps)):
+            x = column - (i - reach)
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
+            slot = UInt32(y * width + x)
+            for c in range(channels):
+                result[c] = result[c] + dr.gather(Float, sums[(j * taps + i) * channels + c], slot, inside)
+    dr.eval(result)
+    return result
+
+
+# ---- by rows ------------------------------------------------------------------------------
+
+
+def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
+    """Sums[row tap * (channels + 1) + channel]."""
+    taps, count = job.film.taps, dr.opaque(UInt32, end - begin)
+    reach, channels, weight = taps // 2, len(samples) + 1, job.film.rfilter.eval
+    _, column, row, corner = pixels_of(job, band)
+    lanes = dr.width(column)
+    size, first, width = dr.opaque(UInt32, lanes), dr.opaque(UInt32, begin), Int32(job.width_value)
+    first_pixel = dr.opaque(Int32, band.first_row * job.width)
+    center = corner + 0.5
+    if sums is None:
+        sums = [dr.zeros(Float, lanes) for _ in range(taps * channels)]
+
+    def body(k: UInt32, sums: Sums) -> tuple[UInt32, Sums]:
         sums = list(sums)
         for i in range(taps):
             source_column = column + (i - reach)
             inside = (source_column >= 0) & (source_column < width)
-            source = UInt32(start_of_row + source_column)
-            offset = job.film_offset(source + first_pixel, k + first)
-            # Distances come from rounded film positions, as in Mitsuba: in the kernel's tail the rounding shows.
-            position = job.on_film(Float(source_column), film_row) + offset
+            source = row * width + source_column
+            offset = job.film_offset(UInt32(source), k + first)
+            position = job.on_film(Float(source_column), Float(row)) + offset
             wx = dr.select(inside, weight(center.x - position.x), 0)
-            slot = dr.fma(k, size, source)
+            slot = dr.fma(k, size, UInt32(source - first_pixel))
             values = [dr.gather(Float, s, slot, inside) * wx for s in samples] + [wx]
             for j in range(taps):
                 wy = weight(center.y + (j - reach) - position.y)
                 for c, value in enumerate(values):
-                    at = j * (channels + 1) + c
+                    at = j * channels + c
                     sums[at] = dr.fma(value, wy, sums[at])
         return k + 1, sums
 
-    _, result = dr.while_loop((dr.zeros(UInt32, pixels), sums), lambda k, s: k < count, body, label="film rows")
+    _, result = dr.while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film rows")
     dr.eval(result)
     return result
 
 
-def spread(job: Job, band: Band, sums: RowSums, image: list[Float]) -> list[Float]:
-    """Step 2: add a finished band to the image (channels and weight, one array each).
-
-    Bands must come top to bottom: every pixel then adds its source rows in that order.
-    """
+def spread_from_rows(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+    """A pixel collects one sum of every source row around it, at its own column."""
     taps, channels = job.film.taps, len(image)
-    reach = taps // 2
-    pixel = dr.arange(UInt32, job.width * job.height)
-    width = job.width_value
-    row = Int32(pixel // width)
-    column = pixel - UInt32(row) * width
-    first, rows = dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
+    _, column, row, _ = pixels_of(job, Band(0, job.height))
+    width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
     result = list(image)
     for j in reversed(range(taps)):
-        source = row - (j - reach) - first
-        inside: Bool = (source >= 0) & (source < rows)
-        slot = dr.fma(UInt32(source), width, column)
+        source = row - (j - taps // 2) - first
+        inside = (source >= 0) & (source < rows)
+        slot = UInt32(source * width + column)
         for c in range(channels):
             result[c] = result[c] + dr.gather(Float, sums[j * channels + c], slot, inside)
     dr.eval(result)
     return result
+
+
+# ---- without a filter, and backwards ----------------------------------------------------------
 
 
 def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: list[Float] | None) -> list[Float]:
@@ -106,21 +195,18 @@ def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, su
 
 
 def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: int) -> list[Float]:
-    """The transpose of both steps: derivatives by the samples begin <= k < end of a band.
+    """The transpose: derivatives by the samples begin <= k < end of a band.
 
     `image` holds the derivatives by the weighted sums, that is those by the pixels over the sum
     of weights. delta_s = sum over pixels j of w_j(s) image_j. Layout [k - begin][pixel] per channel.
     """
-    taps, pixels = job.film.taps, band.rows * job.width
+    taps = job.film.taps
     reach = taps // 2
-    lane = dr.arange(UInt32, pixels)
-    pixel = lane + dr.opaque(UInt32, band.first_row * job.width)
-    width, height = Int32(job.width_value), dr.opaque(Int32, job.height)
-    row = Int32(pixel) // width
-    column = Int32(pixel) - row * width
+    pixel, column, row, corner = pixels_of(job, band)
+    pixels = dr.width(pixel)
+    lane, width, height = dr.arange(UInt32, pixels), Int32(job.width_value), dr.opaque(Int32, job.height)
     size, count, first = (dr.opaque(UInt32, n) for n in (pixels, end - begin, begin))
 
-    corner, weight = job.on_film(Float(column), Float(row)), job.film.rfilter.eval
     around = []
     for j in range(taps):
         for i in range(taps):
@@ -130,9 +216,7 @@ def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: i
     buffers = [dr.empty(Float, pixels * (end - begin)) for _ in image]
 
     def body(k: UInt32) -> tuple[UInt32]:
-        position = corner + job.film_offset(pixel, k + first)
-        wx = [weight(corner.x + (i - reach + 0.5) - position.x) for i in range(taps)]
-        wy = [weight(corner.y + (j - reach + 0.5) - position.y) for j in range(taps)]
+        wx, wy = tap_weights(job, pixel, k + first, corner)
         for c, buffer in enumerate(buffers):
             total = Float(0)
             for j in range(taps):

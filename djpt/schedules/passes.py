@@ -12,7 +12,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.films.reconstruction import add_box, add_rows, spread
+from djpt.films.reconstruction import add_box, add_samples, spread
 from djpt.schedules import flat, wave
 from djpt.schedules.job import Band, Job
 from djpt.types import Float, TensorXf, UInt32
@@ -70,7 +70,7 @@ def image_of_samples(job: Job, samples: list[Float]) -> TensorXf:
     if not job.film.filters:
         return develop(job, add_box(job, band, samples, 0, job.spp, None), dr.opaque(Float, job.spp))
     blank = [dr.zeros(Float, job.width * job.height) for _ in range(len(samples) + 1)]
-    *sums, weight = spread(job, band, add_rows(job, band, samples, 0, job.spp, None), blank)
+    *sums, weight = spread(job, band, add_samples(job, band, samples, 0, job.spp, None), blank)
     return develop(job, sums, weight)
 
 
@@ -101,7 +101,7 @@ def filtered_sums(job: Job, samples: Samples, pass_spp: int) -> list[Float]:
     for band in job.bands(BAND_PIXELS):
         rows = None
         for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
-            rows = add_rows(job, band, samples(job, band, begin, end), begin, end, rows)
+            rows = add_samples(job, band, samples(job, band, begin, end), begin, end, rows)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert rows is not None
         image = spread(job, band, rows, image)
