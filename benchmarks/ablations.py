@@ -33,16 +33,7 @@ def renderer(spp: int, **options: Any) -> Render:
 @contextmanager
 def no_shared_axes() -> Iterator[None]:
     """Every plane and slab has axes of its own, known as values only."""
-
-    def find(pool: axes.AxisPool, direction: Any, previous: Any = None) -> axes.SignedAxis:
-        unit, negative = axes.canonical(direction)
-        axis = axes.Axis(unit)
-        axis.coordinate, axis.users = None, 1
-        axis.assign(unit)
-        pool.axes.append(axis)
-        return axes.SignedAxis(axis, negative)
-
-    with patch.object(axes.AxisPool, "find", find):
+    with patch.object(axes, "ALIGNED", -1.0):
         yield
 
 

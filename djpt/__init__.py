@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from djpt.records import PreliminaryIntersection3f as PreliminaryIntersection3f
     from djpt.records import Ray3f as Ray3f
     from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
+    from djpt.rendering import channel_names as channel_names
     from djpt.rendering import render as render
     from djpt.scene import Scene as Scene
     from djpt.scenes import cornell_box as cornell_box
@@ -97,7 +98,7 @@ _EXPORTS = {
     "djpt.records": (
         "BSDFSample3f DirectionSample3f PositionSample3f PreliminaryIntersection3f Ray3f SurfaceInteraction3f"
     ),
-    "djpt.rendering": "render",
+    "djpt.rendering": "channel_names render",
     "djpt.scene": "Scene",
     "djpt.scenes": "cornell_box",
     "djpt.transforms": "ScalarTransform4f Transform4f",

@@ -102,7 +102,8 @@ def render(
 
             image = djpt.render(loaded, spp=spp or 0, seed=seed, schedule=schedule, progress=progress).numpy()
         seconds = time.perf_counter() - start
-        djpt.write(target, image)
+        names = djpt.channel_names(loaded) if target.suffix.lower() == ".exr" else None
+        djpt.write(target, image, channels=names)
         if not quiet:
             rows, columns, _ = image.shape
             speed = f"{_short(samples / seconds)}samples/s"

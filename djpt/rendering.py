@@ -16,7 +16,7 @@ from djpt.schedules.passes import primal_image
 from djpt.tracing import begin_trace
 from djpt.types import TensorXf
 
-__all__ = ["render"]
+__all__ = ["channel_names", "render"]
 
 SCHEDULES = ("auto", "flat", "wave")
 
@@ -69,6 +69,15 @@ def render(
         return primal_image(job, use_flat, pass_spp)
     gradient_job = replace(job, seed=gradient_seed(seed, seed_grad), spp=spp_grad or job.spp, progress=None)
     return differentiable_image(gradient_job, parameters, lambda: primal_image(job, use_flat, pass_spp))
+
+
+def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tuple[str, ...]:
+    """Names of the channels of what `render` returns with the same arguments.
+
+    ``("R", "G", "B")`` and the like for colours, then those of the integrator's AOVs: what
+    `djpt.write` takes as `channels`.
+    """
+    return make_job(scene, sensor, integrator, seed=0, spp=0, progress=None).channel_names()
 
 
 def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, progress: Progress | None) -> Job:

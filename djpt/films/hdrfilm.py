@@ -27,7 +27,8 @@ class HDRFilm(Plugin):
 
     Parameters: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
     `crop_height` (the rest), `pixel_format` (`rgb`, `rgba` or `luminance`; default `rgb`),
-    `component_format` (`float16` or `float32`: how `write` stores it), `sample_border` (default false:
+    `component_format` and `file_format` (checked, then without effect: `djpt.write` chooses the format
+    and stores float32), `sample_border` (default false:
     no samples outside the crop, so border pixels see fewer), a nested `rfilter` (default `gaussian`).
     """
 
@@ -44,8 +45,8 @@ class HDRFilm(Plugin):
         self._require_crop(props.node, offset, size)
         self.crop_offset, self.crop_size = offset, size
         self.pixel_format = props.string("pixel_format", "rgb", choices=tuple(CHANNELS))
-        self.component_format = props.string("component_format", "float16", choices=("float16", "float32"))
-        props.string("file_format", "openexr", choices=("openexr",))
+        props.string("component_format", "float16", choices=("float16", "float32", "uint32"))
+        props.string("file_format", "openexr", choices=("openexr", "exr", "rgbe", "pfm"))
         self.sample_border = props.boolean("sample_border", False)
         default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
         self.rfilter: ReconstructionFilter = props.child("rfilter", default)
