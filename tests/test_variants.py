@@ -111,12 +111,18 @@ def test_dr_jit_imported_before_with_an_old_llvm(tmp_path: Path) -> None:
     code = f"""
 import os
 os.environ["DRJIT_LIBLLVM_PATH"] = {str(library)!r}
-import drjit
+try:
+    import drjit
+except (ImportError, NameError):
+    raise SystemExit("needs libatomic.so.1 where the system finds it")
 del os.environ["DRJIT_LIBLLVM_PATH"]
 import djpt
 djpt.Float(1, 2)
 """
-    readable(run_python("-c", code), "Dr.Jit was imported before djpt", "import djpt before drjit and mitsuba")
+    done = run_python("-c", code)
+    if done.stderr.startswith("needs libatomic"):
+        pytest.skip("a private libatomic.so.1 is only found by djpt")
+    readable(done, "Dr.Jit was imported before djpt", "import djpt before drjit and mitsuba")
 
 
 def test_a_child_process_searches_for_itself(tmp_path: Path) -> None:
