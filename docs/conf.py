@@ -1,0 +1,28 @@
+"""Sphinx configuration; `make docs` builds the documentation with warnings as errors."""
+
+from __future__ import annotations
+
+import djpt
+
+project = "djpt"
+author = "djpt contributors"
+copyright = "djpt contributors, BSD-3-Clause"
+version = release = djpt.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"djpt {version}"
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+
+# Docstrings put code between single backquotes.
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+autodoc_default_options = {"members": True, "show-inheritance": True}
+python_use_unqualified_type_names = True
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False

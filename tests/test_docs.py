@@ -1,0 +1,34 @@
+"""Every Python block of the documentation runs, and links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from machines import ROOT
+from snippets import snippets
+
+DOCS = ROOT / "docs"
+PAGES = sorted(str(path.relative_to(ROOT)) for path in DOCS.rglob("*.md") if "_build" not in path.parts)
+
+pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)])
+def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = snippets(page)
+    if any("mitsuba" in block.code or "validation" in block.code for block in code):
+        pytest.importorskip("mitsuba")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": Path(page).stem}
+    for block in code:
+        block.run(names)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page: str) -> None:
+    folder = (ROOT / page).parent
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
+        assert target.startswith("https://") or (folder / target).exists(), target
