@@ -1,0 +1,428 @@
+"""Every plugin and warp that samples, tested by what it claims of itself.
+
+The tests are parametrised over the registry: a new plugin is tested as soon as it is registered.
+If it needs parameters, or has interesting ones, add a line to EXAMPLES.
+"""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+from chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
+
+import djpt
+from djpt import warp
+from djpt.description import registry
+from djpt.frame import Frame3f
+from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, SurfaceInteraction3f, has_flag
+from djpt.transforms import ScalarTransform4f as T
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+
+COUNT = 2**18
+
+DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}}
+SHEARED = T([[1, 0.5, 0, 0.2], [0, 0.8, 0.3, 0], [0.1, 0, 0.6, 2], [0, 0, 0, 1]])
+
+EXAMPLES: dict[str, list[dict[str, Any]]] = {
+    "diffuse": [{}, {"reflectance": 1.0}, DIFFUSE],
+    "twosided": [{"inner": DIFFUSE}, {"front": DIFFUSE, "back": {"type": "diffuse", "reflectance": 0.2}}],
+    "constant": [{}, {"radiance": 3.0}],
+    "point": [{"position": [0.3, 0.2, 2.0], "intensity": 5.0}],
+    "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
+                  {"to_world": SHEARED, "flip_normals": True}],
+    "cube": [{"to_world": T().translate([0.3, 0, 2.5]).rotate([1, 2, 3], 50).scale([1, 0.5, 0.3])},
+             {"to_world": SHEARED}],
+    "sphere": [{"center": [0.5, 0.2, 2.0]}, {"radius": 3.0, "flip_normals": True}, {"center": [0, 1, 1.2]},
+               {"center": [1, 2, 300.0], "radius": 2.0}],
+    "gaussian": [{}, {"stddev": 0.8}],
+    "tent": [{}, {"radius": 2.0}],
+    "mitchell": [{}, {"B": 0.1, "C": 0.6}],
+    "lanczos": [{}, {"lobes": 2}],
+}  # fmt: skip
+"""Parameters to test a plugin with, by its name; one empty set if none are given."""
+
+
+def examples(kind: str) -> list[Any]:
+    """All of djpt's own plugins of one kind, with each set of parameters."""
+    names = [name for name, factory in registry.registered(kind).items() if registry.is_own(factory)]
+    return [
+        pytest.param(name, {**values, "type": name}, id=f"{name}{i or ''}")
+        for name in names
+        for i, values in enumerate(EXAMPLES.get(name, [{}]))
+    ]
+
+
+# ---------------------------------------------------------------- warps
+
+WARPS = [name for name in warp.__all__ if not name.endswith("_pdf")]
+WARP_ARGUMENTS: dict[str, list[tuple[Any, ...]]] = {"square_to_uniform_cone": [(0.3,), (0.9,), (-0.5,)]}
+"""What a warp takes besides the sample."""
+
+WARP_CASES = [
+    pytest.param(name, arguments, id=f"{name.removeprefix('square_to_')}{list(arguments) or ''}")
+    for name in WARPS
+    for arguments in WARP_ARGUMENTS.get(name, [()])
+]
+
+
+def warped(name: str, arguments: tuple[Any, ...], sample: Any) -> tuple[Any, Any]:
+    """Values of a warp, and its density as a function."""
+    extra = [Float(x) for x in arguments]
+    density = getattr(warp, f"{name}_pdf")
+    return getattr(warp, name)(sample, *extra), lambda value: density(value, *extra)
+
+
+def test_every_warp_has_a_density() -> None:
+    assert {f"{name}_pdf" for name in WARPS} <= set(warp.__all__)
+    for name in WARPS:
+        parameters = len(inspect.signature(getattr(warp, name)).parameters) - 1
+        assert {len(a) for a in WARP_ARGUMENTS.get(name, [()])} == {parameters}, f"add {name} to WARP_ARGUMENTS"
+
+
+@pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
+def test_warp_follows_its_density(name: str, arguments: tuple[Any, ...]) -> None:
+    values, density = warped(name, arguments, Point2f(*uniform(COUNT)))
+    p, integral = p_value(SPHERE if len(values) == 3 else PLANE, values, True, density, fine=60)
+    assert integral == pytest.approx(1, abs=5e-3)
+    assert p > SIGNIFICANCE
+
+
+@pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
+def test_density_is_the_inverse_jacobian(name: str, arguments: tuple[Any, ...]) -> None:
+    """1 / pdf = the area that a unit of the square is stretched to, by forward differentiation."""
+    u, v = uniform(4096, seed=1)
+    columns = []
+    for k in range(2):
+        sample = Point2f(Float(u), Float(v))
+        dr.enable_grad(sample)
+        dr.set_grad(sample, Point2f(float(k == 0), float(k == 1)))
+        values, density = warped(name, arguments, sample)
+        # Values that others depend on would be cleared by the default flags.
+        columns.append(np.array(dr.forward_to(values, flags=dr.ADFlag.ClearEdges), np.float64).T)
+    if len(values) == 2:
+        columns = [np.pad(column, ((0, 0), (0, 1))) for column in columns]
+    area = np.linalg.norm(np.cross(*columns), axis=1)
+    pdf = np.broadcast_to(np.array(density(dr.detach(values)), np.float64), (4096,))
+    # Near an edge of the domain float32 loses digits: not more than a few samples.
+    error = np.abs(area * pdf - 1)
+    assert np.median(error) < 1e-5
+    assert np.quantile(error, 0.99) < 1e-2
+
+
+@pytest.mark.parametrize(("name", "arguments"), WARP_CASES)
+def test_corners_of_the_square_stay_in_the_domain(name: str, arguments: tuple[Any, ...]) -> None:
+    edge = [0.0, 1e-10, 0.25, 0.5, 0.75, 1 - 2**-24]
+    sample = Point2f(*(Float(list(x)) for x in zip(*((a, b) for a in edge for b in edge), strict=True)))
+    values = np.array(warped(name, arguments, sample)[0], np.float64)
+    assert np.isfinite(values).all()
+    if len(values) == 3:
+        np.testing.assert_allclose(np.linalg.norm(values, axis=0), 1, atol=1e-6)
+    else:
+        assert np.abs(values).max() <= 1 + 1e-6
+
+
+# ---------------------------------------------------------------- BSDFs
+
+WI = {"straight": (0, 0, 1), "slanted": (0.6, -0.3, 0.5), "grazing": (0.9, 0.4, 0.02), "behind": (0.3, 0.5, -0.8)}
+
+
+def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
+    """A surface point in its own frame, seen from `wi`."""
+    z = Vector3f(0, 0, 1)
+    return SurfaceInteraction3f(
+        t=Float(1),
+        p=Point3f(0),
+        n=z,
+        sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
+        uv=Point2f(0.3, 0.6),
+        dp_du=Vector3f(1, 0, 0),
+        dp_dv=Vector3f(0, 1, 0),
+        wi=dr.normalize(Vector3f(*wi)),
+        shape_index=UInt32(0),
+        prim_index=UInt32(0),
+        valid=dr.full(Bool, True, width),
+    )
+
+
+def load(description: dict[str, Any]) -> Any:
+    return djpt.load_dict(description)
+
+
+def smooth(bsdf: Any) -> bool:
+    """Has it a lobe that isn't a delta? Densities are about those alone."""
+    return bool(has_flag(bsdf.flags(), BSDFFlags.Smooth))
+
+
+def drawn(bsdf: Any, wi: Any, count: int = COUNT) -> tuple[Any, Any, Any]:
+    """(samples, weights, which ones are smooth and not lost)."""
+    s1, x, y = uniform(count, 3, seed=2)
+    bs, weight = bsdf.sample(BSDFContext(), local_frame(wi), s1, Point2f(x, y))
+    counts = (dr.max(weight) > 0) & (bs.pdf > 0) & has_flag(bs.sampled_type, BSDFFlags.Smooth)
+    return bs, weight, counts
+
+
+@pytest.mark.parametrize("wi", WI.values(), ids=WI)
+@pytest.mark.parametrize(("name", "description"), examples("bsdf"))
+class TestBSDF:
+    def test_samples_follow_the_density(self, name: str, description: dict[str, Any], wi: Any) -> None:
+        bsdf, si = load(description), local_frame(wi)
+        bs, _, counts = drawn(bsdf, wi)
+        p, integral = p_value(SPHERE, bs.wo, counts, lambda wo: bsdf.pdf(BSDFContext(), si, wo), fine=32)
+        assert integral <= 1 + 5e-3
+        if smooth(bsdf):
+            assert p > SIGNIFICANCE
+
+    def test_weights_are_values_over_densities(self, name: str, description: dict[str, Any], wi: Any) -> None:
+        bsdf, si = load(description), local_frame(wi)
+        bs, weight, counts = drawn(bsdf, wi, 4096)
+        counts = np.broadcast_to(np.array(counts), (4096,))
+        pdf = np.array(bsdf.pdf(BSDFContext(), si, bs.wo))
+        value = np.array(bsdf.eval(BSDFContext(), si, bs.wo))
+        claimed = np.broadcast_to(np.array(bs.pdf), (4096,))
+        np.testing.assert_allclose(np.broadcast_to(pdf, (4096,))[counts], claimed[counts], rtol=1e-4)
+        product = np.broadcast_to(np.array(weight), (3, 4096)) * claimed
+        np.testing.assert_allclose(np.broadcast_to(value, (3, 4096))[:, counts], product[:, counts], rtol=1e-4)
+        np.testing.assert_allclose(np.linalg.norm(np.array(bs.wo), axis=0), 1, atol=1e-5)
+
+    def test_energy(self, name: str, description: dict[str, Any], wi: Any) -> None:
+        """No more light leaves than arrives, and what is evaluated is what is sampled."""
+        bsdf, si = load(description), local_frame(wi)
+        _, weight, counts = drawn(bsdf, wi)
+        weight = np.broadcast_to(np.array(weight, np.float64), (3, COUNT))
+        assert np.isfinite(weight).all()
+        assert weight.min() >= 0
+        noise = weight.std(axis=1) / np.sqrt(COUNT)
+        assert (weight.mean(axis=1) <= 1 + 4 * noise + 1e-5).all()
+
+        def luminous(wo: Any, channel: int) -> Any:
+            return bsdf.eval(BSDFContext(), si, wo)[channel]
+
+        visible = np.where(np.broadcast_to(np.array(counts), (COUNT,)), weight, 0)
+        for channel in range(3):
+            grid = p_value(SPHERE, Vector3f(0, 0, 1), True, lambda wo, c=channel: luminous(wo, c), fine=32)[1]
+            assert grid == pytest.approx(visible[channel].mean(), abs=4 * noise[channel] + 5e-3)
+
+    def test_reciprocity(self, name: str, description: dict[str, Any], wi: Any) -> None:
+        """f(wi, wo) = f(wo, wi) on one side of the surface."""
+        bsdf = load(description)
+        wo = warp.square_to_uniform_sphere(Point2f(*uniform(1024, seed=5)))
+        there, back = local_frame(wi, 1024), local_frame(wi, 1024)
+        back.wi = wo
+        forward = np.array(bsdf.eval(BSDFContext(), there, wo)) / np.abs(np.array(wo.z))
+        reverse = np.array(bsdf.eval(BSDFContext(), back, there.wi)) / np.abs(np.array(there.wi.z))
+        same_side = np.broadcast_to(np.array(wo.z * there.wi.z > 0), (1024,))
+        np.testing.assert_allclose(forward[:, same_side], reverse[:, same_side], rtol=1e-4, atol=1e-6)
+
+    def test_combined_calls_agree(self, name: str, description: dict[str, Any], wi: Any) -> None:
+        bsdf, si, ctx = load(description), local_frame(wi), BSDFContext()
+        s1, x, y, a, b = uniform(512, 5, seed=6)
+        wo = warp.square_to_uniform_sphere(Point2f(a, b))
+        value, pdf, bs, weight = bsdf.eval_pdf_sample(ctx, si, wo, s1, Point2f(x, y))
+        alone, alone_weight = bsdf.sample(ctx, si, s1, Point2f(x, y))
+        for one, other in [
+            (value, bsdf.eval(ctx, si, wo)),
+            (pdf, bsdf.pdf(ctx, si, wo)),
+            (bsdf.eval_pdf(ctx, si, wo)[0], value),
+            (bsdf.eval_pdf(ctx, si, wo)[1], pdf),
+            (bs.wo, alone.wo),
+            (bs.pdf, alone.pdf),
+            (weight, alone_weight),
+        ]:
+            np.testing.assert_allclose(np.array(one), np.array(other), rtol=1e-6)
+        assert np.array(value).min() >= 0
+        assert np.array(pdf).min() >= 0
+
+    def test_albedo_is_between_black_and_white(self, name: str, description: dict[str, Any], wi: Any) -> None:
+        albedo = np.array(load(description).eval_diffuse_reflectance(local_frame(wi)))
+        assert (albedo >= 0).all()
+        assert (albedo <= 1 + 1e-6).all()
+
+
+# ---------------------------------------------------------------- shapes as lights, and other emitters
+
+
+def lit(**emitters: Any) -> Any:
+    """A scene with one emitter, and a speck far away."""
+    speck = {"type": "sphere", "center": [5e3, -5e3, -5e3], "radius": 1e-3}
+    return djpt.load_dict({"type": "scene", **emitters, "speck": speck})
+
+
+def lights() -> list[Any]:
+    """All shapes that shine, and all emitters that stand alone."""
+    shining = [
+        pytest.param({**p.values[1], "emitter": {"type": "area", "radiance": 2.0}}, id=p.id) for p in examples("shape")
+    ]
+    return shining + [pytest.param(p.values[1], id=p.id) for p in examples("emitter") if p.values[0] != "area"]
+
+
+def reference() -> SurfaceInteraction3f:
+    """The point that light is sampled for: the origin, without a surface to step off."""
+    return local_frame((0, 0, 1))
+
+
+def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
+    """(what a ray from the origin meets, as if sampled; its emitter's radiance; is it an emitter?)."""
+    ray = djpt.Ray3f(Point3f(0), d, Float(dr.inf))
+    si = scene.ray_intersect(ray)
+    ds = DirectionSample3f.between(Point3f(0), ray, si)
+    emitter = si.emitter(scene)
+    return ds, emitter.eval(si), emitter.is_valid()
+
+
+@pytest.mark.parametrize("description", lights())
+class TestEmitter:
+    def test_directions_follow_the_density(self, description: dict[str, Any]) -> None:
+        """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
+        scene = lit(light=description)
+        ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(COUNT)), False)
+        if np.array(ds.delta).any():
+            pytest.skip("a delta emitter has no density")
+        # The density is that of a narrow cone: look there closely.
+        focus = Frame3f.from_normal(dr.normalize(dr.detach(dr.mean(ds.d, axis=1))))
+        towards = focus.to_local(ds.d)
+        lowest = float(np.array(towards.z).min())
+        domain = SPHERE if lowest < 0.9 else type(SPHERE)(
+            (1 - 1.2 * (1 - lowest), 0), (1, 2 * np.pi), SPHERE.point, SPHERE.coordinates
+        )  # fmt: skip
+
+        def density(local: Any) -> Any:
+            at, radiance, _ = looked_at(scene, focus.to_world(local))
+            return dr.select(dr.max(radiance) > 0, scene.pdf_emitter_direction(reference(), at), 0)
+
+        p, integral = p_value(domain, towards, dr.max(weight) > 0, density, fine=96)
+        assert integral <= 1 + 5e-3
+        assert p > SIGNIFICANCE
+
+    def test_weights_are_radiance_over_density(self, description: dict[str, Any]) -> None:
+        scene = lit(light=description)
+        ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
+        if np.array(ds.delta).any():
+            pytest.skip("a delta emitter has no density")
+        lit_up = np.broadcast_to(np.array(dr.max(weight) > 0), (4096,))
+        assert lit_up.mean() > 0.1
+        product = np.array(weight) * np.array(ds.pdf)
+        _, radiance, _ = looked_at(scene, ds.d)
+        radiance = np.broadcast_to(np.array(radiance), (3, 4096))
+        # Rays that graze an edge may miss.
+        agree = np.isclose(product, radiance, rtol=1e-3).all(axis=0)
+        assert agree[lit_up].mean() > 0.995
+        again, pdf = (np.broadcast_to(x, (4096,)) for x in (scene.pdf_emitter_direction(reference(), ds), ds.pdf))
+        np.testing.assert_allclose(again[lit_up], pdf[lit_up], rtol=2e-3)
+        np.testing.assert_allclose(np.array(ds.pdf * ds.weight), 1, rtol=1e-4)
+
+    def test_record_is_consistent(self, description: dict[str, Any]) -> None:
+        scene = lit(light=description)
+        ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
+        np.testing.assert_allclose(np.linalg.norm(np.array(ds.d), axis=0), 1, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(np.array(ds.n), axis=0), 1, atol=1e-5)
+        if np.isfinite(np.array(ds.dist)).all():
+            np.testing.assert_allclose(np.array(ds.d) * np.array(ds.dist), np.array(ds.p), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(("name", "description"), examples("shape"))
+def test_positions_lie_on_the_surface(name: str, description: dict[str, Any]) -> None:
+    """Sampled points are found again by a ray straight onto them, with the same normal and uv."""
+    scene = lit(shape=description, light={"type": "point"})
+    shape = scene.shapes()[0]
+    ps = shape.sample_position(Point2f(*uniform(4096, seed=7)))
+    outward = ps.n
+    step = 1e-2
+    si = scene.ray_intersect(djpt.Ray3f(ps.p + outward * step, -outward, Float(2 * step)))
+    found = np.array(si.valid)
+    assert found.mean() > 0.995
+    scale = 1 + np.abs(np.array(ps.p)).max()
+    assert np.abs(np.array(si.p - ps.p))[:, found].max() < 1e-4 * scale
+    normal = np.broadcast_to(np.array(ps.n), (3, 4096))
+    same_face = (np.array(si.n) * normal).sum(axis=0) > 0.99
+    assert same_face[found].mean() > 0.98
+    difference = np.abs(np.array(si.uv) - np.array(ps.uv))[:, found & same_face]
+    wrapped = np.minimum(difference, 1 - difference)
+    assert np.quantile(wrapped, 0.99) < 2e-3
+    np.testing.assert_allclose(np.array(ps.pdf * shape.surface_area()), 1, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "description"), examples("shape"))
+def test_positions_are_uniform(name: str, description: dict[str, Any]) -> None:
+    """Equal areas get equal shares: moments of the positions against Mitsuba's mesh or its formula."""
+    mi = pytest.importorskip("mitsuba")
+    mine = lit(shape=description).shapes()[0]
+    described = djpt.validation.to_mitsuba(description)
+    mi.set_variant("llvm_ad_rgb")
+    other = mi.load_dict(described)
+    sample = uniform(2**16, seed=8)
+    assert float(mine.surface_area()[0]) == pytest.approx(float(np.array(other.surface_area()).ravel()[0]), rel=1e-4)
+    a = np.array(mine.sample_position(Point2f(*sample)).p, np.float64)
+    b = np.array(other.sample_position(0, mi.Point2f(*(mi.Float(s) for s in sample))).p, np.float64)
+    scale = b.std(axis=1, keepdims=True).max()
+    np.testing.assert_allclose(a.mean(axis=1), b.mean(axis=1), atol=0.02 * scale)
+    np.testing.assert_allclose(np.cov(a), np.cov(b), atol=0.02 * scale**2)
+
+
+# ---------------------------------------------------------------- reconstruction filters
+
+
+@pytest.mark.parametrize(("name", "description"), examples("rfilter"))
+class TestFilter:
+    def test_is_even_and_ends(self, name: str, description: dict[str, Any]) -> None:
+        rfilter = load(description)
+        x = np.linspace(0, rfilter.radius - 1e-3, 501, dtype=np.float32)
+        w = np.array(rfilter.eval(Float(x)), np.float64)
+        np.testing.assert_array_equal(np.array(rfilter.eval(Float(-x))), w.astype(np.float32))
+        beyond = np.array(rfilter.eval(Float(np.linspace(rfilter.radius + 1e-3, rfilter.radius + 3, 100))))
+        assert np.abs(beyond).max() <= 2e-5
+        assert w.argmax() == 0
+        assert w.sum() > 0
+
+    def test_is_mitsubas(self, name: str, description: dict[str, Any]) -> None:
+        mi = pytest.importorskip("mitsuba")
+        mi.set_variant("llvm_ad_rgb")
+        rfilter, other = load(description), mi.load_dict(djpt.validation.to_mitsuba(description))
+        assert rfilter.radius == pytest.approx(float(other.radius()))
+        x = np.linspace(-rfilter.radius, rfilter.radius, 999, dtype=np.float32)[1:-1]
+        expected = np.array(other.eval(mi.Float(x)))
+        np.testing.assert_allclose(np.array(rfilter.eval(Float(x))), expected, atol=2.5e-5)
+
+
+# ---------------------------------------------------------------- textures, samplers
+
+
+@pytest.mark.parametrize(("name", "description"), examples("texture"))
+def test_textures_have_the_mean_they_claim(name: str, description: dict[str, Any]) -> None:
+    if name == "rgb":
+        description = {"type": "rgb", "value": [0.2, 0.4, 0.9]}
+    texture, si = load({"type": "diffuse", "reflectance": description}).reflectance, local_frame((0, 0, 1), 4096)
+    si.uv = Point2f(*uniform(4096))
+    color = texture.eval(si)
+    assert isinstance(color, Color3f)
+    assert float(np.mean(np.array(color))) == pytest.approx(float(texture.mean()[0]), rel=0.02)
+
+
+@pytest.mark.parametrize(("name", "description"), examples("sampler"))
+def test_streams_are_uniform_and_independent(name: str, description: dict[str, Any]) -> None:
+    """Means, variances and correlations within a stream and between neighbouring ones."""
+    sampler, n = load(description), 2**16
+    stream = sampler.stream(UInt32(5), dr.arange(UInt32, n))
+    numbers = [stream.next_1d(), *stream.next_2d(), stream.next_1d(), *stream.next_2d()]
+    table = np.array([np.array(x) for x in numbers], np.float64)
+    assert table.min() >= 0
+    assert table.max() < 1
+    np.testing.assert_allclose(table.mean(axis=1), 0.5, atol=6 / np.sqrt(12 * n))
+    np.testing.assert_allclose(table.var(axis=1), 1 / 12, atol=6 * np.sqrt(1 / 180 / n))
+    between = np.corrcoef(np.concatenate([table, np.roll(table, 1, axis=1)]))
+    assert np.abs(between - np.eye(12)).max() < 6 / np.sqrt(n)
+    other = sampler.stream(UInt32(6), dr.arange(UInt32, n)).next_1d()
+    assert abs(np.corrcoef(table[0], np.array(other))[0, 1]) < 6 / np.sqrt(n)
+
+
+def test_inactive_lanes_do_not_advance() -> None:
+    sampler = djpt.load_dict({"type": "independent"})
+    index = dr.arange(UInt32, 8)
+    masked, plain = sampler.stream(UInt32(0), index), sampler.stream(UInt32(0), index)
+    even = (index & 1) == 0
+    masked.next_1d(even)
+    first, second = plain.next_1d(), plain.next_1d()
+    np.testing.assert_array_equal(np.array(masked.next_1d()), np.array(dr.select(even, second, first)))
