@@ -6,7 +6,7 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.djpt-ready
 
-.PHONY: help setup render test lint format check bench clean
+.PHONY: help setup render test lint format check bench docs clean
 
 help:
 	@echo 'make setup    create $(VENV), install djpt and what its tests need, see to LLVM'
@@ -16,6 +16,7 @@ help:
 	@echo 'make format   let ruff format the code and sort the imports'
 	@echo 'make check    lint and all tests'
 	@echo 'make bench    measure against Mitsuba'
+	@echo 'make docs     build the documentation in build/docs, warnings are errors'
 	@echo 'make clean    remove $(VENV) and caches'
 
 setup: $(READY)
@@ -47,6 +48,11 @@ check: lint
 
 bench: $(READY)
 	$(PY) benchmarks/versus_mitsuba.py
+
+docs: $(READY)
+	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(PY) -m sphinx -q -W --keep-going -b html docs build/docs
+	@echo 'build/docs/index.html'
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import djpt
 
 project = "djpt"
@@ -26,3 +28,13 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 python_use_unqualified_type_names = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+
+
+def _absolute_values(app, what, name, obj, options, lines) -> None:
+    """Docstrings may write an absolute value as |z|, which reST would take for a substitution."""
+    lines[:] = [re.sub(r"\|(\w+)\|", r"abs(\1)", line) for line in lines]
+
+
+def setup(app) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", _absolute_values)

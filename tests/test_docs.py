@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from machines import ROOT
+from machines import ROOT, run_python
 from snippets import snippets
 
 DOCS = ROOT / "docs"
@@ -25,6 +25,22 @@ def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.
     names: dict[str, Any] = {"__name__": Path(page).stem}
     for block in code:
         block.run(names)
+
+
+@pytest.mark.slow
+def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
+    for module in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(module)
+    done = run_python("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(tmp_path / "html"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "html" / "index.html").exists()
+
+
+@pytest.mark.parametrize("package", ["integrators", "materials", "shapes", "emitters", "rfilters", "sensors", "films"])
+def test_every_plugin_is_in_the_reference(package: str) -> None:
+    reference = (DOCS / "api.md").read_text()
+    modules = {path.stem for path in (ROOT / "djpt" / package).glob("*.py")} - {"__init__"}
+    assert modules <= set(re.findall(rf"djpt\.{package}\.(\w+)", reference))
 
 
 @pytest.mark.parametrize("page", PAGES)
