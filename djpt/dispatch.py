@@ -16,14 +16,14 @@ How values are looked up is the ensemble's `Lookup`:
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 import drjit as dr
 
 from djpt.description.plugin import Plugin
-from djpt.lookup import Flat, choose, is_one_of, opaque
+from djpt.lookup import Flat, Members, Numbers, Rows, opaque
 from djpt.types import Bool, UInt32
 
 __all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "opaque_copy", "structure"]
@@ -71,6 +71,19 @@ class Detached:
 
     def __init__(self) -> None:
         self._copies: dict[tuple[int, str], Any] = {}
+        self._tables: dict[int, tuple[Leaf, Rows]] = {}
+
+    def prepare(self, leaves: Iterable[Leaf]) -> None:
+        """Build the tables of some leaves. Long ones must exist before a kernel's loop asks for them."""
+        for leaf in leaves:
+            self._table(leaf)
+
+    def _table(self, leaf: Leaf) -> Rows:
+        if id(leaf) not in self._tables:
+            rows = [self.value(owner, leaf.attribute) for owner in leaf.owners]
+            # The leaf is kept beside its table so that its id stays taken.
+            self._tables[id(leaf)] = (leaf, Rows(rows, leaf.identity()))
+        return self._tables[id(leaf)][1]
 
     def value(self, owner: Plugin, attribute: str) -> Any:
         """The opaque copy of one plugin's value."""
@@ -84,16 +97,16 @@ class Detached:
         clone = Detached()
         for owner, attribute in needed:
             self.value(owner, attribute)
-        clone._copies = dict(self._copies)
+        clone._copies, clone._tables = dict(self._copies), dict(self._tables)
         return clone
 
     def forget(self) -> None:
         """Values have changed: read them again at the next use."""
         self._copies.clear()
+        self._tables.clear()
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
-        rows = [self.value(owner, leaf.attribute) for owner in leaf.owners]
-        return choose(slot, rows, leaf.identity())
+        return self._table(leaf).at(slot)
 
 
 class Attached:
@@ -112,7 +125,7 @@ class Attached:
             ]
             # The leaf is kept beside its buffer so that its id stays taken.
             self._flats[id(leaf)] = (leaf, Flat(rows))
-        return self._flats[id(leaf)][1].gather(slot)
+        return self._flats[id(leaf)][1].at(slot)
 
 
 class Group(Generic[P]):
@@ -172,6 +185,16 @@ class Ensemble(Generic[P]):
         for i, plugin in enumerate(self.plugins):
             by_structure.setdefault(structure(plugin), []).append(i)
         self.groups = [Group([self.plugins[i] for i in ids], ids) for ids in by_structure.values()]
+        self._members = {id(group): Members(group.indices, len(self.plugins)) for group in self.groups}
+        self._slots = {id(group): Numbers(self._positions(group)) for group in self.groups}
+
+    def _positions(self, group: Group[P]) -> list[int]:
+        position = {i: k for k, i in enumerate(group.indices)}
+        return [position.get(i, 0) for i in range(len(self.plugins))]
+
+    def leaves(self) -> list[Leaf]:
+        """All values of all groups."""
+        return [leaf for group in self.groups for leaf in group.leaves()]
 
     def __len__(self) -> int:
         return len(self.plugins)
@@ -181,9 +204,7 @@ class Ensemble(Generic[P]):
         first = group.indices[0]
         if list(group.indices) == list(range(first, first + len(group.indices))):
             return index - first if first else index
-        position = {i: k for k, i in enumerate(group.indices)}
-        slots = [position.get(i, 0) for i in range(len(self.plugins))]
-        return choose(index, [UInt32(k) for k in slots], slots)
+        return self._slots[id(group)].at(index)
 
     def call(self, index: UInt32, lookup: Lookup, method: Callable[[P], Any], otherwise: Any) -> Any:
         """``method(plugin)`` per lane; `otherwise` where `index` is beyond the last plugin.
@@ -202,4 +223,4 @@ class Ensemble(Generic[P]):
 
     def members(self, group: Group[P], index: UInt32) -> Bool:
         """True where plugin number `index` belongs to `group`."""
-        return is_one_of(index, group.indices)
+        return self._members[id(group)].contain(index)

@@ -8,14 +8,15 @@ larger ones a gather.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import drjit as dr
+import numpy as np
 
 from djpt.types import Bool, Float, UInt32
 
-__all__ = ["MAX_CHAIN", "Flat", "choose", "is_one_of", "opaque"]
+__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "as_float", "choose", "is_one_of", "opaque"]
 
 MAX_CHAIN = 16
 """Longest select chain; beyond it a table is gathered."""
@@ -30,15 +31,26 @@ def opaque(value: T) -> T:
     return copy
 
 
-def is_one_of(index: UInt32, members: Sequence[int]) -> Bool:
-    """True where `index` is in `members`; runs of consecutive members cost one range test."""
+def as_float(value: float) -> Float:
+    """An opaque width-1 `Float`."""
+    return dr.opaque(Float, float(value))
+
+
+def runs(members: Iterable[int]) -> list[tuple[int, int]]:
+    """The maximal runs (first, last) of consecutive numbers."""
+    result: list[tuple[int, int]] = []
+    for n in sorted(set(members)):
+        if result and result[-1][1] + 1 == n:
+            result[-1] = (result[-1][0], n)
+        else:
+            result.append((n, n))
+    return result
+
+
+def is_one_of(index: UInt32, members: Iterable[int]) -> Bool:
+    """True where `index` is in `members`: one range test per run. For few runs; else see `Members`."""
     result = Bool(False)
-    ordered = sorted(set(members))
-    start = 0
-    for i in range(len(ordered)):
-        if i + 1 < len(ordered) and ordered[i + 1] == ordered[i] + 1:
-            continue
-        low, high = ordered[start], ordered[i]
+    for low, high in runs(members):
         if low == high:
             result |= index == low
         elif low == 0:
@@ -46,25 +58,25 @@ def is_one_of(index: UInt32, members: Sequence[int]) -> Bool:
         else:
             # One unsigned comparison: values below `low` wrap around to large ones.
             result |= (index - low) <= (high - low)
-        start = i + 1
     return result
 
 
-def choose(index: UInt32, rows: Sequence[Any], identity: Sequence[Hashable] | None = None) -> Any:
-    """``rows[index]`` per lane: a chain of selects, or a gather if the rows are many.
-
-    `rows` are width-1 Dr.Jit arrays of one type (or PyTrees of them), `identity` says which of
-    them are the same (default: by object). The row that most indices share is the chain's
-    default. Indices beyond the table give an unspecified row.
-    """
-    if identity is None:
-        identity = [id(row) for row in rows]
-    members: dict[Hashable, list[int]] = {}
+def same_rows(identity: Iterable[Hashable]) -> list[list[int]]:
+    """Indices grouped by identity, the largest group first."""
+    groups: dict[Hashable, list[int]] = {}
     for i, key in enumerate(identity):
-        members.setdefault(key, []).append(i)
-    groups = sorted(members.values(), key=len, reverse=True)
-    if len(groups) > MAX_CHAIN:
-        return Flat(rows).gather(index)
+        groups.setdefault(key, []).append(i)
+    return sorted(groups.values(), key=len, reverse=True)
+
+
+def choose(index: UInt32, rows: Sequence[Any], identity: Sequence[Hashable] | None = None) -> Any:
+    """``rows[index]`` per lane as a chain of selects. For few different rows; else see `Rows`.
+
+    `rows` are Dr.Jit arrays of one type, `identity` says which of them are the same (default: by
+    object). The row that most indices share is the chain's default. Indices beyond the table
+    give an unspecified row.
+    """
+    groups = same_rows([id(row) for row in rows] if identity is None else identity)
     result = rows[groups[0][0]]
     for group in groups[1:]:
         result = dr.select(is_one_of(index, group), rows[group[0]], result)
@@ -80,17 +92,64 @@ class Flat:
 
     def __init__(self, rows: Sequence[Any]) -> None:
         self.dtype = type(rows[0])
-        self.size = len(rows)
         components: list[Any] = [c for row in rows for c in (row if dr.depth_v(row) > 1 else (row,))]
         # An own, aligned buffer: gathers from literals or shared memory don't become packet loads.
         self.data: Any = dr.concat(components)
         dr.make_opaque(self.data)
 
-    def gather(self, index: UInt32, active: Bool | bool = True) -> Any:
-        """The rows at `index`; zero where inactive."""
-        return dr.gather(self.dtype, self.data, index, active)
+    def at(self, index: UInt32) -> Any:
+        """The rows at `index`."""
+        return dr.gather(self.dtype, self.data, index)
 
 
-def as_float(value: float) -> Float:
-    """An opaque width-1 `Float`."""
-    return dr.opaque(Float, float(value))
+class Rows:
+    """A table of Dr.Jit values, built outside of kernels: a select chain, or a gather if it is long."""
+
+    def __init__(self, rows: Sequence[Any], identity: Sequence[Hashable] | None = None) -> None:
+        """`rows` and `identity` as for `choose`."""
+        self._rows, self._identity = list(rows), [id(row) for row in rows] if identity is None else list(identity)
+        self._flat = Flat(rows) if len(same_rows(self._identity)) > MAX_CHAIN else None
+
+    def at(self, index: UInt32) -> Any:
+        """The row at `index`."""
+        return choose(index, self._rows, self._identity) if self._flat is None else self._flat.at(index)
+
+
+class Numbers:
+    """A table of whole numbers that are structure: known when kernels are traced."""
+
+    def __init__(self, values: Sequence[int]) -> None:
+        self.values = tuple(values)
+        self._long = memory(self.values) if len(same_rows(self.values)) > MAX_CHAIN else None
+
+    def at(self, index: UInt32) -> UInt32:
+        """The number at `index`; 0 if the table is empty."""
+        if self._long is not None:
+            return dr.gather(UInt32, self._long, index)
+        if not self.values:
+            return UInt32(0)
+        return choose(index, [UInt32(v) for v in self.values], self.values)
+
+
+class Members:
+    """A set of indices, known when kernels are traced."""
+
+    def __init__(self, members: Iterable[int], size: int) -> None:
+        """Some of the numbers 0 .. size - 1."""
+        self._members = sorted(set(members))
+        long = len(runs(self._members)) > MAX_CHAIN
+        # One number beyond the last stands for "none of them" (an emitter index may say so).
+        self._long = memory([int(i in set(self._members)) for i in range(size + 1)]) if long else None
+
+    def contain(self, index: UInt32) -> Bool:
+        """True where `index` is in the set."""
+        if self._long is not None:
+            return dr.gather(UInt32, self._long, index) != 0
+        return is_one_of(index, self._members)
+
+
+def memory(values: Sequence[int]) -> UInt32:
+    """Whole numbers in memory of our own (arrays shared with NumPy may be unaligned)."""
+    table = UInt32(np.array(values, dtype=np.uint32)) ^ dr.opaque(UInt32, 0)
+    dr.eval(table)
+    return table

@@ -18,11 +18,11 @@ import drjit as dr
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.dispatch import Detached, Leaf
 from djpt.errors import RenderError
-from djpt.lookup import MAX_CHAIN, choose, is_one_of
+from djpt.lookup import MAX_CHAIN, Numbers, Rows, is_one_of, opaque
 from djpt.scene import Scene
 from djpt.types import Bool, Float, UInt32
 
-__all__ = ["Accumulator", "Leaves", "Parameter", "attached_parameters"]
+__all__ = ["Accumulator", "Leaves", "Numbering", "Parameter", "Tangents", "attached_parameters"]
 
 
 @dataclass(frozen=True)
@@ -63,31 +63,52 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
     return list(found.values())
 
 
+class Numbering:
+    """Which parameter each member of a leaf's group shows; built before kernels are traced."""
+
+    def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf]) -> None:
+        number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
+        self._of_leaf = {
+            id(leaf): [number.get((id(owner), leaf.attribute)) for owner in leaf.owners] for leaf in leaves
+        }
+        self.leaves = [leaf for leaf in leaves if any(n is not None for n in self._of_leaf[id(leaf)])]
+
+    def of(self, leaf: Leaf) -> list[int | None]:
+        """Per member the number of its parameter, or None."""
+        return self._of_leaf.get(id(leaf), [])
+
+
+class Tangents:
+    """Forward mode: the given changes of the parameters, looked up like the values themselves."""
+
+    def __init__(self, numbering: Numbering, changes: Sequence[Any]) -> None:
+        self._tables = {}
+        for leaf in numbering.leaves:
+            zero = dr.zeros(type(leaf.rows()[0]))
+            numbers = numbering.of(leaf)
+            rows = [zero if n is None else opaque(changes[n]) for n in numbers]
+            self._tables[id(leaf)] = Rows(rows, [-1 if n is None else n for n in numbers])
+
+    def at(self, leaf: Leaf, slot: UInt32) -> Any:
+        """The change of a leaf's value."""
+        return self._tables[id(leaf)].at(slot)
+
+
 class Leaves:
     """A `Lookup` that returns fresh AD leaves for attached parameters and remembers them."""
 
-    def __init__(self, values: Detached, parameters: Sequence[Parameter], tangents: Sequence[Any] | None = None):
-        """`values`: the detached values; `tangents`: for forward mode, one per parameter."""
-        self._values = values
-        self._number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
-        self._tangents = tangents
+    def __init__(self, values: Detached, numbering: Numbering, tangents: Tangents | None = None) -> None:
+        self._values, self._numbering, self._tangents = values, numbering, tangents
         self.taken: list[tuple[Leaf, UInt32, Any]] = []
-
-    def numbers(self, leaf: Leaf) -> list[int | None]:
-        """Per member of the leaf's group the number of the parameter that it shows, or None."""
-        return [self._number.get((id(owner), leaf.attribute)) for owner in leaf.owners]
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         value = self._values(leaf, slot)
-        numbers = self.numbers(leaf)
-        if all(n is None for n in numbers):
+        if all(n is None for n in self._numbering.of(leaf)):
             return value
         fresh = type(value)(dr.detach(value))
         dr.enable_grad(fresh)
         if self._tangents is not None:
-            zero = dr.zeros(type(value))
-            rows = [zero if n is None else self._tangents[n] for n in numbers]
-            dr.set_grad(fresh, choose(slot, rows, [-1 if n is None else n for n in numbers]))
+            dr.set_grad(fresh, self._tangents.at(leaf, slot))
         self.taken.append((leaf, slot, fresh))
         return fresh
 
@@ -99,8 +120,8 @@ class Accumulator:
     whose rounding may differ from run to run.
     """
 
-    def __init__(self, parameters: Sequence[Parameter], lanes: int) -> None:
-        self.parameters = parameters
+    def __init__(self, parameters: Sequence[Parameter], numbering: Numbering, lanes: int) -> None:
+        self.parameters, self._numbering, self._lanes = parameters, numbering, lanes
         self._starts: list[int] = []
         self.size = 0
         for parameter in parameters:
@@ -108,7 +129,11 @@ class Accumulator:
             self.size += parameter.size
         self.in_registers = len(parameters) <= MAX_CHAIN
         self._memory = None if self.in_registers else dr.zeros(Float, self.size)
-        self._lanes = lanes
+        # Members that show no parameter point beyond the end.
+        self._start_of = {
+            id(leaf): Numbers([self.size if n is None else self._starts[n] for n in numbering.of(leaf)])
+            for leaf in numbering.leaves
+        }
 
     def start(self) -> list[Float]:
         """Loop state: one sum per component, or none."""
@@ -120,7 +145,7 @@ class Accumulator:
         for leaf, slot, value in leaves.taken:
             gradient = dr.grad(value)
             components = [gradient[c] for c in range(len(value))] if dr.depth_v(value) > 1 else [gradient]
-            numbers = leaves.numbers(leaf)
+            numbers = self._numbering.of(leaf)
             if self.in_registers:
                 for number in {n for n in numbers if n is not None}:
                     mine = is_one_of(slot, [i for i, n in enumerate(numbers) if n == number])
@@ -128,11 +153,9 @@ class Accumulator:
                         at = self._starts[number] + c
                         sums[at] = sums[at] + dr.select(mine, component, 0)
             else:
-                nowhere = self.size
-                starts = [nowhere if n is None else self._starts[n] for n in numbers]
-                start = choose(slot, [UInt32(s) for s in starts], starts)
+                start = self._start_of[id(leaf)].at(slot)
                 for c, component in enumerate(components):
-                    dr.scatter_add(self._memory, component, start + c, active & (start < nowhere))
+                    dr.scatter_add(self._memory, component, start + c, active & (start < self.size))
         return sums
 
     def gradients(self, sums: list[Float]) -> list[Any]:

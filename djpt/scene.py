@@ -16,7 +16,7 @@ from djpt.emitters import Area, Emitter, PointLight
 from djpt.errors import SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.unrolled import Unrolled
-from djpt.lookup import choose, is_one_of
+from djpt.lookup import is_one_of
 from djpt.materials import BSDF, Diffuse
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
@@ -89,14 +89,24 @@ class Scene(Plugin):
             if shape.bsdf not in bsdfs:
                 bsdfs.append(shape.bsdf)
             self._bsdf_of_shape.append(bsdfs.index(shape.bsdf))
-        self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
+        # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
+        self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs or [black(f"{self.id}.bsdf")])
 
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
         none = len(self._emitters)
         self._light_of_shape = [
             self._emitters.index(shape.emitter) if shape.emitter is not None else none for shape in self._shapes
         ]
+        self._prepare()
         self._light_on_miss = none if self._environment is None else self._environment
+
+    def _prepare(self) -> None:
+        """Build all tables, after the scene was compiled or edited."""
+        assert isinstance(self.lookup, Detached)
+        self._bsdf_of_face = self.geometry.per_face(self._bsdf_of_shape)
+        self._light_of_face = self.geometry.per_face(self._light_of_shape)
+        for ensemble in (self.surfaces, self.bsdfs, self.lights):
+            self.lookup.prepare(ensemble.leaves())
 
     # ---- parameters -----------------------------------------------------------------
 
@@ -113,6 +123,7 @@ class Scene(Plugin):
                 self.geometry.move(plugin)
             elif isinstance(plugin, PointLight):
                 self.geometry.move_points([e.position for e in self._emitters if isinstance(e, PointLight)])
+        self._prepare()
 
     def with_lookup(self, lookup: Lookup) -> Scene:
         """A view of this scene that reads values through `lookup`."""
@@ -237,23 +248,15 @@ class Scene(Plugin):
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
-        return BSDFPtr(self, self._per_shape(si, self._bsdf_of_shape))
+        return BSDFPtr(self, self._bsdf_of_face.at(si.prim_index))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
-        index = self._per_shape(si, self._light_of_shape)
-        return dr.select(si.valid, index, UInt32(self._light_on_miss))
+        return dr.select(si.valid, self._light_of_face.at(si.prim_index), UInt32(self._light_on_miss))
 
     def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
         """The emitter seen at `si`: the shape's, or the environment on a miss."""
         return EmitterPtr(self, self.emitter_index_at(si))
-
-    def _per_shape(self, si: SurfaceInteraction3f, table: Sequence[int]) -> UInt32:
-        if not table:
-            return UInt32(0)
-        # Face numbers lead there in one step, without the shape in between.
-        per_face = [table[shape] for shape in self.geometry.face_shape]
-        return choose(si.prim_index, [UInt32(i) for i in per_face], per_face)
 
     # ---- light sampling ------------------------------------------------------------------------
 
@@ -323,5 +326,10 @@ def reads_uv(plugin: Plugin) -> bool:
 
 def default_bsdf(shape: Shape) -> BSDF:
     """The BSDF of a shape that has none: grey 0.5, black if it emits."""
-    reflectance = 0.0 if shape.emitter is not None else 0.5
-    return Diffuse(Properties("diffuse", f"{shape.id}.bsdf", {"reflectance": reflectance}))
+    name = f"{shape.id}.bsdf"
+    return black(name) if shape.emitter is not None else Diffuse(Properties("diffuse", name, {"reflectance": 0.5}))
+
+
+def black(name: str) -> BSDF:
+    """A surface that reflects nothing."""
+    return Diffuse(Properties("diffuse", name, {"reflectance": 0.0}))

@@ -21,7 +21,7 @@ import numpy as np
 
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.lookup import choose, is_one_of
+from djpt.lookup import Members, Numbers, Rows
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Point3f, UInt32, Vector3f
@@ -49,6 +49,7 @@ class Unrolled:
         shape.place(self.pool)
         if [self._face_key(f) for f in shape.faces()] != before:
             self._number_faces()
+        self._tabulate()
         self._find_occluders()
 
     def move_points(self, points: Sequence[Point3f]) -> None:
@@ -87,6 +88,13 @@ class Unrolled:
         self.face_number = [[0] * shape.face_count for shape in self.shapes]
         for number, entry in enumerate(entries):
             self.face_number[entry[2]][entry[3]] = number
+        self._shape_of, self._local_face = Numbers(self.face_shape), Numbers(self.face_local)
+        self._tabulate()
+
+    def _tabulate(self) -> None:
+        """Build the tables that kernels look frames up in."""
+        self._normals = Directions([face.normal if face else None for face in self._frames])
+        self._tangents = Directions([face.tangent if face else None for face in self._frames])
 
     def _find_occluders(self) -> None:
         """Shapes that may stand between a surface point and a light.
@@ -136,11 +144,15 @@ class Unrolled:
 
     def shape_of(self, number: UInt32) -> UInt32:
         """The shape that a face number belongs to."""
-        return choose(number, [UInt32(s) for s in self.face_shape], self.face_shape)
+        return self._shape_of.at(number)
 
     def local_face(self, number: UInt32) -> UInt32:
         """The face within its shape."""
-        return choose(number, [UInt32(k) for k in self.face_local], self.face_local)
+        return self._local_face.at(number)
+
+    def per_face(self, of_shape: Sequence[int]) -> Numbers:
+        """A table of numbers by shape as one by face number: leads there in one step."""
+        return Numbers([of_shape[shape] for shape in self.face_shape])
 
     def faces_of(self, shapes: Sequence[int]) -> list[int]:
         """All face numbers of some shapes."""
@@ -164,16 +176,24 @@ class Unrolled:
 
     def frame(self, number: UInt32) -> Frame3f:
         """Geometric normal and dp/du frame of a flat face."""
-        n = self._direction(number, [f.normal if f else None for f in self._frames])
-        s = self._direction(number, [f.tangent if f else None for f in self._frames])
+        n, s = self._normals.at(number), self._tangents.at(number)
         return Frame3f(s, dr.cross(n, s), n)
 
-    def _direction(self, number: UInt32, signed: Sequence[SignedAxis | None]) -> Vector3f:
+
+class Directions:
+    """Signed axes by face number; faces without one may get any."""
+
+    def __init__(self, signed: Sequence[SignedAxis | None]) -> None:
         present = [x for x in signed if x is not None]
-        rows = [(x or present[0]).axis for x in signed]
-        v = choose(number, [axis.vector for axis in rows], [id(axis) for axis in rows])
-        negative = is_one_of(number, [i for i, x in enumerate(signed) if x is not None and x.negative])
-        return dr.select(negative, -v, v)
+        axes = [(x or present[0]).axis for x in signed] if present else []
+        self._axes = Rows([axis.vector for axis in axes], [id(axis) for axis in axes]) if axes else None
+        self._negative = Members([i for i, x in enumerate(signed) if x is not None and x.negative], len(signed))
+
+    def at(self, number: UInt32) -> Vector3f:
+        """The direction of a face; there must be flat faces."""
+        assert self._axes is not None
+        v = self._axes.at(number)
+        return dr.select(self._negative.contain(number), -v, v)
 
 
 def _host_point(p: Point3f | np.ndarray) -> np.ndarray:

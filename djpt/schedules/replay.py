@@ -23,7 +23,7 @@ import drjit as dr
 from djpt.dispatch import Detached
 from djpt.integrators.base import PathIntegrator, PathState, wide
 from djpt.records import Ray3f
-from djpt.replay import Accumulator, Leaves, Parameter
+from djpt.replay import Accumulator, Leaves, Numbering, Parameter, Tangents
 from djpt.schedules.flat import first_sample, lanes_per_pixel, restart, samples_in_parallel
 from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Color3f, Float, UInt32
@@ -78,12 +78,12 @@ class Reverse:
 class Forward:
     """Forward mode: tangents in, one derivative per sample out, to sums or to ``store``."""
 
-    tangents: list[Any]
+    tangents: Tangents
     store: Callable[[UInt32, list[Float], Bool], None] | None
     sums: list[Float]
 
 
-def run(job: Job, values: Detached, parameters: list[Parameter], lanes: Lanes, mode: Reverse | Forward) -> Lane:
+def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Reverse | Forward) -> Lane:
     """Walk all samples twice."""
     integrator, scene, count = job.integrator, job.scene, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
@@ -108,7 +108,7 @@ def run(job: Job, values: Detached, parameters: list[Parameter], lanes: Lanes, m
     )
 
     def body(lane: Lane) -> tuple[Lane]:
-        leaves = Leaves(values, parameters, mode.tangents if isinstance(mode, Forward) else None)
+        leaves = Leaves(values, numbering, mode.tangents if isinstance(mode, Forward) else None)
         view = scene.with_lookup(leaves)
         si = integrator.trace(scene, lane.path, lane.ray)
         si.scene = view
@@ -164,6 +164,11 @@ def run(job: Job, values: Detached, parameters: list[Parameter], lanes: Lanes, m
     label = "replay backward" if reverse else "replay forward"
     (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label=label)
     return end
+
+
+def numbering_of(job: Job, parameters: list[Parameter]) -> Numbering:
+    """Where the parameters show up in the values that a vertex looks up."""
+    return Numbering(parameters, job.scene.bsdfs.leaves() + job.scene.lights.leaves())
 
 
 def interleaved(job: Job, begin: int, end: int) -> Lanes:
@@ -223,8 +228,9 @@ def gradients(
     adjoint: Adjoint | None,
 ) -> list[Any]:
     """Run the replay in reverse mode and add up the lanes."""
-    accumulator = Accumulator(parameters, dr.width(lanes.pixel))
-    end = run(job, values, parameters, lanes, Reverse(accumulator, delta, adjoint))
+    numbering = numbering_of(job, parameters)
+    accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
+    end = run(job, values, numbering, lanes, Reverse(accumulator, delta, adjoint))
     dr.eval(end.sums, end.k)
     return accumulator.gradients(end.sums)
 
@@ -236,7 +242,8 @@ def forward_sums(
     lanes = interleaved(job, begin, end)
     if sums is None:
         sums = [dr.zeros(Float, dr.width(lanes.pixel)) for _ in range(job.channel_count())]
-    result = run(job, values, parameters, lanes, Forward(tangents, None, sums)).sums
+    numbering = numbering_of(job, parameters)
+    result = run(job, values, numbering, lanes, Forward(Tangents(numbering, tangents), None, sums)).sums
     dr.eval(result)
     return result
 
@@ -252,6 +259,7 @@ def forward_samples(
         for buffer, channel in zip(buffers, channels, strict=True):
             dr.scatter(buffer, channel, slot, active)
 
-    run(job, values, parameters, layered(job, band, begin, end), Forward(tangents, store, []))
+    numbering = numbering_of(job, parameters)
+    run(job, values, numbering, layered(job, band, begin, end), Forward(Tangents(numbering, tangents), store, []))
     dr.eval(buffers)
     return buffers
