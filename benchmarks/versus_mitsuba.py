@@ -125,7 +125,7 @@ def first_image(renderer: str, rfilter: str) -> dict[str, float]:
         done = subprocess.run(
             [sys.executable, str(FIRST_IMAGE), renderer, rfilter],
             env={**os.environ, "DRJIT_CACHE_DIR": cache},
-            capture_output=True,
+            stdout=subprocess.PIPE,
             text=True,
             check=True,
         )

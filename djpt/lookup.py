@@ -13,10 +13,11 @@ from typing import Any, TypeVar
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
-from djpt.types import Bool, Float, UInt32
+from djpt.types import Bool, Float, UInt32, Vector3f
 
-__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "as_float", "choose", "is_one_of", "opaque"]
+__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "as_float", "as_vector", "choose", "is_one_of", "opaque"]
 
 MAX_CHAIN = 16
 """Longest select chain; beyond it a table is gathered."""
@@ -34,6 +35,11 @@ def opaque(value: T) -> T:
 def as_float(value: float) -> Float:
     """An opaque width-1 `Float`."""
     return dr.opaque(Float, float(value))
+
+
+def as_vector(v: NDArray[np.float64]) -> Vector3f:
+    """An opaque width-1 vector from three numbers."""
+    return Vector3f(*(as_float(float(x)) for x in v))
 
 
 def runs(members: Iterable[int]) -> list[tuple[int, int]]:

@@ -29,6 +29,7 @@ from djpt.records import (
     has_flag,
 )
 from djpt.shapes import Shape
+from djpt.textures import Texture
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
@@ -319,7 +320,7 @@ TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFF
 def reads_uv(plugin: Plugin) -> bool:
     """Is there a texture under `plugin` that varies over the surface?"""
     if plugin.kind == "texture":
-        return not getattr(plugin, "is_constant", False)
+        return isinstance(plugin, Texture) and not plugin.is_constant
     children = [getattr(plugin, name) for name in plugin.children]
     return any(reads_uv(child) for child in children if isinstance(child, Plugin) and child.kind != "shape")
 

@@ -274,16 +274,7 @@ def two_colors_each(scene: dict[str, Any]) -> list[str]:
 
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
-@pytest.mark.parametrize(
-    "edit",
-    [
-        two_colors_each,
-        pytest.param(
-            tiles,
-            marks=pytest.mark.xfail(reason="more than 16 shapes: a table is built in the loop", raises=RuntimeError),
-        ),
-    ],
-)
+@pytest.mark.parametrize("edit", [two_colors_each, tiles])
 def test_more_parameters_than_registers(edit: Callable[[Any], list[str]], rfilter: str) -> None:
     description = box(16, rfilter, PRB)
     names = edit(description)

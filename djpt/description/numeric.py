@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 
-__all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe", "is_readable"]
+__all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe", "is_readable", "non_negative"]
 
 LARGEST = float(np.finfo(np.float32).max)
 """Kernels compute in float32, where anything larger is infinite."""
@@ -121,3 +121,15 @@ def as_vector(value: Any) -> NDArray[np.float64]:
     if array.shape != (3,):
         raise SceneError(f"must be three numbers, found {describe(value)}")
     return array
+
+
+def non_negative(value: Any) -> float:
+    """A number that is at least 0.
+
+    Raises:
+        SceneError: anything else.
+    """
+    number = as_number(value)
+    if number < 0:
+        raise SceneError(f"must be at least 0, found {number:g}")
+    return number

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from djpt.description.numeric import non_negative
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError
 from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f
 
@@ -33,8 +33,8 @@ class Emitter(Plugin):
         super().traverse(callback)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        if name == "sampling_weight" and not float(value) >= 0:
-            raise ParameterError(f"{self.id}.sampling_weight: must be at least 0, found {value}")
+        if name == "sampling_weight":
+            return non_negative(value)
         return super().check_parameter(name, value)
 
     def flags(self) -> int:

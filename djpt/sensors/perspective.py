@@ -8,16 +8,15 @@ from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
-from djpt.lookup import as_float
+from djpt.lookup import as_float, as_vector
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Float, Point2f, Vector3f
+from djpt.types import Bool, Float, Point2f
 
 __all__ = ["Perspective"]
 
@@ -95,10 +94,10 @@ class Perspective(Sensor):
         step = -2 * reach * crop / size
 
         linear = self.to_world.matrix[:3, :3]
-        self.origin = opaque_vector(self.to_world.translation())
-        self.corner = opaque_vector(linear @ [(1 - 2 * u) * reach[0], (1 - 2 * v) * reach[1], 1.0])
-        self.across = opaque_vector(linear[:, 0] * step[0])
-        self.down = opaque_vector(linear[:, 1] * step[1])
+        self.origin = as_vector(self.to_world.translation())
+        self.corner = as_vector(linear @ [(1 - 2 * u) * reach[0], (1 - 2 * v) * reach[1], 1.0])
+        self.across = as_vector(linear[:, 0] * step[0])
+        self.down = as_vector(linear[:, 1] * step[1])
         self.near = as_float(self.near_clip)
         self.depth = as_float(self.far_clip - self.near_clip)
 
@@ -157,8 +156,3 @@ def focal_length(props: Properties) -> float:
     if not 0 < millimetres < math.inf:
         raise props.error("focal_length", f"must be a positive length such as '50mm', found '{text}'")
     return millimetres
-
-
-def opaque_vector(v: NDArray[np.float64]) -> Vector3f:
-    """Three numbers as kernel inputs, not literals."""
-    return Vector3f(*(as_float(float(x)) for x in v))

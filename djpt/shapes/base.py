@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
@@ -77,8 +78,8 @@ class Shape(Plugin):
     def check_parameter(self, name: str, value: Any) -> Any:
         if dr.grad_enabled(value):
             raise ParameterError(f"{self.id}.{name}: gradients by geometry aren't available")
-        if name == "silhouette_sampling_weight" and not float(value) >= 0:
-            raise ParameterError(f"{self.id}.{name}: must be at least 0, found {value}")
+        if name == "silhouette_sampling_weight":
+            return non_negative(value)
         return as_transform(value) if name == "to_world" else value
 
     # ---- on the host: where the shape is -----------------------------------------
@@ -159,8 +160,3 @@ class Shape(Plugin):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         """The number that Mitsuba gives to the primitive under a point; 0 for single-primitive shapes."""
         return UInt32(0)
-
-
-def opaque_vector(v: NDArray[np.float64]) -> Vector3f:
-    """A NumPy 3-vector as an opaque width-1 array."""
-    return Vector3f(*(dr.opaque(Float, float(x)) for x in v))

@@ -13,10 +13,10 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.lookup import as_float, choose
+from djpt.lookup import as_float, as_vector, choose
 from djpt.minmax import maximum, minimum
 from djpt.records import PositionSample3f
-from djpt.shapes.base import Face, Hit, Shape, opaque_vector
+from djpt.shapes.base import Face, Hit, Shape
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -142,11 +142,11 @@ class Cube(Shape):
         self.slab_center = [as_float(center.dot(a)) for a in along]
         self.slab_half = [as_float(float(1 / np.linalg.norm(d))) for d in duals]
 
-        self.center = opaque_vector(center)
-        self.edge_x, self.edge_y, self.edge_z = (opaque_vector(e) for e in edges.T)
-        self.dual_x, self.dual_y, self.dual_z = (opaque_vector(d) for d in duals)
+        self.center = as_vector(center)
+        self.edge_x, self.edge_y, self.edge_z = (as_vector(e) for e in edges.T)
+        self.dual_x, self.dual_y, self.dual_z = (as_vector(d) for d in duals)
         pairs = ((1, 2), (2, 0), (0, 1))
-        self.areas = opaque_vector(np.array([4 * np.linalg.norm(np.cross(edges[:, i], edges[:, j])) for i, j in pairs]))
+        self.areas = as_vector(np.array([4 * np.linalg.norm(np.cross(edges[:, i], edges[:, j])) for i, j in pairs]))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         center, edges = self._host

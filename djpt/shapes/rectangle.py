@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.lookup import as_float
+from djpt.lookup import as_float, as_vector
 from djpt.records import PositionSample3f
-from djpt.shapes.base import Face, Hit, Shape, opaque_vector
+from djpt.shapes.base import Face, Hit, Shape
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Rectangle"]
@@ -52,9 +52,9 @@ class Rectangle(Shape):
         self.center_u, self.half_u = as_float(center.dot(axis_u)), as_float(float(1 / np.linalg.norm(dual_u)))
         self.center_v, self.half_v = as_float(center.dot(axis_v)), as_float(float(1 / np.linalg.norm(dual_v)))
 
-        self.center, self.edge_u, self.edge_v = opaque_vector(center), opaque_vector(u), opaque_vector(v)
-        self.dual_u, self.dual_v = opaque_vector(dual_u), opaque_vector(dual_v)
-        self.normal = opaque_vector(outward)
+        self.center, self.edge_u, self.edge_v = as_vector(center), as_vector(u), as_vector(v)
+        self.dual_u, self.dual_v = as_vector(dual_u), as_vector(dual_v)
+        self.normal = as_vector(outward)
         self.area = as_float(float(4 * np.linalg.norm(cross)))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:

@@ -14,9 +14,9 @@ from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
-from djpt.lookup import as_float
+from djpt.lookup import as_float, as_vector
 from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
-from djpt.shapes.base import Hit, Shape, opaque_vector
+from djpt.shapes.base import Hit, Shape
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
@@ -68,9 +68,9 @@ class Sphere(Shape):
         matrix = self.to_world.matrix
         radius = float(np.linalg.norm(matrix[:3, 0]))
         self._host = (matrix[:3, 3], radius)
-        self.center, self.radius = opaque_vector(matrix[:3, 3]), as_float(radius)
+        self.center, self.radius = as_vector(matrix[:3, 3]), as_float(radius)
         self.area = as_float(4 * math.pi * radius**2)
-        self.axis_x, self.axis_y, self.axis_z = (opaque_vector(matrix[:3, k] / radius) for k in range(3))
+        self.axis_x, self.axis_y, self.axis_z = (as_vector(matrix[:3, k] / radius) for k in range(3))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         center, radius = self._host

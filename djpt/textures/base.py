@@ -19,6 +19,8 @@ class Texture(Plugin):
     """
 
     kind: ClassVar[str] = "texture"
+    is_constant: ClassVar[bool] = False
+    """True if no lookup needs uv: kernels then don't compute it."""
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
         """The colour at `si`."""
