@@ -18,6 +18,7 @@ from unittest.mock import patch
 
 from versus_mitsuba import cornell_box, seconds
 
+from djpt import lookup
 from djpt.geometry import axes, unrolled
 from djpt.schedules import flat
 
@@ -28,6 +29,13 @@ def renderer(spp: int, **options: Any) -> Render:
     """A function of the seed that renders a scene of its own."""
     loaded = djpt.load_dict(cornell_box(djpt, "box"))
     return lambda seed: djpt.render(loaded, spp=spp, seed=seed, **options)
+
+
+@contextmanager
+def no_select_chains() -> Iterator[None]:
+    """Tables are gathered from memory."""
+    with patch.object(lookup, "MAX_CHAIN", 1):
+        yield
 
 
 @contextmanager
@@ -53,6 +61,7 @@ def one_lane_per_pixel() -> Iterator[None]:
 
 CASES: list[tuple[str, Callable[[], AbstractContextManager[None]], dict[str, Any]]] = [
     ("path regeneration (flat against wave)", nullcontext, {"schedule": "wave"}),
+    ("select chains instead of gathers", no_select_chains, {}),
     ("shared and coordinate axes", no_shared_axes, {}),
     ("hull culling of shadow rays", no_hull_culling, {}),
     ("several lanes per pixel", one_lane_per_pixel, {}),
