@@ -38,7 +38,8 @@ class Row:
     """One line of the table."""
 
     what: str
-    required: float
+    required: float | None
+    """None: for information."""
     aim: float | None
     ratios: list[float]
     """Mitsuba's time / djpt's, one per pair; or a single number that must not exceed `required`."""
@@ -53,6 +54,8 @@ class Row:
     @property
     def passed(self) -> bool:
         """Was the required number reached?"""
+        if self.required is None:
+            return True
         return self.measured <= self.required if self.at_most else self.measured >= self.required
 
 
@@ -100,7 +103,7 @@ def image_row(rfilter: str, spp: int, pairs: int, required: float, aim: float) -
     return Row(f"image, {rfilter} filter, {spp} spp", required, aim, ratios, times)
 
 
-def first_image_row(rfilter: str, pairs: int) -> Row:
+def first_image_row(rfilter: str, pairs: int, required: float | None) -> Row:
     """The first image of a process that finds no compiled kernels, without its imports."""
     results = [(first_image("mitsuba", rfilter), first_image("djpt", rfilter)) for _ in range(pairs)]
     medians = [
@@ -110,7 +113,7 @@ def first_image_row(rfilter: str, pairs: int) -> Row:
     whole = statistics.median(theirs["process"] / ours["process"] for theirs, ours in results)
     return Row(
         f"first image in a process, {rfilter} filter, 16 spp",
-        2.5,
+        required,
         None,
         [theirs["image"] / ours["image"] for theirs, ours in results],
         f"{1e3 * their_image:.0f} ms / {1e3 * our_image:.0f} ms; with Python and imports "
@@ -166,8 +169,8 @@ def all_rows(pairs: int, spp: int) -> Iterator[Row]:
     """The whole table."""
     yield image_row("box", spp, pairs, 12, 15)
     yield image_row("gaussian", spp, pairs, 8, 10)
-    yield first_image_row("box", min(pairs, 5))
-    yield first_image_row("gaussian", min(pairs, 5))
+    yield first_image_row("box", min(pairs, 5), 2.5)
+    yield first_image_row("gaussian", min(pairs, 5), None)
     yield from gradient_rows("box", pairs, 8, 11)
     yield from gradient_rows("gaussian", pairs, 6.5, 9)
 
@@ -210,15 +213,17 @@ def heading(facts: dict[str, Any]) -> str:
 def line(row: Row) -> str:
     """One line of the table."""
     sign = "<=" if row.at_most else ">="
-    required, aim = f"{sign} {row.required:g}", "" if row.aim is None else f"{row.aim:g}"
+    required = "" if row.required is None else f"{sign} {row.required:g}"
+    aim = "" if row.aim is None else f"{row.aim:g}"
+    verdict = "" if row.required is None else "ok" if row.passed else "MISSED"
     if row.at_most:
         measured = f"{row.measured:.5f}"
     else:
         measured = f"{row.measured:.2f} ({min(row.ratios):.2f}, {max(row.ratios):.2f})"
-    return LAYOUT.format(row.what, required, aim, measured, "ok" if row.passed else "MISSED", row.note)
+    return LAYOUT.format(row.what, required, aim, measured, verdict, row.note)
 
 
-LAYOUT = "{:46} {:>8} {:>5} {:>22}  {:6}  {}"
+LAYOUT = "{:49} {:>8} {:>5} {:>22}  {:6}  {}"
 
 
 def main() -> int:
