@@ -8,6 +8,7 @@ bar to stderr; the bar only to a terminal.
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from rich.progress import Task
     from rich.text import Text
 
-__all__ = ["ExitCode", "app", "main"]
+__all__ = ["ExitCode", "app", "main", "run"]
 
 
 class ExitCode(IntEnum):
@@ -188,12 +189,23 @@ def doctor() -> None:
 
 
 def main() -> int:
-    """The entry point of ``djpt`` and ``python -m djpt``; returns the exit code."""
+    """The command line; returns the exit code."""
     try:
         app(prog_name="djpt")
     except SystemExit as end:  # how Click always ends
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     return ExitCode.DONE
+
+
+def run() -> None:
+    """Run `main` as the whole process, which ends with its exit code."""
+    code = main()
+    if code == ExitCode.UNUSABLE:
+        # Without an LLVM, Dr.Jit's own shutdown has been seen to hang.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 @contextlib.contextmanager

@@ -208,7 +208,7 @@ def on_grid(job: Job, image: TensorXf) -> list[Float]:
 
 def filter_weights(job: Job) -> Float:
     """The sum of the weights of all samples that reach a pixel of the grid."""
-    image = [dr.zeros(Float, job.width * job.height)]
+    image = [dr.opaque(Float, 0, job.width * job.height)]
     for band in job.bands(2**16):
         rows = add_samples(job, band, [], 0, job.spp, None)
         image = spread(job, band, rows, image)

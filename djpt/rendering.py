@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import replace
 from typing import Any
 
@@ -61,13 +62,14 @@ def render(
     """
     begin_trace()
     job = make_job(scene, sensor, integrator, seed, spp, progress)
-    check_count("spp_grad", spp_grad)
-    check_count("pass_spp", pass_spp)
+    seed_grad = check_seed("seed_grad", seed_grad)
+    spp_grad = check_count("spp_grad", spp_grad)
+    pass_spp = check_count("pass_spp", pass_spp)
     use_flat = choose_schedule(schedule, job.integrator)
     parameters = attached_parameters(scene)
     if not parameters:
         return primal_image(job, use_flat, pass_spp)
-    gradient_job = replace(job, seed=gradient_seed(seed, seed_grad), spp=spp_grad or job.spp, progress=None)
+    gradient_job = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None)
     return differentiable_image(gradient_job, parameters, lambda: primal_image(job, use_flat, pass_spp))
 
 
@@ -86,19 +88,18 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
         raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
     sensors = scene.sensors()
     if not hasattr(sensor, "sample_ray"):
-        if not isinstance(sensor, int) or isinstance(sensor, bool):
+        number = whole(sensor)
+        if number is None:
             raise RenderError(f"'sensor' must be an index or a sensor, found {type(sensor).__name__}")
         if not sensors:
             raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
-        if not -len(sensors) <= sensor < len(sensors):
-            raise RenderError(f"the scene has {len(sensors)} sensors; there is no number {sensor}")
-        sensor = sensors[sensor]
+        if not 0 <= number < len(sensors):
+            raise RenderError(f"the scene has {len(sensors)} sensors; there is no number {number}")
+        sensor = sensors[number]
     integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
         raise RenderError(f"'integrator' must be an integrator plugin, found {type(integrator).__name__}")
-    check_count("spp", spp)
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
-        raise RenderError(f"'seed' must be a whole number with 0 <= seed < 2^32, found {seed!r}")
+    spp, seed = check_count("spp", spp), check_seed("seed", seed)
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
     spp = spp or sensor.sampler.sample_count
@@ -111,10 +112,28 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     return job
 
 
-def check_count(name: str, value: int) -> None:
+def whole(value: Any) -> int | None:
+    """Python's or another library's integer as an int; None for anything else."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
+
+
+def check_count(name: str, value: Any) -> int:
     """Whole and not negative, or RenderError."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+    count = whole(value)
+    if count is None or count < 0:
         raise RenderError(f"'{name}' must be a whole number, 1 or more (0 = default), found {value!r}")
+    return count
+
+
+def check_seed(name: str, value: Any) -> int:
+    """Whole and of 32 bits, or RenderError."""
+    seed = whole(value)
+    if seed is None or not 0 <= seed < 2**32:
+        raise RenderError(f"'{name}' must be a whole number with 0 <= {name} < 2^32, found {value!r}")
+    return seed
 
 
 def choose_schedule(schedule: str, integrator: Integrator) -> bool:

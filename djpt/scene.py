@@ -202,11 +202,11 @@ class Scene(Plugin):
     def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
         """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
         valid, p = pi.is_valid(), ray(pi.t)
-        frame = self._frame(pi, p)
+        n, frame = self._frame(pi, p)
         si = SurfaceInteraction3f(
             t=pi.t,
             p=p,
-            n=frame.n,
+            n=n,
             sh_frame=frame,
             uv=Point2f(0),
             dp_du=Vector3f(0),
@@ -231,19 +231,21 @@ class Scene(Plugin):
         face = self.geometry.local_face(si.prim_index)
         return self.surfaces.call(si.shape_index, self.lookup, lambda shape: shape.triangle(face, si.uv), None)
 
-    def _frame(self, pi: PreliminaryIntersection3f, p: Point3f) -> Frame3f:
-        """The shading frame at a hit: flat faces from the unrolled set, curved shapes by their class."""
+    def _frame(self, pi: PreliminaryIntersection3f, p: Point3f) -> tuple[Vector3f, Frame3f]:
+        """Geometric normal and shading frame: of flat faces by number, of curved shapes by their class."""
         flat = [i for i, shape in enumerate(self._shapes) if shape.faces()]
-        frame = self.geometry.frame(pi.prim_index) if flat else None
+        result: Any = self.geometry.frame(pi.prim_index) if flat else None
         for group in self.surfaces.groups:
             if group.indices[0] in flat:
                 continue
             shape = group.at(self.surfaces.slots(group, pi.shape_index), self.lookup)
             n, s = shape.normal_at(p), shape.tangent_at(p)
-            curved = Frame3f(s, dr.cross(n, s), n)
-            numbers = self.geometry.faces_of(group.indices)
-            frame = curved if frame is None else dr.select(is_one_of(pi.prim_index, numbers), curved, frame)
-        return frame or Frame3f.from_normal(Vector3f(0, 0, 1))
+            curved = (n, Frame3f(s, dr.cross(n, s), n))
+            # Curved faces are numbered first, so this is one range test.
+            here = is_one_of(pi.prim_index, self.geometry.faces_of(group.indices))
+            result = curved if result is None else dr.select(here, curved, result)
+        up = Vector3f(0, 0, 1)
+        return result or (up, Frame3f.from_normal(up))
 
     # ---- BSDFs and emitters of surface points -----------------------------------------------
 

@@ -81,7 +81,8 @@ class AOV(Integrator):
         valid = si.is_valid()
         color, covered, channels = Color3f(0), valid, list[Any]()
         for i, (_, integrator) in enumerate(self.nested):
-            nested_color, nested_valid, _ = integrator.sample(scene, sampler, ray, active)
+            # Every integrator sees the numbers that it would see alone.
+            nested_color, nested_valid, _ = integrator.sample(scene, sampler.clone(), ray, active)
             if i == 0:
                 color, covered = nested_color, nested_valid
             else:

@@ -74,7 +74,4 @@ class Direct(Integrator):
             mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)
             result += weight * si_b.emitter(scene).eval(si_b, lit) * mis
 
-        valid = si.is_valid()
-        if not self.hide_emitters and scene.environment() is not None:
-            valid |= Bool(True)
-        return dr.select(active, result, 0), valid & active, []
+        return dr.select(active, result, 0), si.is_valid() & active, []

@@ -31,6 +31,8 @@ class Path(PathIntegrator):
     """
 
     default_max_depth = -1
+    covers_sky = True
+    """Does an environment count as covered (alpha 1)?"""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -82,7 +84,9 @@ class Path(PathIntegrator):
         # ---------------------- Next vertex -------------------
         delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
         next_state = PathState(si.p, throughput, dr.select(delta, 0, bs.pdf), eta, state.depth + 1)
-        covered = ~first | si.is_valid() | (scene.environment() is not None and not self.hide_emitters)
+        covered = (
+            ~first | si.is_valid() | (self.covers_sky and scene.environment() is not None and not self.hide_emitters)
+        )
         return Vertex(
             emitted=emitted,
             reflected=reflected,

@@ -15,10 +15,11 @@ class PRB(Path):
     "Path Replay Backpropagation", SIGGRAPH 2021. Sampling decisions are detached.
 
     Parameters: as `path`, with `max_depth` 6 by default. Russian roulette starts one vertex
-    later than in `path`, as it does in Mitsuba.
+    later than in `path`, and an environment isn't covered (alpha 0), as in Mitsuba.
     """
 
     default_max_depth = 6
+    covers_sky = False
 
     def roulette_depth(self, depth: UInt32) -> UInt32:
         return depth

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -66,8 +67,8 @@ class HDRFilm(Plugin):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         try:
-            pair = tuple(int(x) for x in value)
-        except (TypeError, ValueError):
+            pair = tuple(operator.index(x) for x in value)
+        except TypeError:
             pair = ()
         if len(pair) != 2 or min(pair) < (0 if name == "crop_offset" else 1):
             raise ParameterError(f"{self.id}.{name}: two whole numbers of pixels are expected, found {value!r}")

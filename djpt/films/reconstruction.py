@@ -69,7 +69,7 @@ def add_by_pixels(job: Job, band: Band, samples: list[Float], begin: int, end: i
     lane, size, first = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes), dr.opaque(UInt32, begin)
     channels = len(samples) + 1
     if sums is None:
-        sums = [dr.zeros(Float, lanes) for _ in range(taps * taps * channels)]
+        sums = [dr.opaque(Float, 0, lanes) for _ in range(taps * taps * channels)]
 
     def body(k: UInt32, sums: Sums) -> tuple[UInt32, Sums]:
         sums = list(sums)
@@ -133,7 +133,7 @@ def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int
     first_pixel = dr.opaque(Int32, band.first_row * job.width)
     center = corner + 0.5
     if sums is None:
-        sums = [dr.zeros(Float, lanes) for _ in range(taps * channels)]
+        sums = [dr.opaque(Float, 0, lanes) for _ in range(taps * channels)]
 
     def body(k: UInt32, sums: Sums) -> tuple[UInt32, Sums]:
         sums = list(sums)
@@ -183,7 +183,7 @@ def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, su
     lane = dr.arange(UInt32, pixels)
     size, count = dr.opaque(UInt32, pixels), dr.opaque(UInt32, end - begin)
     if sums is None:
-        sums = [dr.zeros(Float, pixels) for _ in samples]
+        sums = [dr.opaque(Float, 0, pixels) for _ in samples]
 
     def body(k: UInt32, sums: list[Float]) -> tuple[UInt32, list[Float]]:
         slot = dr.fma(k, size, lane)

@@ -70,7 +70,7 @@ class Unrolled:
 
     @staticmethod
     def _face_key(face: object) -> Hashable:
-        return (face.normal.key(), face.tangent.key())  # type: ignore[attr-defined]
+        return (face.normal.key(), face.shading.key(), face.tangent.key())  # type: ignore[attr-defined]
 
     def _number_faces(self) -> None:
         """Give every face of every shape a number; faces of equal normal axis get neighbouring ones."""
@@ -93,7 +93,9 @@ class Unrolled:
 
     def _tabulate(self) -> None:
         """Build the tables that kernels look frames up in."""
-        self._normals = Directions([face.normal if face else None for face in self._frames])
+        self._normals = Directions([face.shading if face else None for face in self._frames])
+        turned = [n for n, face in enumerate(self._frames) if face and face.normal.negative != face.shading.negative]
+        self._turned = Members(turned, len(self._frames)) if turned else None
         self._tangents = Directions([face.tangent if face else None for face in self._frames])
 
     def _find_occluders(self) -> None:
@@ -174,10 +176,11 @@ class Unrolled:
                 result |= shape.intersect(projected, ray.maxt, numbers).hit
         return result
 
-    def frame(self, number: UInt32) -> Frame3f:
-        """Geometric normal and dp/du frame of a flat face."""
+    def frame(self, number: UInt32) -> tuple[Vector3f, Frame3f]:
+        """Geometric normal and shading frame of a flat face."""
         n, s = self._normals.at(number), self._tangents.at(number)
-        return Frame3f(s, dr.cross(n, s), n)
+        geometric = n if self._turned is None else dr.select(self._turned.contain(number), -n, n)
+        return geometric, Frame3f(s, dr.cross(n, s), n)
 
 
 class Directions:

@@ -20,6 +20,9 @@ class SampleStream(Protocol):
     def next_2d(self, active: Bool | bool = True) -> Point2f:
         """The next two numbers in [0, 1)^2."""
 
+    def clone(self) -> SampleStream:
+        """A stream that continues with the same numbers, independently of this one."""
+
 
 class Sampler(Plugin):
     """Makes a `SampleStream` per sample.

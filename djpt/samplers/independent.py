@@ -23,6 +23,11 @@ class IndependentStream:
         if rng is not None:
             self.rng = rng
 
+    def clone(self) -> IndependentStream:
+        rng = PCG32()
+        rng.state, rng.inc = UInt64(self.rng.state), UInt64(self.rng.inc)
+        return IndependentStream(rng)
+
     def next_1d(self, active: Bool | bool = True) -> Float:
         return self.rng.next_float32(Bool(active))
 

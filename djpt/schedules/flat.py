@@ -147,26 +147,29 @@ def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> l
     group = index // count
     pixel = index - group * count
     if sums is None:
-        sums = [dr.zeros(Float, lanes) for _ in range(job.channel_count())]
+        sums = blank_sums(lanes, job.channel_count())
     first = first_sample(group, groups, dr.opaque(UInt32, begin))
     result = run(job, pixel, first, dr.opaque(UInt32, end), groups, sums, None).sink
     dr.eval(result)
     return result
 
 
+def blank_sums(lanes: int, count: int) -> list[Float]:
+    """Zeros in memory: as literals they would give a first pass a kernel of its own."""
+    return [dr.opaque(Float, 0, lanes) for _ in range(count)]
+
+
 def total(job: Job, sums: list[Float]) -> list[Float]:
     """The per-pixel sums over a pixel's lanes."""
     pixels = job.width * job.height
     groups = dr.width(sums[0]) // pixels
-    if groups == 1:
-        return sums
     count, pixel = dr.opaque(UInt32, groups), dr.arange(UInt32, pixels)
     stride = dr.opaque(UInt32, pixels)
 
     def body(g: UInt32, out: list[Float]) -> tuple[UInt32, list[Float]]:
         return g + 1, [o + dr.gather(Float, s, dr.fma(g, stride, pixel)) for o, s in zip(out, sums, strict=True)]
 
-    start = [dr.zeros(Float, pixels) for _ in sums]
+    start = blank_sums(pixels, len(sums))
     _, result = dr.while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
     dr.eval(result)
     return result

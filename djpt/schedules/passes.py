@@ -69,7 +69,7 @@ def image_of_samples(job: Job, samples: list[Float]) -> TensorXf:
     band = Band(0, job.height)
     if not job.film.filters:
         return develop(job, add_box(job, band, samples, 0, job.spp, None), dr.opaque(Float, job.spp))
-    blank = [dr.zeros(Float, job.width * job.height) for _ in range(len(samples) + 1)]
+    blank = [dr.opaque(Float, 0, job.width * job.height) for _ in range(len(samples) + 1)]
     *sums, weight = spread(job, band, add_samples(job, band, samples, 0, job.spp, None), blank)
     return develop(job, sums, weight)
 
@@ -97,7 +97,7 @@ def box_sums(job: Job, samples: Samples, pass_spp: int) -> Iterator[list[Float]]
 
 def filtered_sums(job: Job, samples: Samples, pass_spp: int) -> list[Float]:
     """The weighted sums of all channels and of the weights, over the whole grid."""
-    image = [dr.zeros(Float, job.width * job.height) for _ in range(job.channel_count() + 1)]
+    image = [dr.opaque(Float, 0, job.width * job.height) for _ in range(job.channel_count() + 1)]
     for band in job.bands(BAND_PIXELS):
         rows = None
         for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):

@@ -24,7 +24,7 @@ from djpt.dispatch import Detached
 from djpt.integrators.base import PathIntegrator, PathState, wide
 from djpt.records import Ray3f
 from djpt.replay import Accumulator, Leaves, Numbering, Parameter, Tangents
-from djpt.schedules.flat import first_sample, lanes_per_pixel, restart, samples_in_parallel
+from djpt.schedules.flat import blank_sums, first_sample, lanes_per_pixel, restart, samples_in_parallel
 from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Color3f, Float, UInt32
 
@@ -241,7 +241,7 @@ def forward_sums(
     """Like `flat.radiance_sums`, of the samples' derivatives."""
     lanes = interleaved(job, begin, end)
     if sums is None:
-        sums = [dr.zeros(Float, dr.width(lanes.pixel)) for _ in range(job.channel_count())]
+        sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     numbering = numbering_of(job, parameters)
     result = run(job, values, numbering, lanes, Forward(Tangents(numbering, tangents), None, sums)).sums
     dr.eval(result)

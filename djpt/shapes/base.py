@@ -24,9 +24,12 @@ __all__ = ["Face", "Hit", "Shape"]
 
 @dataclass(frozen=True)
 class Face:
-    """A flat face: its normal and the direction of dp/du, both along axes of the scene's pool."""
+    """A flat face: its normals and the direction of dp/du, along axes of the scene's pool."""
 
     normal: SignedAxis
+    """The geometric normal, dp/du x dp/dv; a mirroring transform turns it round."""
+    shading: SignedAxis
+    """The shading normal, the local normal transformed: it stays on the outer side."""
     tangent: SignedAxis
 
 

@@ -55,7 +55,7 @@ class Cube(Shape):
     """A parallelepiped; every face has its own uv in [0, 1]^2.
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
-    Normals point outwards unless the transform mirrors or `flip_normals` is set.
+    Normals point outwards unless `flip_normals` is set.
     """
 
     face_count = 6
@@ -155,14 +155,15 @@ class Cube(Shape):
 
     def faces(self) -> Sequence[Face]:
         assert self._axes is not None
-        inward = self.flip_normals != self.mirrored
         result = []
         for (n, n_sign), (u, u_sign), _ in FACES:
-            normal, tangent = self._axes[n], self._axes[3 + u]
+            axis, tangent = self._axes[n], self._axes[3 + u]
+            negative = axis.negative ^ (n_sign < 0) ^ self.flip_normals
             result.append(
                 Face(
-                    SignedAxis(normal.axis, normal.negative ^ (n_sign < 0) ^ inward),
-                    SignedAxis(tangent.axis, tangent.negative ^ (u_sign < 0)),
+                    normal=SignedAxis(axis.axis, negative ^ self.mirrored),
+                    shading=SignedAxis(axis.axis, negative),
+                    tangent=SignedAxis(tangent.axis, tangent.negative ^ (u_sign < 0)),
                 )
             )
         return result
@@ -233,7 +234,7 @@ class Cube(Shape):
 
     def _outward(self, face: UInt32) -> Vector3f:
         duals = (self.dual_x, self.dual_y, self.dual_z)
-        sign = -1 if self.flip_normals != self.mirrored else 1
+        sign = -1 if self.flip_normals else 1
         return choose(face, [sign * s * dr.normalize(duals[a]) for (a, s), _, _ in FACES])
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:

@@ -25,7 +25,7 @@ class Rectangle(Shape):
     """A parallelogram with uv = ((x + 1) / 2, (y + 1) / 2).
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
-    Normal: the direction of dp/du x dp/dv, as in Mitsuba also for mirroring transforms.
+    It shines and shades on the side of the transformed +z axis.
     """
 
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
@@ -42,10 +42,13 @@ class Rectangle(Shape):
         normal = cross / np.linalg.norm(cross)
         # Duals: dual_u . (p - center) is the local x coordinate, also for sheared rectangles.
         dual_u, dual_v = np.cross(v, cross) / cross.dot(cross), np.cross(cross, u) / cross.dot(cross)
-        outward = -normal if self.flip_normals else normal
+        # The geometric normal is dp/du x dp/dv, the shading normal lies on the side of local +z.
+        mirrored = bool(normal.dot(matrix[:3, 2]) < 0)
+        outward = -normal if self.flip_normals != mirrored else normal
 
         self._axes = pool.find((outward, dual_u, dual_v, u), self._axes)
         self._host = (center, u, v, normal)
+        self.mirrored = mirrored
 
         axis_n, axis_u, axis_v = (signed.axis.direction for signed in self._axes[:3])
         self.plane_offset = as_float(center.dot(axis_n))
@@ -68,7 +71,9 @@ class Rectangle(Shape):
 
     def faces(self) -> Sequence[Face]:
         assert self._axes is not None
-        return [Face(self._axes[0], self._axes[3])]
+        outward = self._axes[0]
+        geometric = SignedAxis(outward.axis, outward.negative ^ self.mirrored)
+        return [Face(geometric, outward, self._axes[3])]
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
         assert self._axes is not None
