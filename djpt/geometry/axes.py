@@ -26,10 +26,6 @@ __all__ = ["Axis", "AxisPool", "ProjectedRay", "SignedAxis"]
 ALIGNED = 2e-7
 """Unit directions closer than this are one axis: float32 can't tell them apart."""
 
-PARALLEL = 1e-18
-"""Smaller components of a direction count as this one."""
-
-
 class Axis:
     """A unit direction, up to its sign.
 
@@ -145,11 +141,9 @@ class ProjectedRay:
         self._projections: dict[int, tuple[Float, Float, Float]] = {}
 
     def onto(self, axis: Axis) -> tuple[Float, Float, Float]:
-        """(o.a, d.a, 1 / d.a); the last is huge for rays across the axis."""
+        """(o.a, d.a, 1 / d.a); the last is infinite for rays across the axis."""
         key = id(axis)
         if key not in self._projections:
             d = axis.dot(self.ray.d)
-            # Across the axis the reciprocal must stay finite: infinite distances would cancel to NaN.
-            steep = dr.select(dr.abs(d) < PARALLEL, PARALLEL, d)
-            self._projections[key] = (axis.dot(self.ray.o), d, dr.rcp(steep))
+            self._projections[key] = (axis.dot(self.ray.o), d, dr.rcp(d))
         return self._projections[key]

@@ -22,24 +22,18 @@ from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["lanes_per_pixel", "radiance_samples", "radiance_sums"]
 
-FEW_LANES = 2**16
+LANES = 2**16
 """Fewer lanes leave processor cores idle: Dr.Jit hands them out in blocks of 2^14."""
-
-MANY_LANES = 2**17
-"""More lanes are of no use on small machines."""
 
 
 def lanes_per_pixel(pixels: int, spp: int) -> int:
     """How many lanes share a pixel's samples: a power of two that depends on the image alone.
 
     A lane with many samples in a row evens out the lengths of its paths, so pixels are shared only
-    while lanes are few, or samples plenty.
+    where there are few of them.
     """
     lanes = 1
-    while lanes < 64:
-        each, total = spp // (2 * lanes), pixels * lanes
-        if not ((total < FEW_LANES and each >= 4) or (total < MANY_LANES and each >= 32)):
-            break
+    while pixels * lanes < LANES and lanes < 64 and spp // (2 * lanes) >= 4:
         lanes *= 2
     return lanes
 
@@ -198,6 +192,6 @@ def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
 def samples_in_parallel(pixels: int, count: int) -> int:
     """Lanes per pixel of a pass that stores its samples; they don't change the result."""
     lanes = 1
-    while pixels * lanes < FEW_LANES and count % (2 * lanes) == 0 and count // (2 * lanes) >= 8:
+    while pixels * lanes < LANES and count % (2 * lanes) == 0 and count // (2 * lanes) >= 8:
         lanes *= 2
     return lanes

@@ -89,7 +89,7 @@ def box_sums(job: Job, samples: Samples, pass_spp: int) -> Iterator[list[Float]]
     for band in job.bands(BAND_PIXELS):
         sums = None
         for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
-            sums = add_box(job, band, samples(job, band, begin, end), begin, end, sums)
+            sums = add_box(job, band, computed(samples, job, band, begin, end), begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert sums is not None
         yield sums
@@ -101,11 +101,18 @@ def filtered_sums(job: Job, samples: Samples, pass_spp: int) -> list[Float]:
     for band in job.bands(BAND_PIXELS):
         rows = None
         for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
-            rows = add_samples(job, band, samples(job, band, begin, end), begin, end, rows)
+            rows = add_samples(job, band, computed(samples, job, band, begin, end), begin, end, rows)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert rows is not None
         image = spread(job, band, rows, image)
     return image
+
+
+def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+    """Samples in memory: gathers from an unevaluated result would run its kernel once per channel."""
+    values = samples(job, band, begin, end)
+    dr.eval(values)
+    return values
 
 
 def stored_passes(job: Job) -> Iterator[tuple[Band, int, int]]:
@@ -139,20 +146,19 @@ def report(job: Job, done: int) -> None:
 
 
 def develop(job: Job, sums: list[Float], weight: Float) -> TensorXf:
-    """Weighted sums over weights, cropped: the image."""
-    border, (width, height) = job.film.border, job.film.crop_size
-    weight = dr.select(weight == 0, 1, weight)
-    channels = [s / weight for s in sums]
-    if border:
-        pixel = dr.arange(UInt32, width * height)
-        row = pixel // width
-        source = (row + border) * job.width + (pixel - row * width) + border
-        dr.eval(channels)
-        channels = [dr.gather(Float, c, source) for c in channels]
-    dr.eval(channels)
-    count = len(channels)
-    flat_image = dr.empty(Float, width * height * count)
-    slot = dr.arange(UInt32, width * height) * count
-    for c, channel in enumerate(channels):
-        dr.scatter(flat_image, channel, slot + c)
-    return TensorXf(flat_image, shape=(height, width, count))
+    """Weighted sums over weights, cropped: the image. `sums` must be evaluated."""
+    border, (width, height), count = job.film.border, job.film.crop_size, len(sums)
+    columns, first = dr.opaque(UInt32, width), dr.opaque(UInt32, border)
+    # One lane per number of the image: one small kernel, whatever the number of channels.
+    index = dr.arange(UInt32, width * height * count)
+    pixel = index // count
+    channel, row = index - pixel * count, pixel // columns
+    source = dr.fma(row + first, job.width_value, pixel - row * columns + first)
+    value = dr.gather(Float, sums[0], source)
+    for c in range(1, count):
+        value = dr.select(channel == c, dr.gather(Float, sums[c], source, channel == c), value)
+    if dr.width(weight) > 1:
+        weight = dr.gather(Float, weight, source)
+    pixels = value / dr.select(weight == 0, 1, weight)
+    dr.eval(pixels)
+    return TensorXf(pixels, shape=(height, width, count))

@@ -139,8 +139,11 @@ class Cube(Shape):
         self._host = (center, edges)
 
         along = [signed.axis.direction for signed in self._axes[:3]]
-        self.slab_center = [as_float(center.dot(a)) for a in along]
-        self.slab_half = [as_float(float(1 / np.linalg.norm(d))) for d in duals]
+        reaches = [1 / np.linalg.norm(d) for d in duals]
+        self.slabs = [
+            (as_float(center.dot(a) - reach), as_float(center.dot(a) + reach))
+            for a, reach in zip(along, reaches, strict=True)
+        ]
 
         self.center = as_vector(center)
         self.edge_x, self.edge_y, self.edge_z = (as_vector(e) for e in edges.T)
@@ -173,11 +176,13 @@ class Cube(Shape):
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
         assert self._axes is not None
         enter, leave, forward = [], [], []
-        for signed, center, half in zip(self._axes[:3], self.slab_center, self.slab_half, strict=True):
+        for signed, (low, high) in zip(self._axes[:3], self.slabs, strict=True):
             o, _, inv_d = ray.onto(signed.axis)
-            middle, reach = (center - o) * inv_d, dr.abs(inv_d) * half
-            enter.append(middle - reach)
-            leave.append(middle + reach)
+            # For a ray across the axis both are infinite, of opposite signs if it runs between the planes.
+            t_low, t_high = (low - o) * inv_d, (high - o) * inv_d
+            rising = t_low < t_high
+            enter.append(dr.select(rising, t_low, t_high))
+            leave.append(dr.select(rising, t_high, t_low))
             # Does the ray run towards the + face of this local axis?
             forward.append((inv_d < 0) if signed.negative else (inv_d >= 0))
         near = maximum(maximum(enter[0], enter[1]), enter[2])
