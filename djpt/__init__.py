@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from djpt.llvm.finder import prepare as _prepare
 
 if TYPE_CHECKING:
+    from djpt import ad as ad
     from djpt import errors as errors
     from djpt import integrators as integrators
     from djpt import materials as materials
@@ -27,9 +28,11 @@ if TYPE_CHECKING:
     from djpt import types as types
     from djpt import util as util
     from djpt import validation as validation
+    from djpt import warp as warp
     from djpt.description.loader import load_dict as load_dict
     from djpt.description.plugin import ParamFlags as ParamFlags
     from djpt.description.plugin import Plugin as Plugin
+    from djpt.description.properties import Properties as Properties
     from djpt.description.registry import register_bsdf as register_bsdf
     from djpt.description.registry import register_emitter as register_emitter
     from djpt.description.registry import register_film as register_film
@@ -39,23 +42,32 @@ if TYPE_CHECKING:
     from djpt.description.registry import register_sensor as register_sensor
     from djpt.description.registry import register_shape as register_shape
     from djpt.description.registry import register_texture as register_texture
+    from djpt.emitters import Emitter as Emitter
     from djpt.errors import BackendError as BackendError
     from djpt.errors import DjptError as DjptError
     from djpt.errors import FileError as FileError
     from djpt.errors import ParameterError as ParameterError
     from djpt.errors import RenderError as RenderError
     from djpt.errors import SceneError as SceneError
+    from djpt.frame import Frame3f as Frame3f
     from djpt.image import Image as Image
     from djpt.image import read as read
     from djpt.image import write as write
+    from djpt.integrators import Integrator as Integrator
+    from djpt.materials import BSDF as BSDF
     from djpt.parameters import SceneParameters as SceneParameters
     from djpt.parameters import traverse as traverse
+    from djpt.records import BSDFContext as BSDFContext
+    from djpt.records import BSDFFlags as BSDFFlags
     from djpt.records import BSDFSample3f as BSDFSample3f
     from djpt.records import DirectionSample3f as DirectionSample3f
+    from djpt.records import EmitterFlags as EmitterFlags
     from djpt.records import PositionSample3f as PositionSample3f
     from djpt.records import PreliminaryIntersection3f as PreliminaryIntersection3f
     from djpt.records import Ray3f as Ray3f
     from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
+    from djpt.records import TransportMode as TransportMode
+    from djpt.records import has_flag as has_flag
     from djpt.rendering import channel_names as channel_names
     from djpt.rendering import render as render
     from djpt.scene import Scene as Scene
@@ -67,13 +79,16 @@ if TYPE_CHECKING:
     from djpt.types import Color3f as Color3f
     from djpt.types import Float as Float
     from djpt.types import Float64 as Float64
+    from djpt.types import Int as Int
     from djpt.types import Int32 as Int32
     from djpt.types import Mask as Mask
     from djpt.types import Matrix4f as Matrix4f
     from djpt.types import Normal3f as Normal3f
     from djpt.types import Point2f as Point2f
     from djpt.types import Point3f as Point3f
+    from djpt.types import Spectrum as Spectrum
     from djpt.types import TensorXf as TensorXf
+    from djpt.types import UInt as UInt
     from djpt.types import UInt32 as UInt32
     from djpt.types import UInt64 as UInt64
     from djpt.types import Vector2f as Vector2f
@@ -83,28 +98,34 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_SUBMODULES = ("errors", "integrators", "materials", "scenes", "types", "util", "validation")
+_SUBMODULES = ("ad", "errors", "integrators", "materials", "scenes", "types", "util", "validation", "warp")
 
 _EXPORTS = {
     "djpt.description.loader": "load_dict",
     "djpt.description.plugin": "ParamFlags Plugin",
+    "djpt.description.properties": "Properties",
     "djpt.description.registry": (
         "register_bsdf register_emitter register_film register_integrator register_rfilter "
         "register_sampler register_sensor register_shape register_texture"
     ),
     "djpt.errors": "BackendError DjptError FileError ParameterError RenderError SceneError",
+    "djpt.emitters": "Emitter",
+    "djpt.frame": "Frame3f",
     "djpt.image": "Image read write",
+    "djpt.integrators": "Integrator",
+    "djpt.materials": "BSDF",
     "djpt.parameters": "SceneParameters traverse",
     "djpt.records": (
-        "BSDFSample3f DirectionSample3f PositionSample3f PreliminaryIntersection3f Ray3f SurfaceInteraction3f"
+        "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags PositionSample3f "
+        "PreliminaryIntersection3f Ray3f SurfaceInteraction3f TransportMode has_flag"
     ),
     "djpt.rendering": "channel_names render",
     "djpt.scene": "Scene",
     "djpt.scenes": "cornell_box",
     "djpt.transforms": "ScalarTransform4f Transform4f",
     "djpt.types": (
-        "PCG32 Bool Color3f Float Float64 Int32 Mask Matrix4f Normal3f Point2f Point3f TensorXf UInt32 UInt64 "
-        "Vector2f Vector3f"
+        "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "
+        "UInt32 UInt64 Vector2f Vector3f"
     ),
     "djpt.variants": "set_variant variant",
 }

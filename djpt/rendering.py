@@ -98,7 +98,8 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
         sensor = sensors[number]
     integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
-        raise RenderError(f"'integrator' must be an integrator plugin, found {type(integrator).__name__}")
+        hint = "; load it with djpt.load_dict first" if isinstance(integrator, dict) else ""
+        raise RenderError(f"'integrator' must be an integrator plugin, found {type(integrator).__name__}{hint}")
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")

@@ -25,13 +25,16 @@ __all__ = [
     "Color3f",
     "Float",
     "Float64",
+    "Int",
     "Int32",
     "Mask",
     "Matrix4f",
     "Normal3f",
     "Point2f",
     "Point3f",
+    "Spectrum",
     "TensorXf",
+    "UInt",
     "UInt32",
     "UInt64",
     "Vector2f",
@@ -40,7 +43,9 @@ __all__ = [
 
 Float = backend.Float
 Float64 = backend.Float64
+Int = backend.Int
 Int32 = backend.Int
+UInt = backend.UInt32
 UInt32 = backend.UInt32
 UInt64 = backend.UInt64
 Bool = backend.Bool
@@ -53,6 +58,7 @@ Point3f = backend.Array3f
 Vector3f = backend.Array3f
 Normal3f = backend.Array3f
 Color3f = backend.Array3f
+Spectrum = backend.Array3f
 Matrix4f = backend.Matrix4f
 
 TensorXf = backend.TensorXf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -64,7 +65,11 @@ class Plugin:
         self.id = props.id
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.id!r})"
+        """The plugin's type, and its parameters and nested plugins as a tree."""
+        listing = _Listing()
+        self.traverse(listing)
+        body = textwrap.indent(",\n".join(listing.lines), "  ")
+        return f"{type(self).__name__}[\n{body}\n]" if body else f"{type(self).__name__}[]"
 
     def traverse(self, callback: TraversalCallback) -> None:
         """Report all parameters; by default the `values` and the `children`."""
@@ -81,3 +86,20 @@ class Plugin:
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Recompute what was derived from the parameters named in `keys`."""
+
+
+class _Listing:
+    """Collects ``name = value`` lines for `Plugin.__repr__`."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def put(
+        self,
+        name: str,
+        value: Any,
+        flags: ParamFlags = ParamFlags.NonDifferentiable,
+        attribute: str | None = None,
+    ) -> None:
+        text = repr(value)
+        self.lines.append(f"{name} = {text}" if len(text) < 400 or isinstance(value, Plugin) else f"{name} = [...]")

@@ -32,8 +32,8 @@ __all__ = [
 PASS_SAMPLES = 2**26
 """Samples of one kernel launch when nothing is stored: about a second on two cores."""
 
-STORED_SAMPLES = 2**21
-"""Samples whose values are held at once: they should stay in the last-level cache."""
+STORED_SAMPLES = 2**22
+"""Samples whose values are held at once: 64 per pixel of a band keep lanes busy; more would outgrow the caches."""
 
 BAND_PIXELS = 2**16
 """Pixels of a band when samples are stored."""
