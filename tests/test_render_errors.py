@@ -44,7 +44,6 @@ def test_seeds(scene: Any, value: Any) -> None:
         djpt.render(scene, spp=1, seed=value)
 
 
-@pytest.mark.xfail(reason="seed_grad isn't checked")
 @pytest.mark.parametrize("value", [-1, 2**32, 1.5, "0"], ids=repr)
 def test_seeds_of_gradients(scene: Any, value: Any) -> None:
     with pytest.raises(RenderError, match="seed_grad"):
@@ -62,7 +61,6 @@ def test_default_counts(scene: Any) -> None:
     np.testing.assert_array_equal(np.array(djpt.render(four)), np.array(djpt.render(four, spp=4)))
 
 
-@pytest.mark.xfail(reason="only Python's int passes", raises=RenderError)
 def test_integers_of_other_libraries(scene: Any) -> None:
     """NumPy's integers count as whole numbers."""
     image = djpt.render(scene, spp=np.int64(2), seed=np.uint32(1))
@@ -173,10 +171,7 @@ def test_crops_that_do_not_fit(film: dict[str, Any]) -> None:
         djpt.load_dict(box(8, "box", PATH, **film))
 
 
-FRACTION = pytest.param([2.5, 3], marks=pytest.mark.xfail(reason="cut off to [2, 3]"))
-
-
-@pytest.mark.parametrize("size", [[0, 4], [4], [-1, 3], "big", None, FRACTION], ids=str)
+@pytest.mark.parametrize("size", [[0, 4], [4], [-1, 3], "big", None, [2.5, 3]], ids=str)
 def test_film_sizes_by_parameter(size: Any) -> None:
     params = djpt.traverse(without())
     with pytest.raises(ParameterError, match="size"):

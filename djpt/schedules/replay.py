@@ -90,7 +90,9 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Re
     reverse = isinstance(mode, Reverse)
     x, y = job.coordinates(lanes.pixel)
     sampler = job.stream(lanes.pixel, lanes.first)
-    slot = dr.arange(UInt32, count)
+    # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
+    # would give images of one sample per pixel a kernel of their own.
+    slot = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
     slot_stride = dr.opaque(UInt32, count)
     delta: Any = dr.zeros(Color3f, count)
     if isinstance(mode, Reverse):
