@@ -216,17 +216,11 @@ def test_edits_compile_nothing(name: str) -> None:
     assert {key: count for key, count in found.items() if count} == {}
 
 
-COUNTS = [{"spp": 1}, {"spp": 64}, {"pass_spp": 2}]
-STILL_COMPILE = {("prb, gaussian", 0)}
-
-
-@pytest.mark.parametrize("option", range(3), ids=lambda i: str(COUNTS[i]))
+@pytest.mark.parametrize("option", [{"spp": 1}, {"spp": 64}, {"pass_spp": 2}], ids=str)
 @pytest.mark.parametrize("name", WATCHED)
-def test_sample_counts_compile_nothing(name: str, option: int, request: pytest.FixtureRequest) -> None:
+def test_sample_counts_compile_nothing(name: str, option: dict[str, int]) -> None:
     """One sample, several lanes per pixel, several passes."""
-    if (name, option) in STILL_COMPILE:
-        request.applymarker(pytest.mark.xfail(reason="a single sample has a kernel of its own"))
-    assert WATCHED[name]().new(**COUNTS[option]) == 0
+    assert WATCHED[name]().new(**option) == 0
 
 
 MOVES = {
