@@ -184,7 +184,8 @@ class AttachedDerivative:
             for leaf, tangent in zip(fresh, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
             dr.enqueue(dr.ADMode.Forward, *fresh)
-            dr.traverse(dr.ADMode.Forward)
+            # A channel may be an intermediate result of another: keep those gradients.
+            dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)
             changes = [dr.grad(sample) for sample in samples]
         with dr.suspend_grad():
             dr.eval(changes)

@@ -215,7 +215,8 @@ class DirectionSample3f:
     def between(ref: Point3f, ray: Ray3f, si: SurfaceInteraction3f) -> DirectionSample3f:
         """The hit of a ray described as if its emitter had been sampled from `ref`.
 
-        `ray` started at `ref`, moved off the surface there. `pdf` and `weight` are left at 0.
+        `ray` started at `ref`, moved off the surface there. `pdf` and `weight` are left at 0; `n` is
+        the normal of the side that shines.
         """
         index = si.scene.emitter_index_at(si)
         to_p = si.p - ref
@@ -223,7 +224,9 @@ class DirectionSample3f:
         inv_dist = dr.rsqrt(dist_squared)
         # On a miss the emitter is the environment, known by its direction alone.
         d = dr.select(si.valid, to_p * inv_dist, ray.d)
-        return DirectionSample3f(si.p, si.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index)
+        return DirectionSample3f(
+            si.p, si.sh_frame.n, si.uv, d, dist_squared * inv_dist, Float(0), Float(0), Bool(False), index
+        )
 
 
 @dataclass

@@ -81,13 +81,10 @@ def test_more_samples_take_no_more_memory(rfilter: str, schedule: str) -> None:
     assert many < 0.8 * GIB
 
 
-UNBOUNDED = pytest.mark.xfail(reason="passes of a filtered gradient pile up in the queue", strict=False)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("rfilter", "gradient"),
-    [("box", False), ("gaussian", False), ("box", True), pytest.param("gaussian", True, marks=UNBOUNDED)],
+    [("box", False), ("gaussian", False), ("box", True), ("gaussian", True)],
 )
 def test_large_image(rfilter: str, gradient: bool) -> None:
     """Two spp more than one pass takes, at full size, then twice as many."""

@@ -348,7 +348,6 @@ class TestDifferentiatedAOVs:
         params.update()
         return params["red.reflectance.value"], djpt.render(scene, params, **self.options)
 
-    @pytest.mark.xfail(reason="a channel that another is computed from loses its derivative")
     @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
     def test_forward(self, rfilter: str) -> None:
         red, image = self.attach(rfilter)

@@ -184,7 +184,6 @@ def test_mirrored_shapes(integrator: dict[str, Any], flip: bool) -> None:
     overlapping(box(64, "box", integrator, mirrored("small-box", "back", flip=flip)))
 
 
-@pytest.mark.xfail(reason="light that is hit counts as unlikely to be sampled: its normal isn't the shading normal")
 @pytest.mark.parametrize("integrator", [PATH, {"type": "direct"}], ids=["path", "direct"])
 def test_mirrored_lamps(integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, mirrored("block", "light", flip=False)))

@@ -21,7 +21,7 @@ import drjit as dr
 from djpt.schedules.job import Band, Job
 from djpt.types import Float, Int32, Point2f, UInt32
 
-__all__ = ["Sums", "add_box", "add_samples", "sample_adjoints", "spread"]
+__all__ = ["Sums", "add_box", "add_samples", "add_taps", "by_pixels", "sample_adjoints", "spread"]
 
 Sums = list[Float]
 """The lanes' sums for one band: one array per tap and channel; the last channel is the weight."""
@@ -72,27 +72,34 @@ def add_by_pixels(job: Job, band: Band, samples: list[Float], begin: int, end: i
         sums = [dr.opaque(Float, 0, lanes) for _ in range(taps * taps * channels)]
 
     def body(k: UInt32, sums: Sums) -> tuple[UInt32, Sums]:
-        sums = list(sums)
-        wx, wy = tap_weights(job, pixel, k + first, corner)
         slot = dr.fma(k, size, lane)
         values = [dr.gather(Float, s, slot) for s in samples]
-        for i in range(taps):
-            column = [v * wx[i] for v in values] + [wx[i]]
-            for j in range(taps):
-                for c in range(channels):
-                    at = (j * taps + i) * channels + c
-                    sums[at] = dr.fma(column[c], wy[j], sums[at])
-        return k + 1, sums
+        return k + 1, add_taps(job, corner, job.film_offset(pixel, k + first), values, Float(1), sums)
 
     _, result = dr.while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film pixels")
     dr.eval(result)
     return result
 
 
-def tap_weights(job: Job, pixel: UInt32, k: UInt32, corner: Point2f) -> tuple[list[Float], list[Float]]:
-    """Weights of a sample of `pixel` for the columns and rows in its reach."""
+def add_taps(job: Job, corner: Point2f, offset: Point2f, values: list[Float], factor: Float, sums: Sums) -> Sums:
+    """Add one sample of a pixel to all sums in its reach, its weights times `factor`."""
+    taps, channels = job.film.taps, len(values) + 1
+    wx, wy = tap_weights(job, corner, offset)
+    result = list(sums)
+    for i in range(taps):
+        weight = wx[i] * factor
+        column = [v * weight for v in values] + [weight]
+        for j in range(taps):
+            for c in range(channels):
+                at = (j * taps + i) * channels + c
+                result[at] = dr.fma(column[c], wy[j], result[at])
+    return result
+
+
+def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float], list[Float]]:
+    """Weights of a sample for the columns and rows in its reach; `corner` is that of its pixel."""
     # Distances come from rounded film positions, as in Mitsuba: in the kernel's tail the rounding shows.
-    position = corner + job.film_offset(pixel, k)
+    position = corner + offset
     taps, weight = job.film.taps, job.film.rfilter.eval
     centers = [i - taps // 2 + 0.5 for i in range(taps)]
     return (
@@ -102,20 +109,27 @@ def tap_weights(job: Job, pixel: UInt32, k: UInt32, corner: Point2f) -> tuple[li
 
 
 def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
-    """A pixel collects one sum of every source pixel around it."""
-    taps, channels = job.film.taps, len(image)
+    """A pixel collects one sum of every source pixel around it, from each of the source's lanes."""
+    taps, channels, pixels = job.film.taps, len(image), band.rows * job.width
     reach = taps // 2
     _, column, row, _ = pixels_of(job, Band(0, job.height))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
-    result = list(image)
-    for j in reversed(range(taps)):
-        y = row - (j - reach) - first
-        for i in reversed(range(taps)):
-            x = column - (i - reach)
-            inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
-            slot = UInt32(y * width + x)
-            for c in range(channels):
-                result[c] = result[c] + dr.gather(Float, sums[(j * taps + i) * channels + c], slot, inside)
+    size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, dr.width(sums[0]))
+
+    def body(start: UInt32, image: list[Float]) -> tuple[UInt32, list[Float]]:
+        result = list(image)
+        for j in reversed(range(taps)):
+            y = row - (j - reach) - first
+            for i in reversed(range(taps)):
+                x = column - (i - reach)
+                inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
+                slot = start + UInt32(y * width + x)
+                for c in range(channels):
+                    result[c] = result[c] + dr.gather(Float, sums[(j * taps + i) * channels + c], slot, inside)
+        return start + size, result
+
+    start = dr.zeros(UInt32, dr.width(column))
+    _, result = dr.while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
     dr.eval(result)
     return result
 
@@ -216,7 +230,7 @@ def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: i
     buffers = [dr.empty(Float, pixels * (end - begin)) for _ in image]
 
     def body(k: UInt32) -> tuple[UInt32]:
-        wx, wy = tap_weights(job, pixel, k + first, corner)
+        wx, wy = tap_weights(job, corner, job.film_offset(pixel, k + first))
         for c, buffer in enumerate(buffers):
             total = Float(0)
             for j in range(taps):

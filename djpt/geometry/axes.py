@@ -26,6 +26,7 @@ __all__ = ["Axis", "AxisPool", "ProjectedRay", "SignedAxis"]
 ALIGNED = 2e-7
 """Unit directions closer than this are one axis: float32 can't tell them apart."""
 
+
 class Axis:
     """A unit direction, up to its sign.
 

@@ -5,7 +5,8 @@ path; here every lane always has a path to advance, and all state stays in regis
 docs/performance.md for what that gives.
 
 `radiance_sums` adds samples up within the lane and is all that a box filter needs;
-`radiance_samples` stores them for the film.
+`film_sums` also weights them with a wider filter; `radiance_samples` stores them, for images of
+so many channels that sums per tap would not fit.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import drjit as dr
 from djpt.integrators.base import PathIntegrator, PathState, wide
 from djpt.records import Ray3f
 from djpt.schedules.job import Band, Job
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
-__all__ = ["lanes_per_pixel", "radiance_samples", "radiance_sums"]
+__all__ = ["film_sums", "lanes_per_pixel", "radiance_samples", "radiance_sums", "total"]
 
 LANES = 2**16
 """Fewer lanes leave processor cores idle: Dr.Jit hands them out in blocks of 2^14."""
@@ -46,68 +48,81 @@ class Lane:
     sampler: Any
     path: PathState
     radiance: Color3f
+    held: Bool | None
+    """The path has ended, but the sink couldn't take the sample yet. None: that never happens."""
+    valid: Bool | None
+    """Of a held sample: does it count as covered?"""
+    offset: Point2f
+    """Where on the pixel the sample lies."""
     k: UInt32
     """The sample of the pixel that the path belongs to."""
-    sink: list[Float]
-    """What finished samples are added to (one sum per channel), or nothing."""
-    slot: UInt32
-    """Where the sample will be stored."""
+    sink: list[Any]
 
 
-def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sums: list[Float], store: Any) -> Lane:
-    """Advance all lanes until each has finished its samples first, first + stride, .. below `end`.
+def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sink: Sink) -> list[Any]:
+    """Advance all lanes until the sink has their samples first, first + stride, .. below `end`.
 
-    A finished sample is added to `sums`, or given to ``store(slot, channels, active)``.
+    Returns the sink's state.
     """
     integrator = job.integrator
     assert isinstance(integrator, PathIntegrator)
     scene, lanes = job.scene, dr.width(pixel)
     x, y = job.coordinates(pixel)
-    slot_stride = dr.opaque(UInt32, lanes)
-    sampler = job.stream(pixel, first)
-    ray = job.camera_ray(sampler, x, y)
+    several = sink.steps > 1
+    sampler, ray, offset = job.begin(pixel, first, x, y)
     start = Lane(
         ray=wide(ray, lanes),
         sampler=sampler,
         path=wide(integrator.start(scene), lanes),
         radiance=dr.zeros(Color3f, lanes),
+        held=dr.full(Bool, False, lanes) if several else None,
+        valid=dr.full(Bool, False, lanes) if several else None,
+        offset=offset,
         k=wide(first, lanes),
-        sink=sums,
-        slot=dr.arange(UInt32, lanes),
+        sink=sink.state,
     )
 
-    def body(lane: Lane) -> tuple[Lane]:
+    def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
         si = integrator.trace(scene, lane.path, lane.ray)
         v = integrator.vertex(scene, lane.sampler, lane.path, lane.ray, si)
         visible = scene.unoccluded(v.shadow_ray)
-        radiance = lane.radiance + v.emitted + dr.select(visible, v.reflected, 0)
+        here = v.emitted + dr.select(visible, v.reflected, 0)
+        ready, held = ~v.active, None
+        valid: Any = v.valid
+        if lane.held is not None:
+            here, valid = dr.select(lane.held, 0, here), dr.select(lane.held, lane.valid, v.valid)
+            ready = (ready | lane.held) & (lane.k < end)
+        radiance = lane.radiance + here
 
         # The path has ended: hand over the sample, start the next one.
-        ended = ~v.active
-        channels = job.channels(radiance, v.valid, [])
-        if store is None:
-            sink = [s + dr.select(ended, c, 0) for s, c in zip(lane.sink, channels, strict=True)]
-            slot = lane.slot
-        else:
-            store(lane.slot, channels, ended)
-            sink, slot = lane.sink, dr.select(ended, lane.slot + slot_stride, lane.slot)
-        k = dr.select(ended, lane.k + stride, lane.k)
-        fresh = job.stream(pixel, lane.k + stride)
-        camera_ray = job.camera_ray(fresh, x, y)
-        return (
-            Lane(
-                ray=dr.select(ended, camera_ray, v.ray),
-                sampler=dr.select(ended, fresh, lane.sampler),
-                path=restart(ended, integrator.start(scene), v.state),
-                radiance=dr.select(ended, 0, radiance),
-                k=k,
-                sink=sink,
-                slot=slot,
-            ),
+        channels = job.channels(radiance, valid, [])
+        state, waiting, taken = sink.take(lane.sink, waiting, channels, lane.offset, ready)
+        if lane.held is not None:
+            held = ready & ~taken
+        next_k = lane.k + stride
+        fresh, camera_ray, offset = job.begin(pixel, next_k, x, y)
+        after = Lane(
+            ray=dr.select(taken, camera_ray, v.ray),
+            sampler=dr.select(taken, fresh, lane.sampler),
+            path=restart(taken, integrator.start(scene), v.state),
+            radiance=dr.select(taken, 0, radiance),
+            held=held,
+            valid=None if held is None else valid,
+            offset=dr.select(taken, offset, lane.offset),
+            k=dr.select(taken, next_k, lane.k),
+            sink=state,
         )
+        return after, waiting
 
-    (end_state,) = dr.while_loop((start,), lambda lane: lane.k < end, body, label="flat")
-    return end_state
+    def body(lane: Lane) -> tuple[Lane]:
+        waiting = None
+        for _ in range(sink.steps):
+            lane, waiting = step(lane, waiting)
+        lane.sink = sink.close(lane.sink, waiting)
+        return (lane,)
+
+    (finished,) = dr.while_loop((start,), lambda lane: lane.k < end, body, label="flat")
+    return finished.sink
 
 
 def restart(ended: Bool, fresh: PathState, state: PathState) -> PathState:
@@ -143,14 +158,28 @@ def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> l
     if sums is None:
         sums = blank_sums(lanes, job.channel_count())
     first = first_sample(group, groups, dr.opaque(UInt32, begin))
-    result = run(job, pixel, first, dr.opaque(UInt32, end), groups, sums, None).sink
+    result = run(job, pixel, first, dr.opaque(UInt32, end), groups, Sums(sums))
     dr.eval(result)
     return result
 
 
-def blank_sums(lanes: int, count: int) -> list[Float]:
-    """Zeros in memory: as literals they would give a first pass a kernel of its own."""
-    return [dr.opaque(Float, 0, lanes) for _ in range(count)]
+def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to the film's sums by pixels, without storing them.
+
+    The result goes to `spread`: the lanes of a pixel follow each other group by group.
+    """
+    count = lanes_per_pixel(job.width * job.height, job.spp)
+    pixels = band.rows * job.width
+    index, size, groups = dr.arange(UInt32, pixels * count), dr.opaque(UInt32, pixels), dr.opaque(UInt32, count)
+    group = index // size
+    pixel = index - group * size + dr.opaque(UInt32, band.first_row * job.width)
+    if sums is None:
+        sums = blank_sums(pixels * count, job.film.taps**2 * (job.channel_count() + 1))
+    first = first_sample(group, groups, dr.opaque(UInt32, begin))
+    sink = FilmSums(job, job.on_film(*job.coordinates(pixel)), sums)
+    result = run(job, pixel, first, dr.opaque(UInt32, end), groups, sink)
+    dr.eval(result)
+    return result
 
 
 def total(job: Job, sums: list[Float]) -> list[Float]:
@@ -184,7 +213,7 @@ def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
     group = lane // size
     pixel = lane - group * size + dr.opaque(UInt32, band.first_row * job.width)
     first = dr.opaque(UInt32, begin) + group
-    run(job, pixel, first, dr.opaque(UInt32, end), dr.opaque(UInt32, groups), [], store)
+    run(job, pixel, first, dr.opaque(UInt32, end), dr.opaque(UInt32, groups), Store(pixels * groups, store))
     dr.eval(buffers)
     return buffers
 

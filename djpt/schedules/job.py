@@ -93,11 +93,15 @@ class Job:
         row = pixel // self.width_value
         return Float(Int32(pixel - row * self.width_value)), Float(Int32(row))
 
-    def camera_ray(self, stream: SampleStream, x: Float, y: Float) -> Ray3f:
-        """The ray of a new sample in column `x` and row `y`: the first two draws are its film offset."""
+    def begin(self, pixel: UInt32, k: UInt32, x: Float, y: Float) -> tuple[SampleStream, Ray3f, Point2f]:
+        """The k-th sample of a pixel in column `x` and row `y`: its random numbers, camera ray, film offset.
+
+        The offset is the first two numbers of the stream.
+        """
+        stream = self.stream(pixel, k)
         offset = stream.next_2d()
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return self._camera.sample_ray(position * self._inverse_crop)
+        return stream, self._camera.sample_ray(position * self._inverse_crop), offset
 
     def on_film(self, column: Float, row: Float) -> Point2f:
         """The position on the whole film, in pixels, of the corner of a pixel of the grid."""

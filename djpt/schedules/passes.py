@@ -12,9 +12,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.films.reconstruction import add_box, add_samples, spread
+from djpt.films.reconstruction import add_box, add_samples, by_pixels, spread
 from djpt.schedules import flat, wave
-from djpt.schedules.job import Band, Job
+from djpt.schedules.job import MAX_SAMPLES, Band, Job
 from djpt.types import Float, TensorXf, UInt32
 
 __all__ = [
@@ -38,6 +38,9 @@ STORED_SAMPLES = 2**22
 BAND_PIXELS = 2**16
 """Pixels of a band when samples are stored."""
 
+AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
+"""Adds the samples begin <= k < end of a band to the film's sums."""
+
 Samples = Callable[[Job, Band, int, int], list[Float]]
 """Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
 
@@ -51,6 +54,9 @@ def primal_image(job: Job, use_flat: bool, pass_spp: int = 0) -> TensorXf:
                 return flat.radiance_sums(job, begin, end, sums)
 
             return develop(job, stepwise_sums(job, step, pass_spp), dr.opaque(Float, job.spp))
+        if use_flat and by_pixels(job, job.channel_count() + 1):
+            *sums, weight = filtered_sums(job, flat.film_sums, register_spp(job), pass_spp)
+            return develop(job, sums, weight)
         samples = flat.radiance_samples if use_flat else wave.radiance_samples
         return stored_image(job, samples, pass_spp)
 
@@ -58,7 +64,11 @@ def primal_image(job: Job, use_flat: bool, pass_spp: int = 0) -> TensorXf:
 def stored_image(job: Job, samples: Samples, pass_spp: int = 0) -> TensorXf:
     """The image from samples that are stored, pass by pass."""
     if job.film.filters:
-        *sums, weight = filtered_sums(job, samples, pass_spp)
+
+        def add(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+            return add_samples(job, band, computed(samples, job, band, begin, end), begin, end, sums)
+
+        *sums, weight = filtered_sums(job, add, stored_spp(job), pass_spp)
         return develop(job, sums, weight)
     sums = [dr.concat(parts) for parts in zip(*box_sums(job, samples, pass_spp), strict=True)]
     return develop(job, sums, dr.opaque(Float, job.spp))
@@ -88,23 +98,25 @@ def box_sums(job: Job, samples: Samples, pass_spp: int) -> Iterator[list[Float]]
     """Per band, all samples added up pixel by pixel."""
     for band in job.bands(BAND_PIXELS):
         sums = None
-        for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
+        for begin, end in ranges(job.spp, pass_spp or stored_spp(job)):
             sums = add_box(job, band, computed(samples, job, band, begin, end), begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert sums is not None
         yield sums
 
 
-def filtered_sums(job: Job, samples: Samples, pass_spp: int) -> list[Float]:
+def filtered_sums(job: Job, add: AddToFilm, default_spp: int, pass_spp: int) -> list[Float]:
     """The weighted sums of all channels and of the weights, over the whole grid."""
     image = [dr.opaque(Float, 0, job.width * job.height) for _ in range(job.channel_count() + 1)]
     for band in job.bands(BAND_PIXELS):
-        rows = None
-        for begin, end in ranges(job.spp, pass_spp or stored_spp(job, band)):
-            rows = add_samples(job, band, computed(samples, job, band, begin, end), begin, end, rows)
+        sums = None
+        for begin, end in ranges(job.spp, pass_spp or default_spp):
+            sums = add(job, band, begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
-        assert rows is not None
-        image = spread(job, band, rows, image)
+        assert sums is not None
+        image = spread(job, band, sums, image)
+        if band.rows < job.height:
+            dr.sync_thread()
     return image
 
 
@@ -118,23 +130,30 @@ def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> li
 def stored_passes(job: Job) -> Iterator[tuple[Band, int, int]]:
     """The passes of a job whose samples are stored: (band, begin, end)."""
     for band in job.bands(BAND_PIXELS):
-        for begin, end in ranges(job.spp, stored_spp(job, band)):
+        for begin, end in ranges(job.spp, stored_spp(job)):
             yield band, begin, end
+        dr.sync_thread()
 
 
 def register_spp(job: Job) -> int:
     """Samples per pixel of a pass that stores nothing."""
-    return max(1, PASS_SAMPLES // (job.width * job.height))
+    return max(1, PASS_SAMPLES // min(job.width * job.height, BAND_PIXELS if job.film.filters else MAX_SAMPLES))
 
 
-def stored_spp(job: Job, band: Band) -> int:
-    """Samples per pixel that a pass over `band` may store."""
-    return max(1, STORED_SAMPLES // (band.rows * job.width))
+def stored_spp(job: Job) -> int:
+    """Samples per pixel that a pass over a band may store."""
+    return max(1, STORED_SAMPLES // min(job.width * job.height, max(BAND_PIXELS, job.width)))
 
 
 def ranges(spp: int, size: int) -> Iterator[tuple[int, int]]:
-    """Split 0 .. spp into ranges of at most `size`."""
+    """Split 0 .. spp into passes of at most `size`.
+
+    A pass begins when the one before has finished: kernels are launched asynchronously, and what all
+    of them need together must not pile up in memory.
+    """
     for begin in range(0, spp, size):
+        if begin:
+            dr.sync_thread()
         yield begin, min(begin + size, spp)
 
 

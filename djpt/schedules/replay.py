@@ -24,8 +24,9 @@ from djpt.dispatch import Detached
 from djpt.integrators.base import PathIntegrator, PathState, wide
 from djpt.records import Ray3f
 from djpt.replay import Accumulator, Leaves, Numbering, Parameter, Tangents
-from djpt.schedules.flat import blank_sums, first_sample, lanes_per_pixel, restart, samples_in_parallel
+from djpt.schedules.flat import first_sample, lanes_per_pixel, restart, samples_in_parallel
 from djpt.schedules.job import Band, Job
+from djpt.schedules.sinks import blank_sums
 from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["backward_constant", "backward_samples", "forward_samples", "forward_sums"]
@@ -89,7 +90,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Re
     assert isinstance(integrator, PathIntegrator)
     reverse = isinstance(mode, Reverse)
     x, y = job.coordinates(lanes.pixel)
-    sampler = job.stream(lanes.pixel, lanes.first)
+    sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
     # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
     # would give images of one sample per pixel a kernel of their own.
     slot = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
@@ -98,7 +99,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Re
     if isinstance(mode, Reverse):
         delta = mode.delta if mode.adjoint is None else mode.adjoint(slot, Bool(True))
     start = Lane(
-        ray=wide(job.camera_ray(sampler, x, y), count),
+        ray=wide(ray, count),
         sampler=sampler,
         path=wide(integrator.start(scene), count),
         radiance=dr.zeros(Color3f, count),
@@ -147,8 +148,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Re
                 mode.store(lane.slot, channels, finished)
             delta = dr.select(finished, 0, delta)
 
-        fresh = job.stream(lanes.pixel, k)
-        camera_ray = job.camera_ray(fresh, x, y)
+        fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
         return (
             Lane(
                 ray=dr.select(ended, camera_ray, dr.detach(v.ray)),

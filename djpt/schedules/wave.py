@@ -25,7 +25,6 @@ def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
     size = dr.opaque(UInt32, pixels)
     layer = lane // size
     pixel = lane - layer * size + dr.opaque(UInt32, band.first_row * job.width)
-    stream = job.stream(pixel, layer + dr.opaque(UInt32, begin))
-    ray = job.camera_ray(stream, *job.coordinates(pixel))
+    stream, ray, _ = job.begin(pixel, layer + dr.opaque(UInt32, begin), *job.coordinates(pixel))
     color, valid, aovs = job.integrator.sample(job.scene, stream, ray)
     return job.channels(color, valid, aovs)

@@ -1,0 +1,122 @@
+"""Where the flat schedule puts finished samples.
+
+A sink decides how many vertices a lane advances per iteration of the loop (`steps`), takes
+finished samples after each, and may do collective work at the end of an iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import drjit as dr
+
+from djpt.films.reconstruction import add_taps
+from djpt.schedules.job import Job
+from djpt.types import Bool, Float, Point2f, UInt32
+
+__all__ = ["FilmSums", "Finished", "Sink", "Store", "Sums", "blank_sums"]
+
+
+def blank_sums(lanes: int, count: int) -> list[Float]:
+    """Zeros in memory: as literals they would give a first pass a kernel of its own."""
+    return [dr.opaque(Float, 0, lanes) for _ in range(count)]
+
+
+@dataclass
+class Finished:
+    """The samples of an iteration that wait for `Sink.close`."""
+
+    channels: list[Float]
+    offset: Point2f
+    """Film offset in [0, 1)^2 of the sample."""
+    full: Bool
+    """Is there a sample?"""
+
+
+class Sink(Protocol):
+    """Receives samples; `state` is its part of the loop state."""
+
+    steps: int
+    """Path vertices per iteration."""
+    state: list[Any]
+    """The state at the start of the loop."""
+
+    def take(
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+    ) -> tuple[list[Any], Finished | None, Bool]:
+        """Take the samples of the lanes that are `ready`; says which were taken."""
+
+    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
+        """Finish an iteration."""
+
+
+class Sums:
+    """Adds samples up, one sum per channel: the box filter."""
+
+    steps = 1
+
+    def __init__(self, state: list[Float]) -> None:
+        self.state: list[Any] = state
+
+    def take(
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+    ) -> tuple[list[Any], Finished | None, Bool]:
+        return [s + dr.select(ready, c, 0) for s, c in zip(state, channels, strict=True)], None, ready
+
+    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
+        return state
+
+
+class Store:
+    """Writes samples to memory with ``write(slot, channels, active)``, lane by lane.
+
+    A lane's samples go to the slots lane, lane + lanes, lane + 2 lanes, ..
+    """
+
+    steps = 1
+
+    def __init__(self, lanes: int, write: Callable[[UInt32, list[Float], Bool], None]) -> None:
+        self.state: list[Any] = [dr.arange(UInt32, lanes)]
+        self._write, self._stride = write, dr.opaque(UInt32, lanes)
+
+    def take(
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+    ) -> tuple[list[Any], Finished | None, Bool]:
+        (slot,) = state
+        self._write(slot, channels, ready)
+        return [dr.select(ready, slot + self._stride, slot)], None, ready
+
+    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
+        return state
+
+
+class FilmSums:
+    """Adds samples to the pixels in reach of a filter, weighted: one sum per tap and channel.
+
+    That costs about half as much as a path vertex, for all lanes of a packet as soon as one has
+    finished. Therefore it is done once every two vertices. A lane can finish two samples in that
+    time only if a path has a single vertex; the second then waits for the next iteration.
+    """
+
+    steps = 2
+
+    def __init__(self, job: Job, corner: Point2f, state: list[Float]) -> None:
+        """`corner`: the film position of each lane's pixel."""
+        self.state: list[Any] = state
+        self._job, self._corner = job, corner
+
+    def take(
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+    ) -> tuple[list[Any], Finished | None, Bool]:
+        if waiting is None:
+            return state, Finished([dr.select(ready, c, 0) for c in channels], offset, ready), ready
+        taken = ready & ~waiting.full
+        merged = [dr.select(taken, c, w) for c, w in zip(channels, waiting.channels, strict=True)]
+        return state, Finished(merged, dr.select(taken, offset, waiting.offset), waiting.full | taken), taken
+
+    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
+        assert waiting is not None
+        present: Any = dr.select(waiting.full, Float(1), 0)
+        return add_taps(self._job, self._corner, waiting.offset, waiting.channels, present, state)
