@@ -52,8 +52,8 @@ class Lane:
     """The path has ended, but the sink couldn't take the sample yet. None: that never happens."""
     valid: Bool | None
     """Of a held sample: does it count as covered?"""
-    offset: Point2f
-    """Where on the pixel the sample lies."""
+    offset: Point2f | None
+    """Where on the pixel the sample lies; None if the sink doesn't ask."""
     k: UInt32
     """The sample of the pixel that the path belongs to."""
     sink: list[Any]
@@ -77,7 +77,7 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sin
         radiance=dr.zeros(Color3f, lanes),
         held=dr.full(Bool, False, lanes) if several else None,
         valid=dr.full(Bool, False, lanes) if several else None,
-        offset=offset,
+        offset=offset if several else None,
         k=wide(first, lanes),
         sink=sink.state,
     )
@@ -108,7 +108,7 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sin
             radiance=dr.select(taken, 0, radiance),
             held=held,
             valid=None if held is None else valid,
-            offset=dr.select(taken, offset, lane.offset),
+            offset=None if lane.offset is None else dr.select(taken, offset, lane.offset),
             k=dr.select(taken, next_k, lane.k),
             sink=state,
         )

@@ -39,12 +39,12 @@ class Sink(Protocol):
     """Receives samples; `state` is its part of the loop state."""
 
     steps: int
-    """Path vertices per iteration."""
+    """Path vertices per iteration; sinks of one step see no film offsets."""
     state: list[Any]
     """The state at the start of the loop."""
 
     def take(
-        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f | None, ready: Bool
     ) -> tuple[list[Any], Finished | None, Bool]:
         """Take the samples of the lanes that are `ready`; says which were taken."""
 
@@ -61,7 +61,7 @@ class Sums:
         self.state: list[Any] = state
 
     def take(
-        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f | None, ready: Bool
     ) -> tuple[list[Any], Finished | None, Bool]:
         return [s + dr.select(ready, c, 0) for s, c in zip(state, channels, strict=True)], None, ready
 
@@ -82,7 +82,7 @@ class Store:
         self._write, self._stride = write, dr.opaque(UInt32, lanes)
 
     def take(
-        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f | None, ready: Bool
     ) -> tuple[list[Any], Finished | None, Bool]:
         (slot,) = state
         self._write(slot, channels, ready)
@@ -108,8 +108,9 @@ class FilmSums:
         self._job, self._corner = job, corner
 
     def take(
-        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f, ready: Bool
+        self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f | None, ready: Bool
     ) -> tuple[list[Any], Finished | None, Bool]:
+        assert offset is not None
         if waiting is None:
             return state, Finished([dr.select(ready, c, 0) for c in channels], offset, ready), ready
         taken = ready & ~waiting.full
