@@ -146,26 +146,35 @@ class Group(Generic[P]):
 
     def leaves(self) -> list[Leaf]:
         """All values of the group, children's included."""
-
-        def walk(tree: dict[str, Any]) -> list[Leaf]:
-            found: list[Leaf] = []
-            for node in tree.values():
-                found += walk(node) if isinstance(node, dict) else [node]
-            return found
-
-        return walk(self._tree)
+        return leaves_of(self._tree)
 
     def at(self, slot: UInt32, lookup: Lookup) -> P:
         """The representative whose values belong to member `slot` of this group."""
+        return representative(self.plugins[0], self._tree, slot, lookup)
 
-        def build(plugin: Any, tree: dict[str, Any]) -> Any:
-            clone = copy.copy(plugin)
-            for name, node in tree.items():
-                value = build(getattr(plugin, name), node) if isinstance(node, dict) else lookup(node, slot)
-                setattr(clone, name, value)
-            return clone
 
-        return build(self.plugins[0], self._tree)
+# These two are functions of the module because recursive closures are reference cycles: they would
+# keep `slot`, and with it whole graphs of Dr.Jit variables, alive until the garbage collector runs.
+
+
+def leaves_of(tree: dict[str, Any]) -> list[Leaf]:
+    """The leaves of a group's tree."""
+    found: list[Leaf] = []
+    for node in tree.values():
+        found += leaves_of(node) if isinstance(node, dict) else [node]
+    return found
+
+
+def representative(plugin: Any, tree: dict[str, Any], slot: UInt32, lookup: Lookup) -> Any:
+    """A shallow copy of `plugin` with looked-up values, and so for its children."""
+    clone = copy.copy(plugin)
+    for name, node in tree.items():
+        if isinstance(node, dict):
+            value = representative(getattr(plugin, name), node, slot, lookup)
+        else:
+            value = lookup(node, slot)
+        setattr(clone, name, value)
+    return clone
 
 
 def opaque_copy(plugin: P) -> P:

@@ -280,7 +280,7 @@ class Textbook(Integrator):
         return state[3], start.d.x == start.d.x, []
 
 
-djpt.register_integrator("ambient_occlusion", AmbientOcclusion)
+djpt.register_integrator("corner_occlusion", AmbientOcclusion)
 djpt.register_integrator("textbook", Textbook)
 
 
@@ -293,7 +293,7 @@ def test_ambient_occlusion_of_a_corner() -> None:
     sensor = {"type": "perspective", "fov": 1e-3, "to_world": view, "film": film}
     scene = {"type": "scene", "floor": floor, "wall": {"type": "rectangle", "to_world": turned}, "sensor": sensor}
     for radius, expected in ((100.0, 0.5), (1e-4, 1.0)):
-        scene["integrator"] = {"type": "ambient_occlusion", "radius": radius}
+        scene["integrator"] = {"type": "corner_occlusion", "radius": radius}
         assert ours(scene, 1024).mean() == pytest.approx(expected, abs=0.01)
 
 

@@ -84,8 +84,13 @@ class Forward:
     sums: list[Float]
 
 
-def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Reverse | Forward) -> Lane:
-    """Walk all samples twice."""
+def run(
+    job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Reverse | Forward
+) -> tuple[list[Float], UInt32]:
+    """Walk all samples twice; returns the sums, and a number to evaluate if there are none.
+
+    The rest of the state is dropped before anything is evaluated, and so never written to memory.
+    """
     integrator, scene, count = job.integrator, job.scene, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
     reverse = isinstance(mode, Reverse)
@@ -165,7 +170,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Re
 
     label = "replay backward" if reverse else "replay forward"
     (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label=label)
-    return end
+    return end.sums, end.k
 
 
 def numbering_of(job: Job, parameters: list[Parameter]) -> Numbering:
@@ -232,9 +237,9 @@ def gradients(
     """Run the replay in reverse mode and add up the lanes."""
     numbering = numbering_of(job, parameters)
     accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
-    end = run(job, values, numbering, lanes, Reverse(accumulator, delta, adjoint))
-    dr.eval(end.sums, end.k)
-    return accumulator.gradients(end.sums)
+    sums, k = run(job, values, numbering, lanes, Reverse(accumulator, delta, adjoint))
+    dr.eval(sums, k)
+    return accumulator.gradients(sums)
 
 
 def forward_sums(
@@ -245,7 +250,7 @@ def forward_sums(
     if sums is None:
         sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     numbering = numbering_of(job, parameters)
-    result = run(job, values, numbering, lanes, Forward(Tangents(numbering, tangents), None, sums)).sums
+    result = run(job, values, numbering, lanes, Forward(Tangents(numbering, tangents), None, sums))[0]
     dr.eval(result)
     return result
 
