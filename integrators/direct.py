@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import drjit as dr
 
 from djpt.description.properties import Properties
@@ -10,6 +12,9 @@ from djpt.integrators.base import Integrator, mis_weight
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
 
 __all__ = ["Direct"]
 
@@ -36,8 +41,8 @@ class Direct(Integrator):
         if self.emitter_samples + self.bsdf_samples == 0:
             raise SceneError(f"{props.node}: 'emitter_samples' and 'bsdf_samples' can't both be 0")
 
-    def sample(  # type: ignore[no-untyped-def]
-        self, scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         total = self.emitter_samples + self.bsdf_samples
         emitter_share, bsdf_share = self.emitter_samples / total, self.bsdf_samples / total
@@ -65,13 +70,13 @@ class Direct(Integrator):
         for _ in range(self.bsdf_samples):
             # Direction before lobe: the order in which Mitsuba's `direct` draws them.
             sample2 = sampler.next_2d(lit)
-            bs, weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sample2, lit)
+            bs, bsdf_weight = bsdf.sample(ctx, si, sampler.next_1d(lit), sample2, lit)
             ray_b = si.spawn_ray(si.to_world(bs.wo))
             si_b = scene.ray_intersect(ray_b, lit)
             ds = DirectionSample3f.between(si.p, ray_b, si_b)
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
             emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
             mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)
-            result += weight * si_b.emitter(scene).eval(si_b, lit) * mis
+            result += bsdf_weight * si_b.emitter(scene).eval(si_b, lit) * mis
 
         return dr.select(active, result, 0), si.is_valid() & active, []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import drjit as dr
 
 from djpt.description.properties import Properties
@@ -10,6 +12,9 @@ from djpt.minmax import maximum, minimum
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
 
 __all__ = ["Path"]
 
@@ -39,11 +44,13 @@ class Path(PathIntegrator):
         self.max_depth = props.integer("max_depth", self.default_max_depth, low=-1)
         self.rr_depth = props.integer("rr_depth", 5, low=1)
 
-    def start(self, scene):  # type: ignore[no-untyped-def]
+    def start(self, scene: Scene) -> PathState:
         eta = Float(1) if scene.refracts else None
         return PathState(p=Point3f(0), throughput=Color3f(1), bsdf_pdf=Float(0), eta=eta, depth=UInt32(0))
 
-    def vertex(self, scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f) -> Vertex:  # type: ignore[no-untyped-def]
+    def vertex(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
         max_depth = UNBOUNDED if self.max_depth < 0 else self.max_depth
         first = state.depth == 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 from djpt.description.plugin import Plugin
@@ -75,4 +76,4 @@ class BSDF(Plugin):
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The albedo shown by the `aov` integrator: by default pi f at normal incidence and exitance."""
         up = SurfaceInteraction3f(**{**vars(si), "wi": Vector3f(0, 0, 1)})
-        return self.eval(BSDFContext(), up, Vector3f(0, 0, 1), active) * 3.14159265358979
+        return self.eval(BSDFContext(), up, Vector3f(0, 0, 1), active) * math.pi

@@ -23,7 +23,7 @@ from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.lookup import Members, Numbers, Rows
 from djpt.records import PreliminaryIntersection3f, Ray3f
-from djpt.shapes.base import Shape
+from djpt.shapes.base import Face, Shape
 from djpt.types import Bool, Point3f, UInt32, Vector3f
 
 __all__ = ["Unrolled"]
@@ -69,8 +69,8 @@ class Unrolled:
     # ---- structure -----------------------------------------------------------------
 
     @staticmethod
-    def _face_key(face: object) -> Hashable:
-        return (face.normal.key(), face.shading.key(), face.tangent.key())  # type: ignore[attr-defined]
+    def _face_key(face: Face) -> Hashable:
+        return (face.normal.key(), face.shading.key(), face.tangent.key())
 
     def _number_faces(self) -> None:
         """Give every face of every shape a number; faces of equal normal axis get neighbouring ones."""
