@@ -20,7 +20,6 @@ from versus_mitsuba import cornell_box, seconds
 
 from djpt import lookup
 from djpt.geometry import axes, unrolled
-from djpt.schedules import flat
 
 Render = Callable[[int], Any]
 
@@ -52,19 +51,11 @@ def no_hull_culling() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def one_lane_per_pixel() -> Iterator[None]:
-    """A pixel's samples are not shared among lanes."""
-    with patch.object(flat, "lanes_per_pixel", lambda pixels, spp: 1):
-        yield
-
-
 CASES: list[tuple[str, Callable[[], AbstractContextManager[None]], dict[str, Any]]] = [
     ("path regeneration (flat against wave)", nullcontext, {"schedule": "wave"}),
     ("select chains instead of gathers", no_select_chains, {}),
     ("shared and coordinate axes", no_shared_axes, {}),
     ("hull culling of shadow rays", no_hull_culling, {}),
-    ("several lanes per pixel", one_lane_per_pixel, {}),
 ]
 
 

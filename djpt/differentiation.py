@@ -26,6 +26,7 @@ from djpt.replay import Parameter
 from djpt.schedules import replay, wave
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
+    BAND_PIXELS,
     develop,
     image_of_samples,
     ranges,
@@ -111,9 +112,7 @@ class ReplayDerivative:
         )
 
     def _filtered(self, adjoints: list[Float]) -> list[Any]:
-        job, weight = self.job, filter_weights(self.job)
-        adjoints = [a * dr.select(weight == 0, 0, dr.rcp(weight)) for a in adjoints]
-        dr.eval(adjoints)
+        job, adjoints = self.job, over_weights(self.job, adjoints)
         return add(
             replay.backward_samples(
                 job,
@@ -165,9 +164,7 @@ class AttachedDerivative:
     def backward(self, image: TensorXf) -> list[Any]:
         band = Band(0, self.job.height)
         with dr.suspend_grad():
-            adjoints, weight = on_grid(self.job, image), filter_weights(self.job)
-            adjoints = [a * dr.select(weight == 0, 0, dr.rcp(weight)) for a in adjoints]
-            dr.eval(adjoints)
+            adjoints = over_weights(self.job, on_grid(self.job, image))
             deltas = sample_adjoints(self.job, band, adjoints, 0, self.job.spp)
         with dr.resume_grad():
             fresh, samples = self._samples()
@@ -207,10 +204,18 @@ def on_grid(job: Job, image: TensorXf) -> list[Float]:
     return result
 
 
+def over_weights(job: Job, adjoints: list[Float]) -> list[Float]:
+    """Derivatives by the pixels' weighted sums, from those by the pixels."""
+    weight = filter_weights(job)
+    result = [a * dr.select(weight == 0, 0, dr.rcp(weight)) for a in adjoints]
+    dr.eval(result)
+    return result
+
+
 def filter_weights(job: Job) -> Float:
     """The sum of the weights of all samples that reach a pixel of the grid."""
     image = [dr.opaque(Float, 0, job.width * job.height)]
-    for band in job.bands(2**16):
+    for band in job.bands(BAND_PIXELS):
         rows = add_samples(job, band, [], 0, job.spp, None)
         image = spread(job, band, rows, image)
     return image[0]

@@ -6,6 +6,7 @@ import operator
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+from djpt.color import LUMINANCE
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
@@ -13,9 +14,6 @@ from djpt.rfilters import Box, Gaussian, ReconstructionFilter
 from djpt.types import Bool, Color3f, Float
 
 __all__ = ["HDRFilm"]
-
-LUMINANCE = (0.212671, 0.715160, 0.072169)
-"""Weights of linear sRGB (ITU-R BT.709) red, green and blue."""
 
 CHANNELS = {"rgb": ("R", "G", "B"), "rgba": ("R", "G", "B", "A"), "luminance": ("Y",)}
 

@@ -49,7 +49,8 @@ class Unrolled:
         shape.place(self.pool)
         if [self._face_key(f) for f in shape.faces()] != before:
             self._number_faces()
-        self._tabulate()
+        else:
+            self._tabulate()
         self._find_occluders()
 
     def move_points(self, points: Sequence[Point3f]) -> None:

@@ -19,25 +19,11 @@ import drjit as dr
 from djpt.integrators.base import PathIntegrator, PathState, wide
 from djpt.records import Ray3f
 from djpt.schedules.job import Band, Job
-from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums
+from djpt.schedules.lanes import Lanes, interleaved, layered
+from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
-__all__ = ["film_sums", "lanes_per_pixel", "radiance_samples", "radiance_sums", "total"]
-
-LANES = 2**16
-"""Fewer lanes leave processor cores idle: Dr.Jit hands them out in blocks of 2^14."""
-
-
-def lanes_per_pixel(pixels: int, spp: int) -> int:
-    """How many lanes share a pixel's samples: a power of two that depends on the image alone.
-
-    A lane with many samples in a row evens out the lengths of its paths, so pixels are shared only
-    where there are few of them.
-    """
-    lanes = 1
-    while pixels * lanes < LANES and lanes < 64 and spp // (2 * lanes) >= 4:
-        lanes *= 2
-    return lanes
+__all__ = ["film_sums", "radiance_samples", "radiance_sums", "total"]
 
 
 @dataclass
@@ -59,26 +45,26 @@ class Lane:
     sink: list[Any]
 
 
-def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sink: Sink) -> list[Any]:
-    """Advance all lanes until the sink has their samples first, first + stride, .. below `end`.
+def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
+    """Advance all lanes until the sink has their samples.
 
     Returns the sink's state.
     """
     integrator = job.integrator
     assert isinstance(integrator, PathIntegrator)
-    scene, lanes = job.scene, dr.width(pixel)
-    x, y = job.coordinates(pixel)
+    scene, width = job.scene, dr.width(lanes.pixel)
+    x, y = job.coordinates(lanes.pixel)
     several = sink.steps > 1
-    sampler, ray, offset = job.begin(pixel, first, x, y)
+    sampler, ray, offset = job.begin(lanes.pixel, lanes.first, x, y)
     start = Lane(
-        ray=wide(ray, lanes),
+        ray=wide(ray, width),
         sampler=sampler,
-        path=wide(integrator.start(scene), lanes),
-        radiance=dr.zeros(Color3f, lanes),
-        held=dr.full(Bool, False, lanes) if several else None,
-        valid=dr.full(Bool, False, lanes) if several else None,
+        path=wide(integrator.start(scene), width),
+        radiance=dr.zeros(Color3f, width),
+        held=dr.full(Bool, False, width) if several else None,
+        valid=dr.full(Bool, False, width) if several else None,
         offset=offset if several else None,
-        k=wide(first, lanes),
+        k=wide(lanes.first, width),
         sink=sink.state,
     )
 
@@ -91,7 +77,7 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sin
         valid: Any = v.valid
         if lane.held is not None:
             here, valid = dr.select(lane.held, 0, here), dr.select(lane.held, lane.valid, v.valid)
-            ready = (ready | lane.held) & (lane.k < end)
+            ready = (ready | lane.held) & (lane.k < lanes.end)
         radiance = lane.radiance + here
 
         # The path has ended: hand over the sample, start the next one.
@@ -99,8 +85,8 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sin
         state, waiting, taken = sink.take(lane.sink, waiting, channels, lane.offset, ready)
         if lane.held is not None:
             held = ready & ~taken
-        next_k = lane.k + stride
-        fresh, camera_ray, offset = job.begin(pixel, next_k, x, y)
+        next_k = lane.k + lanes.stride
+        fresh, camera_ray, offset = job.begin(lanes.pixel, next_k, x, y)
         after = Lane(
             ray=dr.select(taken, camera_ray, v.ray),
             sampler=dr.select(taken, fresh, lane.sampler),
@@ -121,7 +107,7 @@ def run(job: Job, pixel: UInt32, first: UInt32, end: UInt32, stride: UInt32, sin
         lane.sink = sink.close(lane.sink, waiting)
         return (lane,)
 
-    (finished,) = dr.while_loop((start,), lambda lane: lane.k < end, body, label="flat")
+    (finished,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label="flat")
     return finished.sink
 
 
@@ -137,28 +123,15 @@ def restart(ended: Bool, fresh: PathState, state: PathState) -> PathState:
     )
 
 
-def first_sample(group: UInt32, groups: UInt32, begin: UInt32) -> UInt32:
-    """The first k >= begin with k = group (mod groups); `groups` is a power of two."""
-    return begin + ((group - begin) & (groups - 1))
-
-
 def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
     """Add the samples begin <= k < end of all pixels to `sums`, one array per channel.
 
-    The sums are per lane, `lanes_per_pixel` of them for each pixel, group by group: pass them on
-    from pass to pass, and to `total` at the end. Lane g of a pixel owns the samples k = g modulo
-    the number of lanes, so the order of additions doesn't depend on the passes.
+    The sums are per lane: pass them on from pass to pass, and to `total` at the end.
     """
-    pixels = job.width * job.height
-    lanes = pixels * lanes_per_pixel(pixels, job.spp)
-    groups = dr.opaque(UInt32, lanes // pixels)
-    index, count = dr.arange(UInt32, lanes), dr.opaque(UInt32, pixels)
-    group = index // count
-    pixel = index - group * count
+    lanes = interleaved(job, Band(0, job.height), begin, end)
     if sums is None:
-        sums = blank_sums(lanes, job.channel_count())
-    first = first_sample(group, groups, dr.opaque(UInt32, begin))
-    result = run(job, pixel, first, dr.opaque(UInt32, end), groups, Sums(sums))
+        sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
+    result = run(job, lanes, Sums(sums))
     dr.eval(result)
     return result
 
@@ -168,16 +141,11 @@ def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | No
 
     The result goes to `spread`: the lanes of a pixel follow each other group by group.
     """
-    count = lanes_per_pixel(job.width * job.height, job.spp)
-    pixels = band.rows * job.width
-    index, size, groups = dr.arange(UInt32, pixels * count), dr.opaque(UInt32, pixels), dr.opaque(UInt32, count)
-    group = index // size
-    pixel = index - group * size + dr.opaque(UInt32, band.first_row * job.width)
+    lanes = interleaved(job, band, begin, end)
     if sums is None:
-        sums = blank_sums(pixels * count, job.film.taps**2 * (job.channel_count() + 1))
-    first = first_sample(group, groups, dr.opaque(UInt32, begin))
-    sink = FilmSums(job, job.on_film(*job.coordinates(pixel)), sums)
-    result = run(job, pixel, first, dr.opaque(UInt32, end), groups, sink)
+        sums = blank_sums(dr.width(lanes.pixel), job.film.taps**2 * (job.channel_count() + 1))
+    sink = FilmSums(job, job.on_film(*job.coordinates(lanes.pixel)), sums)
+    result = run(job, lanes, sink)
     dr.eval(result)
     return result
 
@@ -200,27 +168,8 @@ def total(job: Job, sums: list[Float]) -> list[Float]:
 
 def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
     """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
-    pixels = band.rows * job.width
-    buffers = [dr.empty(Float, pixels * (end - begin)) for _ in range(job.channel_count())]
-    size = dr.opaque(UInt32, pixels)
-
-    def store(slot: UInt32, channels: list[Float], active: Bool) -> None:
-        for buffer, channel in zip(buffers, channels, strict=True):
-            dr.scatter(buffer, channel, slot, active)
-
-    groups = samples_in_parallel(pixels, end - begin)
-    lane = dr.arange(UInt32, pixels * groups)
-    group = lane // size
-    pixel = lane - group * size + dr.opaque(UInt32, band.first_row * job.width)
-    first = dr.opaque(UInt32, begin) + group
-    run(job, pixel, first, dr.opaque(UInt32, end), dr.opaque(UInt32, groups), Store(pixels * groups, store))
+    lanes = layered(job, band, begin, end)
+    buffers, write = sample_buffers(job, band, end - begin)
+    run(job, lanes, Store(dr.width(lanes.pixel), write))
     dr.eval(buffers)
     return buffers
-
-
-def samples_in_parallel(pixels: int, count: int) -> int:
-    """Lanes per pixel of a pass that stores its samples; they don't change the result."""
-    lanes = 1
-    while pixels * lanes < LANES and count % (2 * lanes) == 0 and count // (2 * lanes) >= 8:
-        lanes *= 2
-    return lanes

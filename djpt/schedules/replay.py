@@ -24,9 +24,10 @@ from djpt.dispatch import Detached
 from djpt.integrators.base import PathIntegrator, PathState, wide
 from djpt.records import Ray3f
 from djpt.replay import Accumulator, Leaves, Numbering, Parameter, Tangents
-from djpt.schedules.flat import first_sample, lanes_per_pixel, restart, samples_in_parallel
+from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job
-from djpt.schedules.sinks import blank_sums
+from djpt.schedules.lanes import Lanes, interleaved, layered
+from djpt.schedules.sinks import Write, blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["backward_constant", "backward_samples", "forward_samples", "forward_sums"]
@@ -54,16 +55,6 @@ class Lane:
 
 
 @dataclass
-class Lanes:
-    """Which samples the lanes walk: first, first + stride, .. below end, of their pixels."""
-
-    pixel: UInt32
-    first: UInt32
-    end: UInt32
-    stride: UInt32
-
-
-@dataclass
 class Reverse:
     """Reverse mode: sum the parameters' gradients, given the samples' adjoints.
 
@@ -80,7 +71,7 @@ class Forward:
     """Forward mode: tangents in, one derivative per sample out, to sums or to ``store``."""
 
     tangents: Tangents
-    store: Callable[[UInt32, list[Float], Bool], None] | None
+    store: Write | None
     sums: list[Float]
 
 
@@ -178,33 +169,11 @@ def numbering_of(job: Job, parameters: list[Parameter]) -> Numbering:
     return Numbering(parameters, job.scene.bsdfs.leaves() + job.scene.lights.leaves())
 
 
-def interleaved(job: Job, begin: int, end: int) -> Lanes:
-    """All samples begin <= k < end, shared by lanes as in `flat.radiance_sums`."""
-    pixels = job.width * job.height
-    count = lanes_per_pixel(pixels, job.spp)
-    index, size = dr.arange(UInt32, pixels * count), dr.opaque(UInt32, pixels)
-    group = index // size
-    groups = dr.opaque(UInt32, count)
-    first = first_sample(group, groups, dr.opaque(UInt32, begin))
-    return Lanes(index - group * size, first, dr.opaque(UInt32, end), groups)
-
-
-def layered(job: Job, band: Band, begin: int, end: int) -> Lanes:
-    """The samples begin <= k < end of a band, slots laid out as [k - begin][pixel]."""
-    pixels = band.rows * job.width
-    count = samples_in_parallel(pixels, end - begin)
-    index, size = dr.arange(UInt32, pixels * count), dr.opaque(UInt32, pixels)
-    group = index // size
-    pixel = index - group * size + dr.opaque(UInt32, band.first_row * job.width)
-    first = dr.opaque(UInt32, begin) + group
-    return Lanes(pixel, first, dr.opaque(UInt32, end), dr.opaque(UInt32, count))
-
-
 def backward_constant(
     job: Job, values: Detached, parameters: list[Parameter], adjoints: list[Float], begin: int, end: int
 ) -> list[Any]:
     """Gradients of the parameters where all samples of a pixel have the same adjoint."""
-    lanes = interleaved(job, begin, end)
+    lanes = interleaved(job, Band(0, job.height), begin, end)
     delta = job.film.color_adjoint([dr.gather(Float, a, lanes.pixel) for a in adjoints])
     return gradients(job, values, parameters, lanes, delta, None)
 
@@ -246,7 +215,7 @@ def forward_sums(
     job: Job, values: Detached, parameters: list[Parameter], tangents: list[Any], begin: int, end: int, sums: Any
 ) -> list[Float]:
     """Like `flat.radiance_sums`, of the samples' derivatives."""
-    lanes = interleaved(job, begin, end)
+    lanes = interleaved(job, Band(0, job.height), begin, end)
     if sums is None:
         sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     numbering = numbering_of(job, parameters)
@@ -259,14 +228,8 @@ def forward_samples(
     job: Job, values: Detached, parameters: list[Parameter], tangents: list[Any], band: Band, begin: int, end: int
 ) -> list[Float]:
     """Like `flat.radiance_samples`, of the samples' derivatives."""
-    pixels = band.rows * job.width
-    buffers = [dr.empty(Float, pixels * (end - begin)) for _ in range(job.channel_count())]
-
-    def store(slot: UInt32, channels: list[Float], active: Bool) -> None:
-        for buffer, channel in zip(buffers, channels, strict=True):
-            dr.scatter(buffer, channel, slot, active)
-
+    buffers, write = sample_buffers(job, band, end - begin)
     numbering = numbering_of(job, parameters)
-    run(job, values, numbering, layered(job, band, begin, end), Forward(Tangents(numbering, tangents), store, []))
+    run(job, values, numbering, layered(job, band, begin, end), Forward(Tangents(numbering, tangents), write, []))
     dr.eval(buffers)
     return buffers

@@ -13,15 +13,30 @@ from typing import Any, Protocol
 import drjit as dr
 
 from djpt.films.reconstruction import add_taps
-from djpt.schedules.job import Job
+from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Float, Point2f, UInt32
 
-__all__ = ["FilmSums", "Finished", "Sink", "Store", "Sums", "blank_sums"]
+__all__ = ["FilmSums", "Finished", "Sink", "Store", "Sums", "Write", "blank_sums", "sample_buffers"]
 
 
 def blank_sums(lanes: int, count: int) -> list[Float]:
     """Zeros in memory: as literals they would give a first pass a kernel of its own."""
     return [dr.opaque(Float, 0, lanes) for _ in range(count)]
+
+
+Write = Callable[[UInt32, list[Float], Bool], None]
+"""Called with (slot, channels, active): stores the samples of the active lanes."""
+
+
+def sample_buffers(job: Job, band: Band, count: int) -> tuple[list[Float], Write]:
+    """Memory for `count` samples of a band's pixels, one array per channel, and how to write to it."""
+    buffers = [dr.empty(Float, band.rows * job.width * count) for _ in range(job.channel_count())]
+
+    def write(slot: UInt32, channels: list[Float], active: Bool) -> None:
+        for buffer, channel in zip(buffers, channels, strict=True):
+            dr.scatter(buffer, channel, slot, active)
+
+    return buffers, write
 
 
 @dataclass
@@ -77,7 +92,7 @@ class Store:
 
     steps = 1
 
-    def __init__(self, lanes: int, write: Callable[[UInt32, list[Float], Bool], None]) -> None:
+    def __init__(self, lanes: int, write: Write) -> None:
         self.state: list[Any] = [dr.arange(UInt32, lanes)]
         self._write, self._stride = write, dr.opaque(UInt32, lanes)
 

@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.color import LUMINANCE
 from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties, bounds
@@ -17,9 +18,6 @@ from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float
 
 __all__ = ["ConstantTexture"]
-
-LUMINANCE = (0.212671, 0.715160, 0.072169)
-"""Weights of linear sRGB (ITU-R BT.709) red, green and blue."""
 
 
 class ConstantTexture(Texture):
