@@ -1,0 +1,70 @@
+"""The ray-triangle test that all accelerators share.
+
+Corners are projected along the ray, onto a plane across it; the ray then is the origin, and it hits
+where the three edge functions agree in sign. Triangles that share an edge compute its function from
+the same projected corners, and with the same rounding up to the sign, so that no ray slips through
+between them: the test is watertight. It costs a few operations more than Moeller and Trumbore's.
+
+S. Woop, C. Benthin and I. Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013; with a
+plane across the ray instead of a permutation of axes, which suits SIMD lanes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+
+from djpt.minmax import maximum, minimum
+from djpt.types import Bool, Float, Point3f, Vector3f
+
+__all__ = ["RayPlane", "TriangleHit", "intersect_triangle"]
+
+
+@dataclass
+class TriangleHit:
+    """A triangle's answer to a ray: where `hit` is false, the rest means nothing."""
+
+    hit: Bool
+    t: Float
+    """Distance in units of the ray's `d`, not compared with anything."""
+    b1: Float
+    """Barycentric weight of the second corner."""
+    b2: Float
+    """Barycentric weight of the third corner."""
+
+
+class RayPlane:
+    """A ray's origin and two directions across it. Neither they nor `d` need have unit length."""
+
+    def __init__(self, o: Point3f, d: Vector3f) -> None:
+        self.o, self.d = o, d
+        # Perpendicular to d by swapping two components; never the two small ones.
+        steep = dr.abs(d.x) > dr.abs(d.z)
+        self.s = Vector3f(dr.select(steep, -d.y, 0), dr.select(steep, d.x, -d.z), dr.select(steep, 0, d.y))
+        self.t = dr.cross(d, self.s)
+        self.inv_length_squared = dr.rcp(dr.squared_norm(d))
+
+    def project(self, p: Point3f) -> tuple[Float, Float, Float]:
+        """Coordinates of a point across the ray and along it, seen from the origin."""
+        v = p - self.o
+        return dr.dot(self.s, v), dr.dot(self.t, v), dr.dot(self.d, v)
+
+
+def intersect_triangle(ray: RayPlane, p0: Point3f, p1: Point3f, p2: Point3f) -> TriangleHit:
+    """Intersect a line with a triangle, edges included; the caller compares `t`.
+
+    `t` is a convex combination of the corners' distances, so that even a sliver seen edge-on doesn't
+    give one far off.
+    """
+    (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = ray.project(p0), ray.project(p1), ray.project(p2)
+    # Products and differences are rounded one by one (Dr.Jit doesn't fuse them): swapping the ends of an
+    # edge then changes the sign of its function and nothing else.
+    w0 = x2 * y1 - y2 * x1
+    w1 = x0 * y2 - y0 * x2
+    w2 = x1 * y0 - y1 * x0
+    determinant = w0 + w1 + w2
+    inside = (minimum(minimum(w0, w1), w2) >= 0) | (maximum(maximum(w0, w1), w2) <= 0)
+    inv = dr.rcp(determinant)
+    t = dr.fma(w0, z0, dr.fma(w1, z1, w2 * z2)) * inv * ray.inv_length_squared
+    return TriangleHit(inside & (determinant != 0), t, w1 * inv, w2 * inv)
