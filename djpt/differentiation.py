@@ -49,10 +49,15 @@ def gradient_seed(seed: int, seed_grad: int) -> int:
     return seed_grad or int(sample_tea_32(UInt32(seed), UInt32(1))[0][0])
 
 
-def differentiable_image(job: Job, parameters: list[Parameter], primal: Callable[[], TensorXf]) -> TensorXf:
-    """The image `primal()`, attached to `parameters`; derivatives use the samples of `job`."""
+def differentiable_image(
+    job: Job, parameters: list[Parameter], primal: Callable[[], TensorXf], machine: bool = False
+) -> TensorXf:
+    """The image `primal()`, attached to `parameters`; derivatives use the samples of `job`.
+
+    Paths are replayed in the machine schedule or in the flat one.
+    """
     if isinstance(job.integrator, PathIntegrator):
-        derivative: Derivative = ReplayDerivative(job, parameters)
+        derivative: Derivative = ReplayDerivative(job, parameters, machine)
     else:
         derivative = AttachedDerivative(job, parameters)
     return dr.custom(ImageOp, [p.value for p in parameters], primal, derivative)
@@ -90,16 +95,18 @@ class ImageOp(dr.CustomOp):
 class ReplayDerivative:
     """Path replay."""
 
-    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
+    def __init__(self, job: Job, parameters: list[Parameter], machine: bool) -> None:
         assert isinstance(job.scene.lookup, Detached)
-        self.job, self.parameters = job, parameters
+        self.job, self.parameters, self.machine = job, parameters, machine
+        self._constant = not job.film.filters and not machine
+        """Can the samples of a pixel be treated alike, in registers?"""
         # Later edits of the scene must not change what is differentiated.
         self.values = job.scene.lookup.snapshot([(p.owner, p.attribute) for p in parameters])
 
     def backward(self, image: TensorXf) -> list[Any]:
         with dr.suspend_grad():
             adjoints = on_grid(self.job, image)
-            return self._filtered(adjoints) if self.job.film.filters else self._box(adjoints)
+            return self._box(adjoints) if self._constant else self._filtered(adjoints)
 
     def _box(self, adjoints: list[Float]) -> list[Any]:
         job = self.job
@@ -122,13 +129,14 @@ class ReplayDerivative:
                 band,
                 begin,
                 end,
+                self.machine,
             )
             for band, begin, end in stored_passes(job)
         )
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         with dr.suspend_grad():
-            if not self.job.film.filters:
+            if self._constant:
 
                 def step(begin: int, end: int, sums: Any) -> list[Float]:
                     return replay.forward_sums(self.job, self.values, self.parameters, tangents, begin, end, sums)
@@ -136,7 +144,9 @@ class ReplayDerivative:
                 return develop(self.job, stepwise_sums(self.job, step), dr.opaque(Float, self.job.spp))
 
             def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
-                return replay.forward_samples(job, self.values, self.parameters, tangents, band, begin, end)
+                return replay.forward_samples(
+                    job, self.values, self.parameters, tangents, band, begin, end, self.machine
+                )
 
             return stored_image(self.job, samples)
 

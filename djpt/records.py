@@ -110,10 +110,14 @@ class PreliminaryIntersection3f:
 
     t: Float
     """Distance in units of the ray's `d`; infinity on a miss."""
+    face: UInt32
+    """The scene's own number of the face that was hit: see `Scene`."""
     shape_index: UInt32
-    """Index into the scene's shapes; 0 on a miss."""
-    prim_index: UInt32
-    """Which face of the shape: triangle number or face code; 0 for single-face shapes."""
+    """Index into ``scene.shapes()``; 0 on a miss."""
+    prim_index: UInt32 | None = None
+    """The triangle within its shape, as Mitsuba counts; 0 for shapes that aren't made of triangles."""
+    prim_uv: Point2f | None = None
+    """Barycentric weights of the second and third corner of a mesh's triangle; 0 for other shapes."""
 
     def is_valid(self) -> Bool:
         """True where something was hit."""
@@ -136,9 +140,21 @@ class SurfaceInteraction3f:
     wi: Vector3f
     """Direction back along the ray, in the shading frame; the world direction on a miss."""
     shape_index: UInt32
-    prim_index: UInt32
+    """Index into ``scene.shapes()``; 0 on a miss."""
+    face: UInt32
+    """The scene's own number of the face: see `Scene`."""
     valid: Bool
     scene: Any = None
+
+    @property
+    def prim_index(self) -> UInt32:
+        """The triangle within its shape, as Mitsuba counts; 0 for shapes that aren't made of triangles."""
+        return self.scene.primitive_index(self)
+
+    @property
+    def shape(self) -> UInt32:
+        """Mitsuba's name for `shape_index`."""
+        return self.shape_index
 
     def is_valid(self) -> Bool:
         """True where the ray hit a surface."""

@@ -13,13 +13,13 @@ from djpt.integrators import Integrator, Path, PathIntegrator
 from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
-from djpt.schedules.passes import primal_image
+from djpt.schedules.passes import Schedule, primal_image
 from djpt.tracing import begin_trace
 from djpt.types import TensorXf
 
 __all__ = ["channel_names", "render"]
 
-SCHEDULES = ("auto", "flat", "wave")
+SCHEDULES = ("auto", "flat", "machine", "wave")
 
 
 def render(
@@ -52,8 +52,9 @@ def render(
         seed_grad: Seed of the samples that estimate the gradient; 0 derives one from `seed`.
         spp: Samples per pixel; 0 takes the sampler's `sample_count`.
         spp_grad: Samples per pixel for the gradient; 0 takes `spp`.
-        schedule: `flat` (lanes are pixels; needs an integrator that advances vertex by vertex),
-            `wave` (lanes are samples) or `auto`.
+        schedule: `flat` (lanes are pixels), `machine` (lanes walk through a BVH, each at its own
+            pace), both for integrators that advance vertex by vertex; `wave` (lanes are samples); or
+            `auto`: the fastest.
         progress: Called with (samples done, samples in all) after each pass.
         pass_spp: Samples per pixel of one pass; 0 chooses. Changes time and memory, never the image.
 
@@ -65,12 +66,13 @@ def render(
     seed_grad = check_seed("seed_grad", seed_grad)
     spp_grad = check_count("spp_grad", spp_grad)
     pass_spp = check_count("pass_spp", pass_spp)
-    use_flat = choose_schedule(schedule, job.integrator)
+    chosen = choose_schedule(schedule, job)
     parameters = attached_parameters(scene)
     if not parameters:
-        return primal_image(job, use_flat, pass_spp)
+        return primal_image(job, chosen, pass_spp)
     gradient_job = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None)
-    return differentiable_image(gradient_job, parameters, lambda: primal_image(job, use_flat, pass_spp))
+    machine = chosen == "machine"
+    return differentiable_image(gradient_job, parameters, lambda: primal_image(job, chosen, pass_spp), machine)
 
 
 def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tuple[str, ...]:
@@ -137,13 +139,19 @@ def check_seed(name: str, value: Any) -> int:
     return seed
 
 
-def choose_schedule(schedule: str, integrator: Integrator) -> bool:
-    """True for `flat`, False for `wave`."""
+def choose_schedule(schedule: str, job: Job) -> Schedule:
+    """The schedule that was asked for, or the fastest that is possible."""
     if schedule not in SCHEDULES:
         raise RenderError(f"unknown schedule '{schedule}'{near_miss(str(schedule), SCHEDULES)}")
-    possible = isinstance(integrator, PathIntegrator)
-    if schedule == "flat" and not possible:
+    stepwise, has_tree = isinstance(job.integrator, PathIntegrator), job.scene.geometry.triangles is not None
+    if schedule in ("flat", "machine") and not stepwise:
         raise RenderError(
-            f"the integrator '{type(integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"
+            f"the integrator '{type(job.integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"
         )
-    return possible and schedule != "wave"
+    if schedule == "machine" and not has_tree:
+        raise RenderError("the schedule 'machine' walks a BVH, and the scene has no meshes: use schedule='flat'")
+    if schedule == "flat":
+        return "flat"
+    if schedule == "wave" or not stepwise:
+        return "wave"
+    return "machine" if has_tree else "flat"

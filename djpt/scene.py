@@ -14,9 +14,7 @@ from djpt.description.properties import Properties
 from djpt.dispatch import Detached, Ensemble, Lookup
 from djpt.emitters import Area, Emitter, PointLight
 from djpt.errors import SceneError
-from djpt.frame import Frame3f
-from djpt.geometry.unrolled import Unrolled
-from djpt.lookup import is_one_of
+from djpt.geometry.aggregate import Geometry
 from djpt.materials import BSDF, Diffuse
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
@@ -78,9 +76,7 @@ class Scene(Plugin):
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
         points = [e.position for e in self._emitters if isinstance(e, PointLight)]
-        lights = [s for s in self._shapes if s.emitter is not None]
-        self.geometry = Unrolled(self._shapes, lights, points, self._environment is not None)
-        self.surfaces: Ensemble[Shape] = Ensemble(self._shapes)
+        self.geometry = Geometry(self._shapes, points, self._environment is not None)
 
         bsdfs: list[BSDF] = []
         self._bsdf_of_shape: list[int] = []
@@ -106,7 +102,7 @@ class Scene(Plugin):
         assert isinstance(self.lookup, Detached)
         self._bsdf_of_face = self.geometry.per_face(self._bsdf_of_shape)
         self._light_of_face = self.geometry.per_face(self._light_of_shape)
-        for ensemble in (self.surfaces, self.bsdfs, self.lights):
+        for ensemble in (self.geometry.surfaces, self.bsdfs, self.lights):
             self.lookup.prepare(ensemble.leaves())
 
     # ---- parameters -----------------------------------------------------------------
@@ -170,19 +166,29 @@ class Scene(Plugin):
 
     # ---- ray queries ---------------------------------------------------------------------
 
-    def ray_intersect_preliminary(
+    def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
     ) -> PreliminaryIntersection3f:
-        """The closest hit with 0 < t < maxt. Lanes with `through_lights` ignore shapes that emit."""
-        emits = [s.emitter is not None for s in self._shapes]
-        pi = self.geometry.closest(ray, emits, through_lights)
+        """Which face a ray hits first, and where: all that integrators need to go on.
+
+        Lanes with `through_lights` ignore shapes that emit.
+        """
+        t, face = self.geometry.closest(ray, through_lights)
         if active is not True:
-            pi.t = dr.select(active, pi.t, dr.inf)
+            t = dr.select(active, t, dr.inf)
+        return PreliminaryIntersection3f(t, face, self.geometry.shape_of(face))
+
+    def ray_intersect_preliminary(self, ray: Ray3f, active: Bool | bool = True) -> PreliminaryIntersection3f:
+        """The first hit with 0 < t < maxt, with Mitsuba's fields."""
+        pi = self.closest_hit(ray, active)
+        surface = self.geometry.surface(ray, pi.t, pi.face, self.lookup, full=True)
+        pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, self.lookup)
+        pi.prim_uv = surface.prim_uv
         return pi
 
     def ray_intersect(self, ray: Ray3f, active: Bool | bool = True) -> SurfaceInteraction3f:
-        """The closest surface point, with all its fields."""
-        return self.surface_interaction(ray, self.ray_intersect_preliminary(ray, active))
+        """The first surface point with 0 < t < maxt, with all its fields."""
+        return self.surface_interaction(ray, self.closest_hit(ray, active))
 
     def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Is anything hit with 0 < t < maxt?"""
@@ -201,61 +207,36 @@ class Scene(Plugin):
 
     def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
         """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
-        valid, p = pi.is_valid(), ray(pi.t)
-        n, frame = self._frame(pi, p)
-        si = SurfaceInteraction3f(
+        valid = pi.is_valid()
+        surface = self.geometry.surface(ray, pi.t, pi.face, self.lookup, full)
+        return SurfaceInteraction3f(
             t=pi.t,
-            p=p,
-            n=n,
-            sh_frame=frame,
-            uv=Point2f(0),
-            dp_du=Vector3f(0),
-            dp_dv=Vector3f(0),
-            wi=dr.select(valid, frame.to_local(-ray.d), -ray.d),
+            p=surface.p,
+            n=surface.n,
+            sh_frame=surface.sh_frame,
+            uv=surface.uv,
+            dp_du=surface.dp_du,
+            dp_dv=surface.dp_dv,
+            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
             shape_index=pi.shape_index,
-            prim_index=pi.prim_index,
+            face=pi.face,
             valid=valid,
             scene=self,
         )
-        if full and self._shapes:
-            face = self.geometry.local_face(pi.prim_index)
-            si.uv, si.dp_du, si.dp_dv = self.surfaces.call(
-                pi.shape_index, self.lookup, lambda shape: shape.uv_and_partials(p, face), None
-            )
-        return si
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
-        """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of boxes and rectangles."""
-        if not self._shapes:
-            return UInt32(0)
-        face = self.geometry.local_face(si.prim_index)
-        return self.surfaces.call(si.shape_index, self.lookup, lambda shape: shape.triangle(face, si.uv), None)
-
-    def _frame(self, pi: PreliminaryIntersection3f, p: Point3f) -> tuple[Vector3f, Frame3f]:
-        """Geometric normal and shading frame: of flat faces by number, of curved shapes by their class."""
-        flat = [i for i, shape in enumerate(self._shapes) if shape.faces()]
-        result: Any = self.geometry.frame(pi.prim_index) if flat else None
-        for group in self.surfaces.groups:
-            if group.indices[0] in flat:
-                continue
-            shape = group.at(self.surfaces.slots(group, pi.shape_index), self.lookup)
-            n, s = shape.normal_at(p), shape.tangent_at(p)
-            curved = (n, Frame3f(s, dr.cross(n, s), n))
-            # Curved faces are numbered first, so this is one range test.
-            here = is_one_of(pi.prim_index, self.geometry.faces_of(group.indices))
-            result = curved if result is None else dr.select(here, curved, result)
-        up = Vector3f(0, 0, 1)
-        return result or (up, Frame3f.from_normal(up))
+        """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
+        return self.geometry.primitive_index(si.face, si.uv, self.lookup)
 
     # ---- BSDFs and emitters of surface points -----------------------------------------------
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
-        return BSDFPtr(self, self._bsdf_of_face.at(si.prim_index))
+        return BSDFPtr(self, self._bsdf_of_face.at(si.face))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
-        return dr.select(si.valid, self._light_of_face.at(si.prim_index), UInt32(self._light_on_miss))
+        return dr.select(si.valid, self._light_of_face.at(si.face), UInt32(self._light_on_miss))
 
     def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
         """The emitter seen at `si`: the shape's, or the environment on a miss."""

@@ -21,6 +21,7 @@ else:
 __all__ = [
     "PCG32",
     "Array3f",
+    "ArrayXu",
     "Bool",
     "Color3f",
     "Float",
@@ -52,6 +53,7 @@ Bool = backend.Bool
 Mask = backend.Bool
 
 Array3f = backend.Array3f
+ArrayXu = backend.ArrayXu
 Point2f = backend.Array2f
 Vector2f = backend.Array2f
 Point3f = backend.Array3f

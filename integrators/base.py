@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
+from djpt.lanewide import wide
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
@@ -102,6 +103,11 @@ class PathIntegrator(Integrator):
 
     needs_light = True
 
+    @property
+    def longest_path(self) -> int:
+        """Vertices of the longest path; -1: unbounded."""
+        return -1
+
     def start(self, scene: Scene) -> PathState:
         """The state of a path that is about to trace its camera ray."""
         raise NotImplementedError
@@ -112,10 +118,13 @@ class PathIntegrator(Integrator):
         """Process the hit (or miss) `si` of `ray`."""
         raise NotImplementedError
 
+    def passes_lights(self, state: PathState) -> Bool | None:
+        """Where the next ray ignores shapes that emit; None: nowhere."""
+        return state.depth == 0 if self.hide_emitters else None
+
     def trace(self, scene: Scene, state: PathState, ray: Ray3f) -> SurfaceInteraction3f:
         """The next hit of a path."""
-        through = (state.depth == 0) if self.hide_emitters else None
-        pi = scene.ray_intersect_preliminary(ray, through_lights=through)
+        pi = scene.closest_hit(ray, through_lights=self.passes_lights(state))
         return scene.surface_interaction(ray, pi, full=scene.needs_uv)
 
     def sample(
@@ -153,19 +162,6 @@ class PathLoop:
     radiance: Color3f
     valid: Bool
     active: Bool
-
-
-def wide(record: Any, lanes: int) -> Any:
-    """A record with all fields at full width: loop state must not start as width-1 variables."""
-    if record is None:
-        return None
-    if is_dataclass(record) and not isinstance(record, type):
-        return type(record)(**{f.name: wide(getattr(record, f.name), lanes) for f in fields(record)})
-    if not dr.is_array_v(record):
-        return record
-    if dr.is_mask_v(record):
-        return record | dr.full(Bool, False, lanes)
-    return record + dr.zeros(type(record), lanes)
 
 
 def mis_weight(pdf_a: Float, pdf_b: Float) -> Float:

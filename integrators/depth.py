@@ -26,6 +26,6 @@ class Depth(Integrator):
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
-        pi = scene.ray_intersect_preliminary(ray, active)
+        pi = scene.closest_hit(ray, active)
         valid = pi.is_valid()
         return Color3f(dr.select(valid, pi.t, 0)), valid, []

@@ -50,7 +50,7 @@ class Direct(Integrator):
 
         # ------------------- Visible surface ------------------
         through = Bool(True) if self.hide_emitters else None
-        pi = scene.ray_intersect_preliminary(ray, active, through_lights=through)
+        pi = scene.closest_hit(ray, active, through_lights=through)
         si = scene.surface_interaction(ray, pi)
         result = Color3f(0)
         if not self.hide_emitters:

@@ -44,6 +44,10 @@ class Path(PathIntegrator):
         self.max_depth = props.integer("max_depth", self.default_max_depth, low=-1)
         self.rr_depth = props.integer("rr_depth", 5, low=1)
 
+    @property
+    def longest_path(self) -> int:
+        return self.max_depth
+
     def start(self, scene: Scene) -> PathState:
         eta = Float(1) if scene.refracts else None
         return PathState(p=Point3f(0), throughput=Color3f(1), bsdf_pdf=Float(0), eta=eta, depth=UInt32(0))

@@ -143,7 +143,7 @@ def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
         dp_dv=Vector3f(0, 1, 0),
         wi=dr.normalize(Vector3f(*wi)),
         shape_index=UInt32(0),
-        prim_index=UInt32(0),
+        face=UInt32(0),
         valid=dr.full(Bool, True, width),
     )
 

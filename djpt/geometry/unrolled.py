@@ -22,9 +22,9 @@ import numpy as np
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.lookup import Members, Numbers, Rows
-from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.records import Ray3f
 from djpt.shapes.base import Face, Shape
-from djpt.types import Bool, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Unrolled"]
 
@@ -32,9 +32,19 @@ __all__ = ["Unrolled"]
 class Unrolled:
     """Closest-hit and any-hit queries against a list of shapes."""
 
-    def __init__(self, shapes: Sequence[Shape], lights: Sequence[Shape], points: Sequence[Point3f], open_sky: bool):
-        """`lights` are the shapes that emit, `points` finite light positions; `open_sky`: light from infinity."""
-        self.shapes = tuple(shapes)
+    def __init__(
+        self,
+        shapes: Sequence[Shape],
+        others: Sequence[Shape],
+        lights: Sequence[Shape],
+        points: Sequence[Point3f],
+        open_sky: bool,
+    ):
+        """`others` are shapes of the scene that aren't in this set, `lights` the shapes that emit.
+
+        `points` are finite light positions; `open_sky`: light from infinity.
+        """
+        self.shapes, self._others = tuple(shapes), tuple(others)
         self._lights, self._points, self._open_sky = lights, points, open_sky
         self.pool = AxisPool()
         self.occludes = [False] * len(shapes)
@@ -45,6 +55,9 @@ class Unrolled:
 
     def move(self, shape: Shape) -> None:
         """A shape's parameters have changed."""
+        if shape not in self.shapes:
+            self._find_occluders()
+            return
         before = [self._face_key(f) for f in shape.faces()]
         shape.place(self.pool)
         if [self._face_key(f) for f in shape.faces()] != before:
@@ -59,9 +72,9 @@ class Unrolled:
         self._find_occluders()
 
     def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest and largest corner of all shapes; (+inf, -inf) if there are none."""
+        """Smallest and largest corner of all shapes, the others included; (+inf, -inf) if there are none."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for shape in self.shapes:
+        for shape in (*self.shapes, *self._others):
             for k, unit in enumerate(np.eye(3)):
                 a, b = shape.interval(unit)
                 low[k], high[k] = min(low[k], a), max(high[k], b)
@@ -89,6 +102,7 @@ class Unrolled:
         self.face_number = [[0] * shape.face_count for shape in self.shapes]
         for number, entry in enumerate(entries):
             self.face_number[entry[2]][entry[3]] = number
+        self.face_count = len(entries)
         self._shape_of, self._local_face = Numbers(self.face_shape), Numbers(self.face_local)
         self._tabulate()
 
@@ -117,7 +131,7 @@ class Unrolled:
         if len(self._lights) == 1 and not self._points and self._lights[0] is shape:
             return True
         normal, offset = plane
-        intervals = [s.interval(normal) for s in self.shapes]
+        intervals = [s.interval(normal) for s in (*self.shapes, *self._others)]
         intervals += [(float(p @ normal), float(p @ normal)) for p in map(_host_point, self._points)]
         lowest, highest = min(a for a, _ in intervals), max(b for _, b in intervals)
         return lowest >= offset - tolerance or highest <= offset + tolerance
@@ -126,8 +140,8 @@ class Unrolled:
 
     def closest(
         self, ray: Ray3f, skip: Sequence[bool] | None = None, skipping: Bool | None = None
-    ) -> PreliminaryIntersection3f:
-        """The first hit with 0 < t < maxt; `prim_index` is a face number of this set.
+    ) -> tuple[Float, UInt32]:
+        """Distance and face number of the first hit with 0 < t < maxt; infinity on a miss.
 
         Shapes marked in `skip` are ignored by the lanes where `skipping` is true.
         """
@@ -142,8 +156,7 @@ class Unrolled:
             t = dr.select(ok, hit.t, t)
             number = dr.select(ok, hit.number, number)
             found |= ok
-        t = dr.select(found, t, dr.inf)
-        return PreliminaryIntersection3f(t, self.shape_of(number), number)
+        return dr.select(found, t, dr.inf), number
 
     def shape_of(self, number: UInt32) -> UInt32:
         """The shape that a face number belongs to."""

@@ -9,7 +9,13 @@ import drjit as dr
 from djpt.schedules.job import Band, Job
 from djpt.types import UInt32
 
-__all__ = ["Lanes", "grouped", "interleaved", "lanes_per_pixel", "layered"]
+__all__ = ["Lanes", "grouped", "interleaved", "lanes_per_pixel", "layered", "tiled"]
+
+BLOCK = 2**14
+"""Lanes that one thread takes at a time: Dr.Jit's number."""
+
+TILE = 4
+"""Pixels of 4 x 4 tiles share a packet of lanes: their rays take similar ways."""
 
 LANES = 2**16
 """Fewer lanes leave processor cores idle: Dr.Jit hands them out in blocks of 2^14."""
@@ -72,3 +78,35 @@ def layered(job: Job, band: Band, begin: int, end: int) -> Lanes:
     count = samples_in_parallel(band.rows * job.width, end - begin)
     group, pixel = grouped(job, band, count)
     return Lanes(pixel, dr.opaque(UInt32, begin) + group, dr.opaque(UInt32, end), dr.opaque(UInt32, count))
+
+
+def tiled(job: Job, band: Band, begin: int, end: int) -> tuple[Lanes, UInt32, UInt32]:
+    """The samples begin <= k < end of a band, for lanes of very different length.
+
+    Also returns where each lane stores its first sample, for storage as [k - begin][pixel], and how
+    far apart its samples lie. Packets of lanes are tiles of pixels. The blocks of lanes that threads
+    take are spread evenly over the band, so that all take about the same time.
+    """
+    columns, rows = -(-job.width // TILE), -(-band.rows // TILE)
+    tiles, size = columns * rows, TILE * TILE
+    count = 1
+    while tiles * size * count < 2 * LANES and (end - begin) // (2 * count) >= 4:
+        count *= 2
+    blocks = -(-tiles * size * count // BLOCK)
+    lane = dr.arange(UInt32, blocks * BLOCK)
+    packet, place = lane // size, lane % size
+    block = packet // (BLOCK // size)
+    # Neighbouring blocks take neighbouring tiles.
+    packet = (packet - block * (BLOCK // size)) * dr.opaque(UInt32, blocks) + block
+    group = packet // dr.opaque(UInt32, tiles)
+    tile = packet - group * dr.opaque(UInt32, tiles)
+    tile_row = tile // dr.opaque(UInt32, columns)
+    column = (tile - tile_row * dr.opaque(UInt32, columns)) * TILE + place % TILE
+    row = tile_row * TILE + place // TILE
+    inside = (column < job.width_value) & (row < dr.opaque(UInt32, band.rows)) & (group < dr.opaque(UInt32, count))
+    position = dr.fma(row, job.width_value, column)
+    pixels, last = dr.opaque(UInt32, band.rows * job.width), dr.opaque(UInt32, end)
+    first = dr.select(inside, dr.opaque(UInt32, begin) + group, last)
+    pixel = position + dr.opaque(UInt32, band.first_row * job.width)
+    lanes = Lanes(pixel, first, last, dr.opaque(UInt32, count))
+    return lanes, dr.fma(group, pixels, position), pixels * dr.opaque(UInt32, count)

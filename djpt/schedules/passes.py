@@ -8,16 +8,17 @@ pass to pass, so that the image is the same, bit for bit, for any split.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Literal
 
 import drjit as dr
 
 from djpt.films.reconstruction import add_box, add_samples, by_pixels, spread
-from djpt.schedules import flat, wave
+from djpt.schedules import flat, machine, wave
 from djpt.schedules.job import MAX_SAMPLES, Band, Job
 from djpt.types import Float, TensorXf, UInt32
 
 __all__ = [
+    "Schedule",
     "develop",
     "filtered_sums",
     "image_of_samples",
@@ -44,21 +45,28 @@ AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
 Samples = Callable[[Job, Band, int, int], list[Float]]
 """Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
 
+Schedule = Literal["flat", "machine", "wave"]
 
-def primal_image(job: Job, use_flat: bool, pass_spp: int = 0) -> TensorXf:
+SAMPLES: dict[Schedule, Samples] = {
+    "flat": flat.radiance_samples,
+    "machine": machine.radiance_samples,
+    "wave": wave.radiance_samples,
+}
+
+
+def primal_image(job: Job, schedule: Schedule, pass_spp: int = 0) -> TensorXf:
     """The image, without derivatives; `pass_spp` overrides the number of samples per pixel of a pass."""
     with dr.suspend_grad():
-        if use_flat and not job.film.filters:
+        if schedule == "flat" and not job.film.filters:
 
             def step(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
                 return flat.radiance_sums(job, begin, end, sums)
 
             return develop(job, stepwise_sums(job, step, pass_spp), dr.opaque(Float, job.spp))
-        if use_flat and by_pixels(job, job.channel_count() + 1):
+        if schedule == "flat" and by_pixels(job, job.channel_count() + 1):
             *sums, weight = filtered_sums(job, flat.film_sums, register_spp(job), pass_spp)
             return develop(job, sums, weight)
-        samples = flat.radiance_samples if use_flat else wave.radiance_samples
-        return stored_image(job, samples, pass_spp)
+        return stored_image(job, SAMPLES[schedule], pass_spp)
 
 
 def stored_image(job: Job, samples: Samples, pass_spp: int = 0) -> TensorXf:

@@ -14,26 +14,25 @@ derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 
 from djpt.dispatch import Detached
-from djpt.integrators.base import PathIntegrator, PathState, wide
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.lanewide import wide
 from djpt.records import Ray3f
-from djpt.replay import Accumulator, Leaves, Numbering, Parameter, Tangents
+from djpt.replay import Accumulator, Numbering, Parameter, Tangents
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job
-from djpt.schedules.lanes import Lanes, interleaved, layered
-from djpt.schedules.sinks import Write, blank_sums, sample_buffers
+from djpt.schedules import machine_replay
+from djpt.schedules.lanes import Lanes, interleaved, layered, tiled
+from djpt.schedules.replay_modes import Adjoint, Forward, Mode, Reverse
+from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["backward_constant", "backward_samples", "forward_samples", "forward_sums"]
-
-Adjoint = Callable[[UInt32, Bool], Color3f]
-"""Gives the derivative of the loss by the sample stored at a slot, for active lanes."""
 
 
 @dataclass
@@ -54,29 +53,8 @@ class Lane:
     sums: list[Float]
 
 
-@dataclass
-class Reverse:
-    """Reverse mode: sum the parameters' gradients, given the samples' adjoints.
-
-    The adjoints are `delta` for all samples of a lane, or what `adjoint` reads for each.
-    """
-
-    accumulator: Accumulator
-    delta: Color3f | None
-    adjoint: Adjoint | None
-
-
-@dataclass
-class Forward:
-    """Forward mode: tangents in, one derivative per sample out, to sums or to ``store``."""
-
-    tangents: Tangents
-    store: Write | None
-    sums: list[Float]
-
-
 def run(
-    job: Job, values: Detached, numbering: Numbering, lanes: Lanes, mode: Reverse | Forward
+    job: Job, values: Detached, numbering: Numbering, lanes: Lanes, slots: UInt32, slot_stride: UInt32, mode: Mode
 ) -> tuple[list[Float], UInt32]:
     """Walk all samples twice; returns the sums, and a number to evaluate if there are none.
 
@@ -84,16 +62,8 @@ def run(
     """
     integrator, scene, count = job.integrator, job.scene, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
-    reverse = isinstance(mode, Reverse)
     x, y = job.coordinates(lanes.pixel)
     sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
-    # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
-    # would give images of one sample per pixel a kernel of their own.
-    slot = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
-    slot_stride = dr.opaque(UInt32, count)
-    delta: Any = dr.zeros(Color3f, count)
-    if isinstance(mode, Reverse):
-        delta = mode.delta if mode.adjoint is None else mode.adjoint(slot, Bool(True))
     start = Lane(
         ray=wide(ray, count),
         sampler=sampler,
@@ -101,56 +71,32 @@ def run(
         radiance=dr.zeros(Color3f, count),
         again=dr.full(Bool, False, count),
         k=wide(lanes.first, count),
-        slot=slot,
-        delta=wide(delta, count),
-        sums=mode.accumulator.start() if isinstance(mode, Reverse) else mode.sums,
+        slot=wide(slots, count),
+        delta=wide(mode.delta_of(slots, Bool(True)), count),
+        sums=mode.start(),
     )
 
     def body(lane: Lane) -> tuple[Lane]:
-        leaves = Leaves(values, numbering, mode.tangents if isinstance(mode, Forward) else None)
-        view = scene.with_lookup(leaves)
+        leaves, view = mode.view(scene, values, numbering)
         si = integrator.trace(scene, lane.path, lane.ray)
         si.scene = view
         with dr.resume_grad():
             v = integrator.vertex(view, lane.sampler, lane.path, lane.ray, si)
-            visible = scene.unoccluded(v.shadow_ray)
-            here = v.emitted + dr.select(visible, v.reflected, 0)
-            passed = dr.detach(here)
-            radiance = dr.select(lane.again, lane.radiance - passed, lane.radiance + passed)
-            weight = dr.detach(v.weight)
-            scattered = v.weight * dr.select(weight != 0, radiance * dr.rcp(weight), 0)
-            outgoing = here + dr.select(v.active, scattered, 0)
-            if isinstance(mode, Reverse):
-                adjoint: Any = dr.select(lane.again, lane.delta, 0)
-                dr.backward(dr.dot(outgoing, adjoint))
-                delta, sums = lane.delta, mode.accumulator.add(lane.sums, leaves, lane.again)
-            else:
-                change = dr.forward_to(outgoing) if dr.grad_enabled(outgoing) else Color3f(0)
-                delta = lane.delta + dr.select(lane.again, change, 0)
-                sums = lane.sums
+        visible = scene.unoccluded(v.shadow_ray)
+        lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, visible, lane.again)
 
         ended = ~v.active
         finished = ended & lane.again
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
         next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
-        if isinstance(mode, Reverse):
-            if mode.adjoint is not None:
-                delta = dr.select(finished, mode.adjoint(next_slot, finished & (k < lanes.end)), delta)
-        else:
-            channels = job.film.tangent_channels(delta)
-            if mode.store is None:
-                sums = [s + dr.select(finished, c, 0) for s, c in zip(sums, channels, strict=True)]
-            else:
-                mode.store(lane.slot, channels, finished)
-            delta = dr.select(finished, 0, delta)
-
+        delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
         fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
         return (
             Lane(
                 ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
                 sampler=dr.select(ended, fresh, lane.sampler),
                 path=restart(ended, integrator.start(scene), dr.detach(v.state)),
-                radiance=dr.select(finished, 0, radiance),
+                radiance=dr.select(finished, 0, lane.radiance),
                 again=lane.again ^ ended,
                 k=k,
                 slot=next_slot,
@@ -159,8 +105,7 @@ def run(
             ),
         )
 
-    label = "replay backward" if reverse else "replay forward"
-    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label=label)
+    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label=mode.label)
     return end.sums, end.k
 
 
@@ -169,13 +114,30 @@ def numbering_of(job: Job, parameters: list[Parameter]) -> Numbering:
     return Numbering(parameters, job.scene.bsdfs.leaves() + job.scene.lights.leaves())
 
 
+def in_order(lanes: Lanes) -> tuple[Lanes, UInt32, UInt32]:
+    """Lanes, where each stores its first sample, and how far apart its samples lie: [sample][lane]."""
+    count = dr.width(lanes.pixel)
+    # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
+    # would give images of one sample per pixel a kernel of their own.
+    return lanes, dr.arange(UInt32, count) + dr.opaque(UInt32, 0), dr.opaque(UInt32, count)
+
+
+def sample_lanes(job: Job, band: Band, begin: int, end: int, machine: bool) -> tuple[Lanes, UInt32, UInt32]:
+    """The same for samples that are stored as [k - begin][pixel]."""
+    return tiled(job, band, begin, end) if machine else in_order(layered(job, band, begin, end))
+
+
 def backward_constant(
     job: Job, values: Detached, parameters: list[Parameter], adjoints: list[Float], begin: int, end: int
 ) -> list[Any]:
-    """Gradients of the parameters where all samples of a pixel have the same adjoint."""
+    """Gradients of the parameters where all samples of a pixel have the same adjoint; in the flat schedule."""
     lanes = interleaved(job, Band(0, job.height), begin, end)
+    numbering = numbering_of(job, parameters)
+    accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
     delta = job.film.color_adjoint([dr.gather(Float, a, lanes.pixel) for a in adjoints])
-    return gradients(job, values, parameters, lanes, delta, None)
+    sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, delta, None))
+    dr.eval(sums, k)
+    return accumulator.gradients(sums)
 
 
 def backward_samples(
@@ -186,27 +148,18 @@ def backward_samples(
     band: Band,
     begin: int,
     end: int,
+    machine: bool,
 ) -> list[Any]:
     """Gradients of the parameters from one adjoint per sample of a band, [k - begin][pixel] per channel."""
 
     def adjoint(slot: UInt32, active: Bool) -> Color3f:
         return job.film.color_adjoint([dr.gather(Float, a, slot, active) for a in adjoints])
 
-    return gradients(job, values, parameters, layered(job, band, begin, end), None, adjoint)
-
-
-def gradients(
-    job: Job,
-    values: Detached,
-    parameters: list[Parameter],
-    lanes: Lanes,
-    delta: Color3f | None,
-    adjoint: Adjoint | None,
-) -> list[Any]:
-    """Run the replay in reverse mode and add up the lanes."""
+    lanes, slots, stride = sample_lanes(job, band, begin, end, machine)
     numbering = numbering_of(job, parameters)
     accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
-    sums, k = run(job, values, numbering, lanes, Reverse(accumulator, delta, adjoint))
+    walk = machine_replay.run if machine else run
+    sums, k = walk(job, values, numbering, lanes, slots, stride, Reverse(accumulator, None, adjoint))
     dr.eval(sums, k)
     return accumulator.gradients(sums)
 
@@ -219,17 +172,27 @@ def forward_sums(
     if sums is None:
         sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     numbering = numbering_of(job, parameters)
-    result = run(job, values, numbering, lanes, Forward(Tangents(numbering, tangents), None, sums))[0]
+    mode = Forward(Tangents(numbering, tangents), None, sums)
+    result = run(job, values, numbering, *in_order(lanes), mode)[0]
     dr.eval(result)
     return result
 
 
 def forward_samples(
-    job: Job, values: Detached, parameters: list[Parameter], tangents: list[Any], band: Band, begin: int, end: int
+    job: Job,
+    values: Detached,
+    parameters: list[Parameter],
+    tangents: list[Any],
+    band: Band,
+    begin: int,
+    end: int,
+    machine: bool,
 ) -> list[Float]:
     """Like `flat.radiance_samples`, of the samples' derivatives."""
     buffers, write = sample_buffers(job, band, end - begin)
+    lanes, slots, stride = sample_lanes(job, band, begin, end, machine)
     numbering = numbering_of(job, parameters)
-    run(job, values, numbering, layered(job, band, begin, end), Forward(Tangents(numbering, tangents), write, []))
-    dr.eval(buffers)
+    walk = machine_replay.run if machine else run
+    finished = walk(job, values, numbering, lanes, slots, stride, Forward(Tangents(numbering, tangents), write, []))[1]
+    dr.eval(finished, buffers)
     return buffers

@@ -54,6 +54,8 @@ class Shape(Plugin):
     kind: ClassVar[str] = "shape"
     face_count: ClassVar[int] = 1
     """How many faces `intersect` tells apart."""
+    of_triangles: ClassVar[bool] = False
+    """Is it a mesh, whose triangles stand in the scene's BVH?"""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

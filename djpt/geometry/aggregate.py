@@ -1,0 +1,214 @@
+"""All surfaces of a scene behind one set of queries.
+
+Shapes with a formula of their own are unrolled into straight-line code, triangles stand in a BVH; a
+ray asks both. Every face has one number in the scene: first the faces of the unrolled set, then the
+BVH's records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.dispatch import Ensemble, Lookup
+from djpt.frame import Frame3f
+from djpt.geometry.bvh.traversal import NONE, Stepper, start
+from djpt.geometry.query import ANALYTIC, Query
+from djpt.geometry.surface import Surface
+from djpt.geometry.unrolled import Unrolled
+from djpt.lookup import Numbers, is_one_of
+from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.shapes.base import Shape
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["FaceNumbers", "Geometry"]
+
+
+class Geometry:
+    """The shapes of a scene, compiled for ray queries."""
+
+    def __init__(self, shapes: Sequence[Shape], points: Sequence[Point3f], open_sky: bool) -> None:
+        """`points` are the positions of point lights; `open_sky`: is there light from infinity?"""
+        self.shapes = tuple(shapes)
+        self.analytic_shapes = [i for i, s in enumerate(shapes) if not s.of_triangles]
+        meshes = [i for i, s in enumerate(shapes) if s.of_triangles]
+        lights = [s for s in shapes if s.emitter is not None]
+        analytic = [self.shapes[i] for i in self.analytic_shapes]
+        self.unrolled = Unrolled(analytic, [self.shapes[i] for i in meshes], lights, points, open_sky)
+        self.surfaces: Ensemble[Shape] = Ensemble(analytic)
+        self.triangles: Any = None
+        if meshes:
+            from djpt.geometry.mesh_set import MeshSet
+            from djpt.geometry.triangles import Triangles
+
+            self.triangles = Triangles(MeshSet([shapes[i] for i in meshes]), meshes)
+        self._curved = [group for group in self.surfaces.groups if not group.plugins[0].faces()]
+        self._emits = [s.emitter is not None for s in analytic]
+        self._number()
+
+    def _number(self) -> None:
+        """Tables by face number; they follow the unrolled set's numbering, which an edit may change."""
+        self.first_record = self.unrolled.face_count
+        self._shape_of = Numbers([self.analytic_shapes[s] for s in self.unrolled.face_shape])
+
+    def move(self, shape: Shape) -> None:
+        """A shape's parameters have changed."""
+        self.unrolled.move(shape)
+        if shape.of_triangles and self.triangles is not None:
+            self.triangles.move(shape)
+        self._number()
+
+    def move_points(self, points: Sequence[Point3f]) -> None:
+        """The positions of point lights have changed."""
+        self.unrolled.move_points(points)
+
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest corner of all shapes; (+inf, -inf) if there are none."""
+        return self.unrolled.bounding_box()
+
+    # ---- ray queries -----------------------------------------------------------------
+
+    def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> tuple[Float, UInt32]:
+        """Distance and face of the first hit with 0 < t < maxt; infinity on a miss.
+
+        Lanes with `through_lights` ignore shapes that emit.
+        """
+        t, face = self.unrolled.closest(ray, self._emits, through_lights)
+        if self.triangles is None:
+            return t, face
+        found = dr.isfinite(t)
+        further, record = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(found, t, ray.maxt)), False)
+        hit = record != NONE
+        return dr.select(hit, further, t), dr.select(hit, record + self.first_record, face)
+
+    def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
+        """Is anything hit with 0 < t < maxt?"""
+        hit = self.unrolled.any_hit(ray, active)
+        return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit & active)
+
+    def blocked(self, ray: Ray3f) -> Bool:
+        """Like `any_hit`, for a segment between a surface point and a light that shines on it."""
+        hit = self.unrolled.blocked(ray)
+        return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit)
+
+    # ---- ray queries step by step: for the machine schedule ----------------------------
+
+    def begin(
+        self, ray: Ray3f, active: Bool | bool = True, shadow: Bool | None = None, through_lights: Bool | None = None
+    ) -> Query:
+        """Start a query where `active`: the unrolled shapes are tested at once, the BVH by steps of `stepper`.
+
+        Where `shadow`, any hit ends it. There must be meshes.
+        """
+        assert self.triangles is not None
+        t, face = self.unrolled.closest(ray, self._emits, through_lights)
+        found = dr.isfinite(t)
+        maxt = dr.select(found, t, ray.maxt)
+        if shadow is not None:
+            active = active & ~(shadow & found)
+        hit = dr.select(found, face | ANALYTIC, UInt32(NONE))
+        return Query(ray, start(self.triangles.records, maxt, active, hit))
+
+    def stepper(self, query: Query) -> Stepper:
+        """What takes steps for a query."""
+        assert self.triangles is not None
+        return Stepper(self.triangles.records, query.ray.o, query.ray.d)
+
+    def end(self, query: Query) -> PreliminaryIntersection3f:
+        """The result of a query whose cursor has come to the end."""
+        hit = query.cursor.hit
+        t = dr.select(hit != NONE, query.cursor.t, dr.inf)
+        face = dr.select(hit >= ANALYTIC, hit & ~UInt32(ANALYTIC), hit + self.first_record)
+        face = dr.select(hit != NONE, face, 0)
+        return PreliminaryIntersection3f(t, face, self.shape_of(face))
+
+    # ---- faces -------------------------------------------------------------------------
+
+    def per_face(self, of_shape: Sequence[int]) -> FaceNumbers:
+        """A table of numbers by shape as one by face."""
+        return FaceNumbers(self, of_shape)
+
+    def shape_of(self, face: UInt32) -> UInt32:
+        """The index of the shape that a face belongs to."""
+        if self.triangles is None:
+            return self._shape_of.at(face)
+        on_mesh = self.triangles.shape_of(self.record_of(face))
+        return dr.select(self.on_mesh(face), on_mesh, self._shape_of.at(face)) if self.analytic_shapes else on_mesh
+
+    def on_mesh(self, face: UInt32) -> Bool:
+        """True for triangles."""
+        return face >= self.first_record
+
+    def record_of(self, face: UInt32) -> UInt32:
+        """The BVH's record of a triangle; that of no triangle for all other faces."""
+        return dr.select(self.on_mesh(face), face - self.first_record, NONE) if self.first_record else face
+
+    # ---- surface points ------------------------------------------------------------------
+
+    def surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
+        """The surface point at distance `t` on `face`; uv and dp/du, dp/dv of analytic shapes only if `full`."""
+        if self.triangles is None:
+            return self._analytic_surface(ray, t, face, lookup, full)
+        mesh = self.triangles.surface(ray, self.record_of(face))
+        if not self.analytic_shapes:
+            return mesh
+        analytic = self._analytic_surface(ray, t, face, lookup, full)
+        return dr.select(self.on_mesh(face), mesh, analytic)
+
+    def _analytic_surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
+        p = ray(t)
+        n, frame = self._frame(face, p, lookup)
+        uv, dp_du, dp_dv = Point2f(0), Vector3f(0), Vector3f(0)
+        if full and self.analytic_shapes:
+            local = self.unrolled.local_face(face)
+            uv, dp_du, dp_dv = self.surfaces.call(
+                self.unrolled.shape_of(face), lookup, lambda shape: shape.uv_and_partials(p, local), None
+            )
+        return Surface(p, n, frame, uv, dp_du, dp_dv, Point2f(0))
+
+    def _frame(self, face: UInt32, p: Point3f, lookup: Lookup) -> tuple[Vector3f, Frame3f]:
+        """Geometric normal and shading frame: of flat faces by number, of curved shapes by their class."""
+        flat = any(group not in self._curved for group in self.surfaces.groups)
+        result: Any = self.unrolled.frame(face) if flat else None
+        for group in self._curved:
+            shape = group.at(self.surfaces.slots(group, self.unrolled.shape_of(face)), lookup)
+            n, s = shape.normal_at(p), shape.tangent_at(p)
+            curved = (n, Frame3f(s, dr.cross(n, s), n))
+            # Curved faces are numbered first, so this is one range test.
+            here = is_one_of(face, self.unrolled.faces_of(group.indices))
+            result = curved if result is None else dr.select(here, curved, result)
+        up = Vector3f(0, 0, 1)
+        return result or (up, Frame3f.from_normal(up))
+
+    def primitive_index(self, face: UInt32, uv: Point2f, lookup: Lookup) -> UInt32:
+        """The primitive of its shape, numbered as in Mitsuba: triangles of meshes, boxes and rectangles."""
+        index = UInt32(0)
+        if self.analytic_shapes:
+            local = self.unrolled.local_face(face)
+            own = self.unrolled.shape_of(face)
+            index = self.surfaces.call(own, lookup, lambda shape: shape.triangle(local, uv), None)
+        if self.triangles is None:
+            return index
+        return dr.select(self.on_mesh(face), self.triangles.face_within_mesh(self.record_of(face)), index)
+
+
+class FaceNumbers:
+    """Whole numbers by face. Analytic faces lead there in one step, triangles by way of their mesh."""
+
+    def __init__(self, geometry: Geometry, of_shape: Sequence[int]) -> None:
+        self._geometry = geometry
+        self._analytic = geometry.unrolled.per_face([of_shape[i] for i in geometry.analytic_shapes])
+        self._mesh = geometry.triangles.per_mesh(of_shape) if geometry.triangles is not None else None
+
+    def at(self, face: UInt32) -> UInt32:
+        """The number at `face`."""
+        geometry = self._geometry
+        if self._mesh is None or geometry.triangles is None:
+            return self._analytic.at(face)
+        on_mesh = self._mesh.at(geometry.triangles.mesh_of(geometry.record_of(face)))
+        if not geometry.analytic_shapes:
+            return on_mesh
+        return dr.select(geometry.on_mesh(face), on_mesh, self._analytic.at(face))

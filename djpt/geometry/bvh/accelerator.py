@@ -1,0 +1,42 @@
+"""Ray queries against a BVH."""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.geometry.bvh.build import Method, build
+from djpt.geometry.bvh.records import Records, pack
+from djpt.geometry.bvh.search import search
+from djpt.geometry.bvh.traversal import NONE
+from djpt.geometry.bvh.wide import collapse
+from djpt.records import Ray3f
+from djpt.types import Bool, Float, UInt32
+
+__all__ = ["Bvh"]
+
+
+class Bvh:
+    """A bounding volume hierarchy over triangles."""
+
+    def __init__(self, corners: NDArray[np.float32], method: Method = "sah") -> None:
+        """`corners` (F, 3, 3) float32."""
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        tree = collapse(build(low, high, method))
+        self.records: Records = pack(tree, corners, np.zeros(len(corners), np.uint32))
+
+    def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
+        """Distance (infinity on a miss) and face of the first hit."""
+        t, record = search(self.records, ray, False)
+        face = face_of(self.records, record)
+        return dr.select(record != NONE, t, dr.inf), face
+
+    def any_hit(self, ray: Ray3f) -> Bool:
+        """Is there a hit with 0 < t < maxt?"""
+        return search(self.records, ray, True)[1] != NONE
+
+
+def face_of(records: Records, record: UInt32) -> UInt32:
+    """The face in a triangle's record; 0 for NONE."""
+    return dr.gather(UInt32, records.words, record * 16 + 13, record != NONE)

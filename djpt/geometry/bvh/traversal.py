@@ -1,0 +1,155 @@
+"""Traversal of the BVH, one step at a time.
+
+A step is the same for every lane, whatever it does: load the current record, test four boxes and one
+triangle, move on. A lane at a node ignores the triangle's result, a lane at a triangle the boxes', and
+a lane that has finished spins on the empty record. There are no branches and no masks, so a step can
+be unrolled and repeated, in a loop of its own (`closest`, `occluded`) or in a larger one
+(`djpt.schedules.machine`).
+
+The stack lives in registers: one word per level of the tree, shifted by selects.
+
+docs/theory/acceleration.md explains the layout; docs/performance.md what each part gains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.geometry.bvh.records import EMPTY, LEAF, ROOT, Records
+from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
+from djpt.minmax import maximum, minimum
+from djpt.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
+
+__all__ = ["NONE", "Cursor", "Stepper", "load", "start", "triangle_corners"]
+
+NONE = 0
+"""The record number that stands for "nothing was hit"."""
+
+STEPS = 6
+"""Steps per turn of a loop: a lane that finishes waits for the end of the turn."""
+
+INFINITY = 0x7F800000
+"""The bits of +inf; those of non-negative floats are ordered as integers."""
+
+MAGIC = 0x4B000000
+"""The bits of 2^23: with a 16-bit number in the lower half, of 2^23 plus that number."""
+
+
+@dataclass
+class Cursor:
+    """Where a lane stands: loop state."""
+
+    current: UInt32
+    """The record to visit next; EMPTY when finished."""
+    stack: list[UInt32]
+    """Per level the children still to visit: first child << 9 | up to three tags of 3 bits, nearest lowest."""
+    t: Float
+    """The closest hit so far, or how far the ray reaches."""
+    hit: UInt32
+    """The record of the triangle at `t`, or NONE."""
+
+
+def start(records: Records, maxt: Float, active: Bool | bool, hit: UInt32 | int = NONE) -> Cursor:
+    """A cursor at the root; at once finished where not `active`. `hit`: what was hit before, at `maxt`."""
+    root: Any = dr.select(active, UInt32(ROOT), UInt32(EMPTY))
+    return Cursor(root, [UInt32(0) for _ in range(records.depth)], Float(maxt), UInt32(hit))
+
+
+def load(words: UInt32, record: UInt32) -> list[UInt32]:
+    """The 16 words of a record, by two packet loads."""
+    half = record * 2
+    first: Any = dr.gather(ArrayXu, words, half, shape=(8, 1))
+    second: Any = dr.gather(ArrayXu, words, half + 1, shape=(8, 1))
+    return [*first, *second]
+
+
+def triangle_corners(words: list[UInt32]) -> tuple[Point3f, Point3f, Point3f]:
+    """The corners in a triangle's record."""
+    x: list[Any] = [dr.reinterpret_array(Float, w) for w in words[:9]]
+    return Point3f(x[0:3]), Point3f(x[3:6]), Point3f(x[6:9])
+
+
+class Stepper:
+    """Takes steps along a ray; holds what doesn't change from step to step."""
+
+    def __init__(self, records: Records, o: Point3f, d: Vector3f) -> None:
+        self.records = records
+        self.plane = RayPlane(o, d)
+        # A direction along an axis would give inf * 0 where the origin lies in a plane.
+        self.inv = Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-18, dr.copysign(Float(1e-18), x), x)) for x in d))
+        # Which half of a word holds the near plane.
+        self.near_shift = [dr.select(x < 0, UInt32(16), UInt32(0)) for x in self.inv]
+        self.far_shift = [16 - shift for shift in self.near_shift]
+
+    def step(self, cursor: Cursor, any_hit: Bool | bool) -> Cursor:
+        """Visit one record. Where `any_hit`, the first triangle hit ends the search."""
+        words = load(self.records.words, cursor.current)
+        leaf = words[12] >= LEAF
+        order = self._boxes(words, dr.select(leaf, Float(-1), cursor.t))
+
+        found = self._triangle(words)
+        hit = leaf & found.hit & (found.t > 0) & (found.t < cursor.t)
+        t = dr.select(hit, found.t, cursor.t)
+        record = dr.select(hit, cursor.current, cursor.hit)
+
+        current, stack = advance(cursor, words[12], order)
+        if any_hit is not False:
+            current = dr.select(hit & any_hit, UInt32(EMPTY), current)
+        return Cursor(current, stack, t, record)
+
+    def _triangle(self, words: list[UInt32]) -> TriangleHit:
+        return intersect_triangle(self.plane, *triangle_corners(words))
+
+    def _boxes(self, words: list[UInt32], reach: Float) -> list[UInt32]:
+        """The four children in the order of their entry distances, as tagged integers; misses are INFINITY."""
+        offset, scale = [], []
+        for axis in range(3):
+            frame = words[13 + axis]
+            origin: Any = dr.reinterpret_array(Float, frame & 0xFFFFFF00)
+            cell: Any = dr.reinterpret_array(Float, (frame & 0xFF) << 23)
+            s = cell * self.inv[axis]
+            # The 2^23 of `plane_number` is taken off here, once per axis.
+            offset.append(dr.fma(Float(-8388608.0), s, (origin - self.plane.o[axis]) * self.inv[axis]))
+            scale.append(s)
+        order = []
+        for child in range(4):
+            near, far = [], []
+            for axis in range(3):
+                planes = words[3 * child + axis]
+                near.append(dr.fma(plane_number(planes, self.near_shift[axis]), scale[axis], offset[axis]))
+                far.append(dr.fma(plane_number(planes, self.far_shift[axis]), scale[axis], offset[axis]))
+            entry = maximum(maximum(near[0], near[1]), maximum(near[2], Float(0)))
+            leave = minimum(minimum(far[0], far[1]), minimum(far[2], reach))
+            tag: Any = (dr.reinterpret_array(UInt32, entry) & 0xFFFFFFF8) | (4 + child)
+            order.append(dr.select(entry <= leave, tag, UInt32(INFINITY)))
+        for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):
+            order[i], order[j] = dr.minimum(order[i], order[j]), dr.maximum(order[i], order[j])
+        return order
+
+
+def plane_number(word: UInt32, shift: UInt32) -> Float:
+    """One half of a word as a float, plus 2^23: without a conversion."""
+    number: Any = dr.reinterpret_array(Float, ((word >> shift) & 0xFFFF) | MAGIC)
+    return number
+
+
+def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32]) -> tuple[UInt32, list[UInt32]]:
+    """The next record and stack: down to the nearest child, or on to what the stack holds."""
+    down, several = order[0] < INFINITY, order[1] < INFINITY
+    top = cursor.stack[0]
+    remaining = (top & 511) >> 3
+    popped = ~down & (remaining == 0)
+    # The lower two bits of a tag are the child's number.
+    from_stack = dr.select(cursor.current == EMPTY, UInt32(EMPTY), (top >> 9) + (top & 3))
+    current = dr.select(down, first_child + (order[0] & 3), from_stack)
+
+    entry = (first_child << 9) | (order[1] & 7) | ((order[2] & 7) << 3) | ((order[3] & 7) << 6)
+    kept = dr.select(down, top, (top & 0xFFFFFE00) | remaining)
+    stack = [*cursor.stack, UInt32(0)]
+    shifted = [dr.select(several, entry, dr.select(popped, stack[1], kept))]
+    for level in range(1, len(cursor.stack)):
+        shifted.append(dr.select(several, stack[level - 1], dr.select(popped, stack[level + 1], stack[level])))
+    return current, shifted

@@ -1,0 +1,134 @@
+"""The machine schedule: a lane is a small state machine that walks one path after the other.
+
+With triangles in a BVH, rays differ far more in length than paths do: a lane that waits for its
+neighbours' rays wastes most of its time. Here a lane never waits for another's ray to end. It takes
+steps through the tree for a ray of any kind, and when its own ray has ended it does what comes next:
+process a path vertex, add the light that a shadow ray found free, or begin the next sample. Lanes of
+one packet are all in different places at any time.
+
+The estimator is the integrator's `vertex`, as in the flat schedule, with the same samples in the
+same order. docs/performance.md, "Meshes", has the measurements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.geometry.bvh.records import EMPTY
+from djpt.geometry.bvh.traversal import STEPS, Cursor
+from djpt.geometry.query import Query
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.lanewide import wide
+from djpt.records import Ray3f
+from djpt.schedules.flat import restart
+from djpt.schedules.job import Band, Job
+from djpt.schedules.lanes import Lanes, tiled
+from djpt.schedules.sinks import Write, sample_buffers
+from djpt.types import Bool, Color3f, Float, UInt32
+
+__all__ = ["radiance_samples"]
+
+
+@dataclass
+class Lane:
+    """Loop state."""
+
+    query: Query
+    """The ray on its way through the scene."""
+    shadow: Bool
+    """Is it a shadow ray?"""
+    pending: Color3f
+    """The light that arrives if the shadow ray is free."""
+    next_ray: Ray3f
+    """Where the path goes on after the shadow ray."""
+    active: Bool
+    """Does it go on?"""
+    valid: Bool
+    """Does the sample count as covered, if it doesn't?"""
+    sampler: Any
+    path: PathState
+    radiance: Color3f
+    k: UInt32
+    slot: UInt32
+    """Where the sample will be stored."""
+
+
+def run(job: Job, lanes: Lanes, slots: UInt32, slot_stride: UInt32, write: Write) -> UInt32:
+    """Advance all lanes until their samples are written; returns a number to evaluate."""
+    integrator, scene, width = job.integrator, job.scene, dr.width(lanes.pixel)
+    assert isinstance(integrator, PathIntegrator)
+    geometry = scene.geometry
+    x, y = job.coordinates(lanes.pixel)
+    sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
+    path = integrator.start(scene)
+    start = Lane(
+        query=wide(geometry.begin(ray, lanes.first < lanes.end, through_lights=integrator.passes_lights(path)), width),
+        shadow=dr.full(Bool, False, width),
+        pending=dr.zeros(Color3f, width),
+        next_ray=wide(Ray3f(), width),
+        active=dr.full(Bool, True, width),
+        valid=dr.full(Bool, False, width),
+        sampler=sampler,
+        path=wide(path, width),
+        radiance=dr.zeros(Color3f, width),
+        k=wide(lanes.first, width),
+        slot=slots,
+    )
+
+    def advance(lane: Lane) -> Lane:
+        """What comes after a ray."""
+        shadow, hit = lane.shadow, geometry.end(lane.query)
+        stream = lane.sampler.clone()
+        si = scene.surface_interaction(lane.query.ray, hit, full=scene.needs_uv)
+        v = integrator.vertex(scene, stream, lane.path, lane.query.ray, si)
+
+        arrived = dr.select(shadow, dr.select(hit.is_valid(), 0, lane.pending), v.emitted)
+        radiance = lane.radiance + arrived
+        lit = ~shadow & (dr.max(v.reflected) > 0)
+        active, valid = dr.select(shadow, lane.active, v.active), dr.select(shadow, lane.valid, v.valid)
+        next_ray = dr.select(shadow, lane.next_ray, v.ray)
+        state = dr.select(shadow, lane.path, v.state)
+        ended = ~lit & ~active
+        write(lane.slot, job.channels(radiance, valid, []), ended)
+
+        k = dr.select(ended, lane.k + lanes.stride, lane.k)
+        fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
+        path = restart(ended, integrator.start(scene), state)
+        ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
+        return Lane(
+            query=geometry.begin(ray, k < lanes.end, lit, integrator.passes_lights(path)),
+            shadow=lit,
+            pending=v.reflected,
+            next_ray=next_ray,
+            active=active,
+            valid=valid,
+            sampler=dr.select(ended, fresh, dr.select(shadow, lane.sampler, stream)),
+            path=path,
+            radiance=dr.select(ended, 0, radiance),
+            k=k,
+            slot=dr.select(ended, lane.slot + slot_stride, lane.slot),
+        )
+
+    def turn(lane: Lane) -> tuple[Lane]:
+        stepper = geometry.stepper(lane.query)
+        for _ in range(STEPS):
+            lane.query.cursor = stepper.step(lane.query.cursor, lane.shadow)
+        (lane,) = dr.if_stmt(
+            (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
+        )
+        return (lane,)
+
+    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, turn, label="machine")
+    return end.k
+
+
+def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
+    """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
+    lanes, slots, stride = tiled(job, band, begin, end)
+    buffers, write = sample_buffers(job, band, end - begin)
+    finished = run(job, lanes, slots, stride, write)
+    dr.eval(finished, buffers)
+    return buffers

@@ -1,0 +1,158 @@
+"""Path replay in the machine schedule.
+
+As in `djpt.schedules.replay` every sample is walked twice. The first walk notes which of its shadow
+rays were free, a bit per vertex, so that the second traces none: it needs to know the visibility of a
+light when it processes the vertex, not some turns later.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.dispatch import Detached
+from djpt.geometry.bvh.records import EMPTY
+from djpt.geometry.bvh.traversal import STEPS
+from djpt.geometry.query import Query
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.lanewide import wide
+from djpt.records import Ray3f
+from djpt.replay import Numbering
+from djpt.scene import Scene
+from djpt.schedules.flat import restart
+from djpt.schedules.job import Job
+from djpt.schedules.lanes import Lanes
+from djpt.schedules.replay_modes import Mode
+from djpt.types import Bool, Color3f, Float, UInt32, UInt64
+
+__all__ = ["run"]
+
+NOTED = 64
+"""Vertices whose visibility is noted; beyond them the second walk traces shadow rays again."""
+
+
+@dataclass
+class Lane:
+    """Loop state; see `djpt.schedules.machine` and `djpt.schedules.replay`."""
+
+    query: Query
+    shadow: Bool
+    pending: Color3f
+    next_ray: Ray3f
+    active: Bool
+    sampler: Any
+    path: PathState
+    free: UInt64
+    """Bit i: was the shadow ray of vertex i free?"""
+    radiance: Color3f
+    again: Bool
+    k: UInt32
+    slot: UInt32
+    delta: Color3f
+    sums: list[Float]
+
+
+def run(
+    job: Job, values: Detached, numbering: Numbering, lanes: Lanes, slots: UInt32, slot_stride: UInt32, mode: Mode
+) -> tuple[list[Float], UInt32]:
+    """Walk all samples twice; returns the sums, and a number to evaluate if there are none."""
+    integrator, scene, width = job.integrator, job.scene, dr.width(lanes.pixel)
+    assert isinstance(integrator, PathIntegrator)
+    geometry = scene.geometry
+    x, y = job.coordinates(lanes.pixel)
+    sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
+    path, usable = integrator.start(scene), lanes.first < lanes.end
+    start = Lane(
+        query=wide(geometry.begin(ray, usable, through_lights=integrator.passes_lights(path)), width),
+        shadow=dr.full(Bool, False, width),
+        pending=dr.zeros(Color3f, width),
+        next_ray=wide(Ray3f(), width),
+        active=dr.full(Bool, True, width),
+        sampler=sampler,
+        path=wide(path, width),
+        free=dr.zeros(UInt64, width),
+        radiance=dr.zeros(Color3f, width),
+        again=dr.full(Bool, False, width),
+        k=wide(lanes.first, width),
+        slot=wide(slots, width),
+        delta=wide(mode.delta_of(slots, usable), width),
+        sums=mode.start(),
+    )
+
+    def advance(lane: Lane) -> Lane:
+        shadow, hit = lane.shadow, geometry.end(lane.query)
+        stream = lane.sampler.clone()
+        leaves, view = mode.view(scene, values, numbering)
+        si = scene.surface_interaction(lane.query.ray, hit, full=scene.needs_uv)
+        si.scene = view
+        with dr.resume_grad():
+            v = integrator.vertex(view, stream, lane.path, lane.query.ray, si)
+        vertex_ray, vertex_state = dr.detach(v.ray), dr.detach(v.state)
+        visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
+        radiance, delta, sums = mode.visit(lane, leaves, v, visible, lane.again & ~shadow)
+
+        # A shadow ray has ended: its vertex was processed before, and `path.depth` counts it already.
+        arrived = shadow & ~hit.is_valid()
+        lane.radiance = dr.select(shadow, lane.radiance + dr.select(arrived, lane.pending, 0), radiance)
+        lane.delta, lane.sums = delta, sums
+        free = lane.free | dr.select(arrived, bit(lane.path.depth - 1), 0)
+
+        reflected = dr.detach(v.reflected)
+        lit = ~shadow & ~lane.again & (dr.max(reflected) > 0)
+        active = dr.select(shadow, lane.active, v.active)
+        next_ray = dr.select(shadow, lane.next_ray, vertex_ray)
+        state = dr.select(shadow, lane.path, vertex_state)
+        ended = ~lit & ~active
+        finished = ended & lane.again
+
+        k = dr.select(finished, lane.k + lanes.stride, lane.k)
+        next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
+        more = k < lanes.end
+        delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & more)
+        fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
+        path = restart(ended, integrator.start(scene), state)
+        ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
+        return Lane(
+            query=geometry.begin(ray, more, lit, integrator.passes_lights(path)),
+            shadow=lit,
+            pending=reflected,
+            next_ray=next_ray,
+            active=active,
+            sampler=dr.select(ended, fresh, dr.select(shadow, lane.sampler, stream)),
+            path=path,
+            free=dr.select(finished, 0, free),
+            radiance=dr.select(finished, 0, lane.radiance),
+            again=lane.again ^ ended,
+            k=k,
+            slot=next_slot,
+            delta=delta,
+            sums=sums,
+        )
+
+    def turn(lane: Lane) -> tuple[Lane]:
+        stepper = geometry.stepper(lane.query)
+        for _ in range(STEPS):
+            lane.query.cursor = stepper.step(lane.query.cursor, lane.shadow)
+        ended = lane.query.cursor.current == EMPTY
+        (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
+        return (lane,)
+
+    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, turn, label=mode.label + ", machine")
+    return end.sums, end.k
+
+
+def bit(depth: UInt32) -> UInt64:
+    """The bit of a vertex; none beyond NOTED."""
+    return dr.select(depth < NOTED, UInt64(1) << UInt64(depth & (NOTED - 1)), 0)
+
+
+def known_free(scene: Scene, integrator: PathIntegrator, lane: Lane, shadow_ray: Ray3f) -> Bool:
+    """Was the shadow ray of this vertex free on the first walk?"""
+    depth = lane.path.depth
+    noted = (lane.free & bit(depth)) != 0
+    if 0 <= integrator.longest_path <= NOTED:
+        return noted
+    beyond = lane.again & ~lane.shadow & (depth >= NOTED)
+    return dr.if_stmt((noted, shadow_ray), beyond, lambda noted, ray: scene.unoccluded(ray), lambda noted, ray: noted)
