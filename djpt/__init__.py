@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from djpt.rendering import render as render
     from djpt.scene import Scene as Scene
     from djpt.scenes import cornell_box as cornell_box
+    from djpt.shapes import Mesh as Mesh
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms import Transform4f as Transform4f
     from djpt.types import PCG32 as PCG32
@@ -122,6 +123,7 @@ _EXPORTS = {
     "djpt.rendering": "channel_names render",
     "djpt.scene": "Scene",
     "djpt.scenes": "cornell_box",
+    "djpt.shapes": "Mesh",
     "djpt.transforms": "ScalarTransform4f Transform4f",
     "djpt.types": (
         "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "

@@ -3,10 +3,11 @@
 from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.cube import Cube
+from djpt.shapes.mesh import Mesh
 from djpt.shapes.rectangle import Rectangle
 from djpt.shapes.sphere import Sphere
 
-__all__ = ["Cube", "Face", "Hit", "Rectangle", "Shape", "Sphere"]
+__all__ = ["Cube", "Face", "Hit", "Mesh", "Rectangle", "Shape", "Sphere"]
 
 register_shape("rectangle", Rectangle)
 register_shape("cube", Cube)

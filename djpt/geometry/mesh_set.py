@@ -1,0 +1,290 @@
+"""All meshes of a scene side by side: one numbering of faces, and the tables that kernels read.
+
+Numbers are set-wide: the faces of the first mesh come first, then those of the second; vertices
+likewise. Rows of tables are padded to powers of two, so that a kernel reads each with one packet load,
+and tables lie in memory of their own (see `own_copy`). What no mesh has isn't read: a set without
+vertex normals has no code for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import SceneError
+from djpt.frame import Frame3f, coordinate_system
+from djpt.geometry.surface import Surface
+from djpt.geometry.triangle_sampling import AreaTable
+from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.shapes.mesh import Mesh
+
+__all__ = ["Corners", "MeshSet", "own_copy"]
+
+Corners = tuple[Point3f, Point3f, Point3f]
+
+HAS_NORMALS, HAS_TEXCOORDS, FLIPS = 1, 2, 4
+"""Bits in the fourth word of a face's row."""
+
+
+class MeshSet:
+    """The meshes of a scene, seen by kernels.
+
+    `first_face[i]` is the set-wide number of the first face of mesh i; `face_count` counts all.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        self.meshes = tuple(meshes)
+        self._tabulate()
+
+    def refresh(self, mesh: Mesh) -> None:
+        """A mesh was edited: build the tables again. They keep their sizes unless its topology changed."""
+        self._tabulate()
+
+    # ---- on the host -----------------------------------------------------------------
+
+    def _tabulate(self) -> None:
+        counts = [len(mesh.indices) for mesh in self.meshes]
+        self.first_face = [int(n) for n in np.cumsum([0, *counts])[:-1]]
+        self.face_count = sum(counts)
+        self._normals = self._table([mesh.normals for mesh in self.meshes], 4)
+        self._texcoords = self._table([mesh.texcoords for mesh in self.meshes], 2)
+        self._has_normals = Presence([mesh.normals is not None for mesh in self.meshes], HAS_NORMALS)
+        self._has_texcoords = Presence([mesh.texcoords is not None for mesh in self.meshes], HAS_TEXCOORDS)
+        self._flips = Presence([mesh.flip_normals for mesh in self.meshes], FLIPS)
+        self._positions = self._table([mesh.positions for mesh in self.meshes], 4)
+        self._faces = own_copy(self._face_rows())
+        self._attributes = {name: Attribute(self.meshes, name) for mesh in self.meshes for name in mesh.attributes}
+        self.areas = AreaTable(self.meshes)
+        for mesh, first in zip(self.meshes, self.first_face, strict=True):
+            mesh.join(self, first)
+
+    def _face_rows(self) -> NDArray[np.uint32]:
+        """Per face its three set-wide vertices and the flags of its mesh."""
+        rows = np.empty((self.face_count, 4), np.uint32)
+        vertex = 0
+        for i, (mesh, first) in enumerate(zip(self.meshes, self.first_face, strict=True)):
+            part = rows[first : first + len(mesh.indices)]
+            part[:, :3] = mesh.indices
+            part[:, :3] += np.uint32(vertex)
+            part[:, 3] = self._has_normals.bit(i) | self._has_texcoords.bit(i) | self._flips.bit(i)
+            vertex += len(mesh.positions)
+        return rows
+
+    def _table(self, parts: Sequence[NDArray[np.float32] | None], width: int) -> UInt32 | None:
+        """Vertex data of all meshes in rows of `width`; zeros where a mesh has none. None if no mesh has any."""
+        if all(part is None for part in parts):
+            return None
+        counts = [len(mesh.positions) for mesh in self.meshes]
+        rows = np.zeros((sum(counts), width), np.float32)
+        start = 0
+        for part, count in zip(parts, counts, strict=True):
+            if part is not None:
+                rows[start : start + count, : part.shape[1]] = part
+            start += count
+        return own_copy(rows)
+
+    def corners(self) -> NDArray[np.float32]:
+        """All triangles in world space, (F, 3, 3): face, corner, axis."""
+        result = np.empty((self.face_count, 3, 3), np.float32)
+        for mesh, first in zip(self.meshes, self.first_face, strict=True):
+            np.take(mesh.positions, mesh.indices, axis=0, out=result[first : first + len(mesh.indices)], mode="clip")
+        return result
+
+    def mesh_of_face(self) -> NDArray[np.uint32]:
+        """The mesh of each face, (F,)."""
+        counts = [len(mesh.indices) for mesh in self.meshes]
+        return np.repeat(np.arange(len(counts), dtype=np.uint32), counts)
+
+    # ---- in kernels ------------------------------------------------------------------
+
+    def vertices(self, face: UInt32, active: Bool | bool = True) -> Corners:
+        """The corners of a face."""
+        row = self.face_row(face, active)
+        assert self._positions is not None
+        p0, p1, p2 = (load_vector(self._positions, row[k], active) for k in range(3))
+        return p0, p1, p2
+
+    def face_row(self, face: UInt32, active: Bool | bool = True) -> list[UInt32]:
+        """The vertices of a face, and the flags of its mesh."""
+        return load(self._faces, face, 4, active)
+
+    def normal_of(self, row: Any, b: Sequence[Float], otherwise: Vector3f) -> Vector3f:
+        """The unit vertex normal at barycentric weights `b`; the unit normal `otherwise` where there is none."""
+        if self._normals is None:
+            return otherwise
+        n0, n1, n2 = (load_vector(self._normals, row[k]) for k in range(3))
+        n = dr.fma(n2, b[2], dr.fma(n1, b[1], n0 * b[0]))
+        # A vertex without a normal, or normals that cancel.
+        squared = dr.squared_norm(n)
+        return dr.select(squared > 0, n * dr.rsqrt(squared), otherwise)
+
+    def texcoords_of(self, row: Any) -> tuple[Point2f, Point2f, Point2f]:
+        """The corners' texture coordinates; for a set that has some."""
+        assert self._texcoords is not None
+        words = [load(self._texcoords, row[k], 2) for k in range(3)]
+        uv0, uv1, uv2 = (Point2f(as_float(u), as_float(v)) for u, v in words)
+        return uv0, uv1, uv2
+
+    def point(self, face: UInt32, b1: Float, b2: Float) -> tuple[Point3f, Vector3f, Point2f]:
+        """Position, shading normal and uv of a point with weights `b1`, `b2`: what light sampling needs."""
+        p0, p1, p2 = self.vertices(face)
+        row = self.face_row(face)
+        b0 = 1 - b1 - b2
+        edge1, edge2 = p1 - p0, p2 - p0
+        n = self.normal_of(row, (b0, b1, b2), unit_or_up(dr.cross(edge1, edge2)))
+        n = self._flips.choose(row, -n, n) if self._flips.any else n
+        uv = Point2f(b1, b2)
+        if self._has_texcoords.any:
+            uv0, uv1, uv2 = self.texcoords_of(row)
+            interpolated = dr.fma(uv0, b0, dr.fma(uv1, b1, uv2 * b2))
+            uv = self._has_texcoords.choose(row, interpolated, uv)
+        return dr.fma(edge1, b1, dr.fma(edge2, b2, p0)), n, uv
+
+    def surface(self, face: UInt32, corners: Corners, b1: Float, b2: Float) -> Surface:
+        """The surface point with weights `b1`, `b2` of the second and third corner.
+
+        As in Mitsuba: without texture coordinates uv = (b1, b2) while dp/du, dp/dv are tangents of unit
+        length; `flip_normals` turns both normals. `corners` must be those of `face`.
+        """
+        b0 = 1 - b1 - b2
+        p0, p1, p2 = corners
+        edge1, edge2 = p1 - p0, p2 - p0
+        n = unit_or_up(dr.cross(edge1, edge2))
+        row = self.face_row(face) if self._reads_rows() else None
+        dp_du, dp_dv = coordinate_system(n)
+        uv = Point2f(b1, b2)
+        if self._has_texcoords.any:
+            uv0, uv1, uv2 = self.texcoords_of(row)
+            d1, d2 = uv1 - uv0, uv2 - uv0
+            # Zero where the mesh has none: then the other tangents stay.
+            determinant = dr.fma(d1.x, d2.y, -d1.y * d2.x)
+            solvable, inv = determinant != 0, dr.rcp(determinant)
+            dp_du = dr.select(solvable, (d2.y * edge1 - d1.y * edge2) * inv, dp_du)
+            dp_dv = dr.select(solvable, (d1.x * edge2 - d2.x * edge1) * inv, dp_dv)
+            interpolated = dr.fma(uv2, b2, dr.fma(uv1, b1, uv0 * b0))
+            uv = self._has_texcoords.choose(row, interpolated, uv)
+        shading = self.normal_of(row, (b0, b1, b2), n)
+        if self._flips.any:
+            n, shading = self._flips.choose(row, -n, n), self._flips.choose(row, -shading, shading)
+        p = dr.fma(p0, b0, dr.fma(p1, b1, p2 * b2))
+        return Surface(p, n, self._frame(shading, dp_du), uv, dp_du, dp_dv, Point2f(b1, b2))
+
+    def _reads_rows(self) -> bool:
+        return self._has_normals.any or self._has_texcoords.any or self._flips.mixed
+
+    def _frame(self, n: Vector3f, dp_du: Vector3f) -> Frame3f:
+        """The shading frame whose `s` follows dp/du."""
+        s = dp_du
+        if self._has_normals.any or self._has_texcoords.any:
+            s = dr.fma(n, -dr.dot(n, dp_du), dp_du)
+            squared = dr.squared_norm(s)
+            s = dr.select(squared > 0, s * dr.rsqrt(squared), coordinate_system(n)[0])
+        return Frame3f(s, dr.cross(n, s), n)
+
+    def attribute(self, name: str, face: UInt32, b1: Float, b2: Float) -> Any:
+        """A mesh attribute at a surface point: a `Float` if it has one channel, a `Color3f` if three.
+
+        Vertex attributes are interpolated; 0 on meshes that don't have it.
+
+        Raises:
+            SceneError: no mesh has it, or it has another number of channels.
+        """
+        if name not in self._attributes:
+            raise SceneError(f"no mesh has the attribute '{name}'; found: {', '.join(self._attributes) or 'none'}")
+        attribute = self._attributes[name]
+        if attribute.by_face:
+            return attribute.at(face)
+        row = self.face_row(face)
+        c0, c1, c2 = (attribute.at(row[k]) for k in range(3))
+        return dr.fma(c2, b2, dr.fma(c1, b1, c0 * (1 - b1 - b2)))
+
+
+class Presence:
+    """Which meshes have something."""
+
+    def __init__(self, present: Sequence[bool], flag: int) -> None:
+        self._present, self._flag = present, flag
+        self.any = any(present)
+        self.mixed = self.any and not all(present)
+
+    def bit(self, mesh: int) -> int:
+        """The flag of a mesh."""
+        return self._flag if self._present[mesh] else 0
+
+    def choose(self, row: Any, present: Any, absent: Any) -> Any:
+        """`present` on faces of meshes that have it; some mesh must."""
+        return dr.select((row[3] & self._flag) != 0, present, absent) if self.mixed else present
+
+
+class Attribute:
+    """One attribute of all meshes."""
+
+    def __init__(self, meshes: Sequence[Mesh], name: str) -> None:
+        self.name, self.by_face = name, name.startswith("face_")
+        widths = {mesh.attributes[name][0].shape[1] for mesh in meshes if name in mesh.attributes}
+        self.channels = sorted(widths)
+        width = 1 if self.channels == [1] else 4
+        blocks = []
+        for mesh in meshes:
+            count = len(mesh.indices if self.by_face else mesh.positions)
+            block = np.zeros((count, width), np.float32)
+            if name in mesh.attributes and len(self.channels) == 1:
+                values = mesh.attributes[name][0][:, :width]
+                block[:, : values.shape[1]] = values
+            blocks.append(block)
+        self._table = own_copy(np.concatenate(blocks))
+
+    def at(self, row: UInt32) -> Any:
+        """The value of a vertex or face."""
+        if self.channels == [1]:
+            return as_float(dr.gather(UInt32, self._table, row))
+        if self.channels != [3]:
+            found = " and ".join(str(n) for n in self.channels)
+            raise SceneError(f"the mesh attribute '{self.name}' has {found} channels; 1 or 3 are possible")
+        return load_vector(self._table, row)
+
+
+def unit_or_up(v: Vector3f) -> Vector3f:
+    """`v` made a unit vector; +z if it has no length (an edit may flatten a triangle)."""
+    squared = dr.squared_norm(v)
+    return dr.select(squared > 0, v * dr.rsqrt(squared), Vector3f(0, 0, 1))
+
+
+def load(table: UInt32, row: UInt32, width: int, active: Bool | bool = True) -> list[UInt32]:
+    """The words of a row, by one packet load."""
+    words: Any = dr.gather(ArrayXu, table, row, active, shape=(width, 1))
+    return list(words)
+
+
+def load_vector(table: UInt32, row: UInt32, active: Bool | bool = True) -> Vector3f:
+    """The first three of a row's four floats."""
+    x, y, z, _ = load(table, row, 4, active)
+    return Vector3f(as_float(x), as_float(y), as_float(z))
+
+
+def as_float(word: UInt32) -> Float:
+    """The float with the bits of `word`."""
+    result: Any = dr.reinterpret_array(Float, word)
+    return result
+
+
+def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
+    """The bits of an array in aligned memory: packet loads from memory shared with NumPy become single ones."""
+    words = UInt32(np.ascontiguousarray(values).view(np.uint32).ravel()) ^ dr.opaque(UInt32, 0)
+    dr.eval(words)
+    # The source may be freed when this returns.
+    dr.sync_thread()
+    return words
+
+
+def own_floats(values: NDArray[np.float32]) -> Float:
+    """An array's own copy as floats."""
+    copy: Float = as_float(own_copy(values))
+    dr.eval(copy)
+    return copy

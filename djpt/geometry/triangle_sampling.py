@@ -1,0 +1,63 @@
+"""Choosing points on meshes uniformly by area, as lights do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+
+from djpt.types import Float, Point2f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.shapes.mesh import Mesh
+
+__all__ = ["AreaTable", "square_to_triangle"]
+
+
+class AreaTable:
+    """For each mesh that emits the running sum of its faces' areas, one mesh after the other."""
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        """Tells each mesh where its part begins, its attribute `first_area`."""
+        lights = [mesh for mesh in meshes if mesh.emitter is not None]
+        sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in lights]
+        starts = np.cumsum([0, *(len(part) for part in sums)])
+        for mesh, start in zip(lights, starts[:-1], strict=True):
+            mesh.first_area = dr.opaque(UInt32, int(start))
+        self._sums = Float(np.concatenate(sums)) if sums else Float(1)
+        # Unevaluated arithmetic would drag its inputs into kernels.
+        dr.make_opaque(self._sums)
+        self._steps = max((len(part) for part in sums), default=1).bit_length()
+
+    def sample(self, first: UInt32, count: UInt32, total: Float, sample: Float) -> tuple[UInt32, Float]:
+        """Choose a face by area; the sample's remainder is uniform again, as in Mitsuba.
+
+        Args:
+            first: where the mesh's part of the table begins.
+            count: the number of its faces.
+            total: the area of all of them.
+            sample: uniform in [0, 1).
+
+        Returns:
+            The face within the mesh, and the stretched sample.
+        """
+        wanted = sample * total
+        # The number of faces whose sum lies below, by halving steps; a face without area is never chosen.
+        below = UInt32(0)
+        for k in reversed(range(self._steps)):
+            probe = below + (1 << k)
+            inside = probe < count
+            value = dr.gather(Float, self._sums, first + probe - 1, inside)
+            further = inside & ((value < wanted) | (value == 0)) & (value != total)
+            below = dr.select(further, probe, below)
+        before = dr.gather(Float, self._sums, first + below - 1, below > 0)
+        after = dr.gather(Float, self._sums, first + below)
+        return below, (wanted - before) * dr.rcp(after - before)
+
+
+def square_to_triangle(sample: Point2f) -> tuple[Float, Float]:
+    """Barycentric weights of the second and third corner, uniform in area."""
+    t = dr.safe_sqrt(1 - sample.x)
+    return 1 - t, t * sample.y
