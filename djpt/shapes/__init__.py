@@ -4,11 +4,13 @@ from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.cube import Cube
 from djpt.shapes.mesh import Mesh
+from djpt.shapes.ply import Ply
 from djpt.shapes.rectangle import Rectangle
 from djpt.shapes.sphere import Sphere
 
-__all__ = ["Cube", "Face", "Hit", "Mesh", "Rectangle", "Shape", "Sphere"]
+__all__ = ["Cube", "Face", "Hit", "Mesh", "Ply", "Rectangle", "Shape", "Sphere"]
 
 register_shape("rectangle", Rectangle)
 register_shape("cube", Cube)
 register_shape("sphere", Sphere)
+register_shape("ply", Ply)

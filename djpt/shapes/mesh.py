@@ -102,6 +102,9 @@ class Mesh(Shape):
         self.set: MeshSet | None = None
         """The scene's meshes, this one among them; given by `MeshSet`."""
         self.first_face = self.first_area = dr.opaque(UInt32, 0)
+        for key in self.attributes:
+            if hasattr(self, key):
+                raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
         self._expose()
         self._measure()
 

@@ -1,0 +1,322 @@
+"""The PLY container: a header that declares elements with properties, then their rows.
+
+Reads ascii and binary files of both byte orders into columns. A reader of our own: `plyfile` walks over
+ascii files and lists in Python, and names neither line nor byte when a file is cut short.
+
+Greg Turk, "The PLY Polygon File Format", 1994.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import SceneError, near_miss
+
+__all__ = ["Column", "Element", "read_elements"]
+
+TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("long", "int64"), "i8"),
+    **dict.fromkeys(("ulong", "uint64"), "u8"),
+    **dict.fromkeys(("half", "float16"), "f2"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass
+class Property:
+    """One declared property: a number per row, or a list of numbers."""
+
+    name: str
+    type: str
+    """NumPy's code without byte order."""
+    count_type: str | None = None
+    """Of a list's length; None if the property isn't a list."""
+
+
+@dataclass
+class Column:
+    """The values of a property for all rows."""
+
+    values: NDArray[Any]
+    """One per row; of lists all entries, one list after the other."""
+    counts: NDArray[np.int64] | None = None
+    """The length of each row's list."""
+
+
+@dataclass
+class Element:
+    """Rows of one kind, such as ``vertex``."""
+
+    name: str
+    count: int
+    properties: list[Property] = field(default_factory=list)
+    columns: dict[str, Column] = field(default_factory=dict)
+
+
+def read_elements(data: bytes, where: str) -> list[Element]:
+    """All elements of a file, with their columns.
+
+    Args:
+        data: the file's contents.
+        where: names the file in messages.
+
+    Raises:
+        SceneError: not a PLY file, a header that can't be understood, a file that is cut short.
+    """
+    elements, order, body, line = read_header(data, where)
+    rows: Rows = TextRows(data[body:], line, where) if order is None else BinaryRows(data, body, order, where)
+    for element in elements:
+        if len({p.name for p in element.properties}) < len(element.properties):
+            raise SceneError(f"{where}: the element '{element.name}' declares a property twice")
+        if element.properties:
+            rows.read(element)
+    return elements
+
+
+def read_header(data: bytes, where: str) -> tuple[list[Element], str | None, int, int]:
+    """The elements declared, the byte order (None: text), where the body begins and in which line."""
+    if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
+        raise SceneError(f"{where}: not a PLY file: it begins with {data[:8]!r}, not with the line 'ply'")
+    elements: list[Element] = []
+    order: str | None = None
+    known = False
+    position, number = 0, 0
+    while True:
+        end = data.find(b"\n", position)
+        if end < 0:
+            raise SceneError(f"{where}, line {number + 1}: the file ends in its header: no line 'end_header'")
+        words = data[position:end].decode("latin-1").split()
+        position, number = end + 1, number + 1
+        at = f"{where}, line {number}"
+        if words == ["end_header"]:
+            break
+        if not words or words[0] in ("ply", "comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3:
+            if words[1] not in ORDERS:
+                raise SceneError(f"{at}: unknown format '{words[1]}'{near_miss(words[1], ORDERS)}")
+            order, known = ORDERS[words[1]], True
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
+            elements.append(Element(words[1], int(words[2])))
+        elif words[0] == "property" and elements and len(words) in (3, 5):
+            elements[-1].properties.append(read_property(words, at))
+        else:
+            raise SceneError(f"{at}: can't understand '{' '.join(words)[:80]}'")
+    if not known:
+        raise SceneError(f"{where}: the header has no line 'format'")
+    return elements, order, position, number + 1
+
+
+def read_property(words: list[str], at: str) -> Property:
+    """A line ``property float x`` or ``property list uchar int vertex_indices``."""
+    names = words[1:2] if len(words) == 3 else words[2:4]
+    for name in names:
+        if name not in TYPES:
+            raise SceneError(f"{at}: unknown type '{name}'{near_miss(name, TYPES)}")
+    if len(words) == 3:
+        return Property(words[2], TYPES[words[1]])
+    if words[1] != "list" or TYPES[words[2]][0] == "f":
+        raise SceneError(f"{at}: can't understand '{' '.join(words)[:80]}'")
+    return Property(words[4], TYPES[words[3]], TYPES[words[2]])
+
+
+class Rows:
+    """The body of a file, read element by element."""
+
+    def read(self, element: Element) -> None:
+        """Fill the element's columns."""
+        raise NotImplementedError
+
+
+class BinaryRows(Rows):
+    """A binary body."""
+
+    def __init__(self, data: bytes, position: int, order: str, where: str) -> None:
+        self.data, self.position, self.order, self.where = data, position, order, where
+
+    def read(self, element: Element) -> None:
+        lengths: dict[str, int] = {}
+        if element.count and any(p.count_type for p in element.properties):
+            # Lists are nearly always of one length: suppose so, and check.
+            lengths = self._lengths_at(element, self.position)
+        layout = self._layout(element, lengths)
+        end = self.position + layout.itemsize * element.count
+        if end <= len(self.data):
+            table = np.frombuffer(self.data, layout, element.count, self.position)
+            if all((table["#" + name] == length).all() for name, length in lengths.items()):
+                self.position = end
+                for p in element.properties:
+                    counts = np.full(element.count, lengths[p.name]) if p.name in lengths else None
+                    element.columns[p.name] = Column(table[p.name].ravel(), counts)
+                return
+        elif not lengths:
+            self._cut_short(element, (len(self.data) - self.position) // layout.itemsize)
+        self._walk(element)
+
+    def _layout(self, element: Element, lengths: dict[str, int]) -> np.dtype[np.void]:
+        """The type of a row whose lists have the given lengths."""
+        fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+        for p in element.properties:
+            if p.count_type:
+                fields += [("#" + p.name, self.order + p.count_type), (p.name, self.order + p.type, (lengths[p.name],))]
+            else:
+                fields.append((p.name, self.order + p.type))
+        return np.dtype(fields)
+
+    def _lengths_at(self, element: Element, position: int) -> dict[str, int]:
+        """The lengths of the lists in the row that begins at `position`."""
+        lengths = {}
+        for p in element.properties:
+            if p.count_type:
+                size = np.dtype(p.count_type).itemsize
+                if position + size > len(self.data):
+                    self._cut_short(element, 0)
+                lengths[p.name] = int(np.frombuffer(self.data, self.order + p.count_type, 1, position)[0])
+                position += size
+            position += np.dtype(p.type).itemsize * lengths.get(p.name, 1)
+        if min(lengths.values()) < 0 or position > len(self.data):
+            self._cut_short(element, 0)
+        return lengths
+
+    def _walk(self, element: Element) -> None:
+        """Read rows one by one: their lists differ in length."""
+        parts: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
+        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_type}
+        data, position = self.data, self.position
+        order = "little" if self.order == "<" else "big"
+        plan = [
+            (p.name, np.dtype(p.type).itemsize, np.dtype(p.count_type).itemsize if p.count_type else 0)
+            for p in element.properties
+        ]
+        for row in range(element.count):
+            for name, size, count_size in plan:
+                if count_size:
+                    count = int.from_bytes(data[position : position + count_size], order)  # type: ignore[arg-type]
+                    counts[name].append(count)
+                    position, size = position + count_size, size * count
+                parts[name].append(data[position : position + size])
+                position += size
+            if position > len(data):
+                self._cut_short(element, row)
+        self.position = position
+        for p in element.properties:
+            values = np.frombuffer(b"".join(parts[p.name]), self.order + p.type)
+            element.columns[p.name] = Column(values, np.array(counts[p.name]) if p.count_type else None)
+
+    def _cut_short(self, element: Element, row: int) -> None:
+        raise SceneError(
+            f"{self.where}, byte {len(self.data)}: the file is cut short, in row {row} of {element.count} "
+            f"of the element '{element.name}'"
+        )
+
+
+class TextRows(Rows):
+    """An ascii body: numbers, wherever lines end."""
+
+    def __init__(self, text: bytes, line: int, where: str) -> None:
+        self.text, self.line, self.where = text, line, where
+        self.values, self.position = self._numbers(), 0
+
+    def _numbers(self) -> NDArray[np.float64]:
+        with warnings.catch_warnings():
+            # NumPy reports text that isn't numbers by a deprecation warning, later ones by an error.
+            warnings.simplefilter("error")
+            try:
+                return np.fromstring(self.text.decode("latin-1"), np.float64, sep=" ")
+            except (DeprecationWarning, ValueError):
+                pass
+        for number, line in enumerate(self.text.split(b"\n"), self.line):
+            for word in line.split():
+                try:
+                    float(word)
+                except ValueError:
+                    found = word.decode("latin-1")[:40]
+                    raise SceneError(f"{self.where}, line {number}: '{found}' isn't a number") from None
+        # Python reads a few spellings that NumPy doesn't, such as 1_000.
+        return np.array(self.text.split(), np.float64)
+
+    def read(self, element: Element) -> None:
+        lists = [p for p in element.properties if p.count_type]
+        if not lists or not element.count:
+            self._read_table(element, {})
+            return
+        lengths, width = {}, 0
+        for p in element.properties:
+            if p.count_type:
+                if self.position + width >= len(self.values):
+                    self._cut_short(element, 0)
+                lengths[p.name] = max(int(self.values[self.position + width]), 0)
+                width += lengths[p.name]
+            width += 1
+        table = self.values[self.position :][: width * element.count]
+        offset, uniform = 0, len(table) == width * element.count
+        for p in element.properties:
+            if p.count_type and uniform:
+                uniform = bool((table[offset::width] == lengths[p.name]).all())
+            offset += 1 + lengths.get(p.name, 0)
+        if uniform:
+            self._read_table(element, lengths)
+        else:
+            self._walk(element)
+
+    def _read_table(self, element: Element, lengths: dict[str, int]) -> None:
+        """Read rows of equal width."""
+        width = sum(1 + lengths.get(p.name, 0) for p in element.properties)
+        left = len(self.values) - self.position
+        if left < width * element.count:
+            self._cut_short(element, left // width)
+        table = self.values[self.position :][: width * element.count].reshape(element.count, width)
+        self.position += width * element.count
+        offset = 0
+        for p in element.properties:
+            if p.count_type:
+                length = lengths.get(p.name, 0)
+                values = table[:, offset + 1 : offset + 1 + length].ravel()
+                element.columns[p.name] = Column(values, np.full(element.count, length))
+                offset += 1 + length
+            else:
+                element.columns[p.name] = Column(table[:, offset])
+                offset += 1
+
+    def _walk(self, element: Element) -> None:
+        """Read rows one by one: their lists differ in length."""
+        parts: dict[str, list[NDArray[np.float64]]] = {p.name: [] for p in element.properties}
+        counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_type}
+        position, total = self.position, len(self.values)
+        for row in range(element.count):
+            for p in element.properties:
+                size = 1
+                if p.count_type:
+                    size = int(self.values[position]) if position < total else 0
+                    if size < 0:
+                        raise SceneError(f"{self.where}: row {row} of '{element.name}' has a list of length {size}")
+                    counts[p.name].append(size)
+                    position += 1
+                parts[p.name].append(self.values[position : position + size])
+                position += size
+            if position > total:
+                self._cut_short(element, row)
+        self.position = position
+        for p in element.properties:
+            column = Column(np.concatenate(parts[p.name]), np.array(counts[p.name]) if p.count_type else None)
+            element.columns[p.name] = column
+
+    def _cut_short(self, element: Element, row: int) -> None:
+        line = self.line + self.text.rstrip().count(b"\n")
+        raise SceneError(
+            f"{self.where}, line {line}: the file is cut short, in row {row} of {element.count} "
+            f"of the element '{element.name}'"
+        )

@@ -1,0 +1,54 @@
+"""What shapes that read a mesh from a file have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from djpt.description.files import resolve
+from djpt.description.properties import Properties
+from djpt.errors import FileError, SceneError
+from djpt.meshes.data import MeshData
+from djpt.shapes.mesh import Mesh
+
+__all__ = ["MeshFile"]
+
+
+class MeshFile(Mesh):
+    """A mesh read from a file.
+
+    Parameters: `filename`; `face_normals` (default false: without normals in the file, angle-weighted
+    vertex normals are computed), `flip_normals` (default false), `flip_tex_coords` (v becomes 1 - v),
+    `to_world`.
+    """
+
+    flips_texcoords: ClassVar[bool] = False
+    """The default of `flip_tex_coords`."""
+
+    def __init__(self, props: Properties) -> None:
+        path = self.find(props)
+        data = self.read(self.load(props, path), f"{props.node}: {path.name}", props)
+        if props.boolean("flip_tex_coords", self.flips_texcoords) and data.texcoords is not None:
+            data.texcoords = data.texcoords.copy()
+            data.texcoords[:, 1] = 1 - data.texcoords[:, 1]
+        self.adopt(data, props, compute_normals=True, source=path.name)
+
+    @staticmethod
+    def find(props: Properties) -> Path:
+        """The file that `filename` names."""
+        try:
+            return resolve(props.string("filename"))
+        except FileError as error:
+            raise SceneError(f"{props.node}: 'filename': {error}") from None
+
+    @staticmethod
+    def load(props: Properties, path: Path) -> bytes:
+        """The file's contents."""
+        try:
+            return path.read_bytes()
+        except OSError as error:
+            raise SceneError(f"{props.node}: can't read '{path}': {error.strerror}") from None
+
+    def read(self, data: bytes, where: str, props: Properties) -> MeshData:
+        """The mesh in a file's contents, in object space; `where` names the file in messages."""
+        raise NotImplementedError

@@ -1,0 +1,21 @@
+"""Meshes in PLY files."""
+
+from __future__ import annotations
+
+from djpt.description.properties import Properties
+from djpt.meshes.data import MeshData
+from djpt.meshes.ply import read_ply
+from djpt.shapes.mesh_file import MeshFile
+
+__all__ = ["Ply"]
+
+
+class Ply(MeshFile):
+    """A mesh from a PLY file, ascii or binary; see `MeshFile` for the parameters.
+
+    Normals ``nx, ny, nz`` and texture coordinates ``u, v`` or ``s, t`` are read, and attributes of
+    vertices and faces: see `djpt.meshes.ply.read_ply`.
+    """
+
+    def read(self, data: bytes, where: str, props: Properties) -> MeshData:
+        return read_ply(data, where)
