@@ -4,13 +4,17 @@ from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.cube import Cube
 from djpt.shapes.mesh import Mesh
+from djpt.shapes.obj import Obj
 from djpt.shapes.ply import Ply
 from djpt.shapes.rectangle import Rectangle
+from djpt.shapes.serialized import Serialized
 from djpt.shapes.sphere import Sphere
 
-__all__ = ["Cube", "Face", "Hit", "Mesh", "Ply", "Rectangle", "Shape", "Sphere"]
+__all__ = ["Cube", "Face", "Hit", "Mesh", "Obj", "Ply", "Rectangle", "Serialized", "Shape", "Sphere"]
 
 register_shape("rectangle", Rectangle)
 register_shape("cube", Cube)
 register_shape("sphere", Sphere)
+register_shape("obj", Obj)
 register_shape("ply", Ply)
+register_shape("serialized", Serialized)

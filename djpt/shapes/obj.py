@@ -1,0 +1,19 @@
+"""Meshes in Wavefront OBJ files."""
+
+from __future__ import annotations
+
+from djpt.description.properties import Properties
+from djpt.meshes.data import MeshData
+from djpt.meshes.obj import read_obj
+from djpt.shapes.mesh_file import MeshFile
+
+__all__ = ["Obj"]
+
+
+class Obj(MeshFile):
+    """A mesh from an OBJ file; see `MeshFile` for the parameters; `flip_tex_coords` is true by default."""
+
+    flips_texcoords = True
+
+    def read(self, data: bytes, where: str, props: Properties) -> MeshData:
+        return read_obj(data, where)

@@ -1,0 +1,20 @@
+"""Meshes in Mitsuba's compressed binary format."""
+
+from __future__ import annotations
+
+from djpt.description.properties import Properties
+from djpt.meshes.data import MeshData
+from djpt.meshes.serialized import read_serialized
+from djpt.shapes.mesh_file import MeshFile
+
+__all__ = ["Serialized"]
+
+
+class Serialized(MeshFile):
+    """A mesh from a `serialized` file; see `MeshFile` for the parameters.
+
+    `shape_index` (default 0) chooses one of the file's meshes.
+    """
+
+    def read(self, data: bytes, where: str, props: Properties) -> MeshData:
+        return read_serialized(data, where, props.integer("shape_index", 0, low=0))
