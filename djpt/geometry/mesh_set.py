@@ -149,26 +149,28 @@ class MeshSet:
     def surface(self, face: UInt32, corners: Corners, b1: Float, b2: Float) -> Surface:
         """The surface point with weights `b1`, `b2` of the second and third corner.
 
-        As in Mitsuba: without texture coordinates uv = (b1, b2) while dp/du, dp/dv are tangents of unit
-        length; `flip_normals` turns both normals. `corners` must be those of `face`.
+        As in Mitsuba: without texture coordinates uv = (b1, b2), so that dp/du and dp/dv are edges; where
+        texture coordinates don't determine them they are unit tangents. `flip_normals` turns both
+        normals. `corners` must be those of `face`.
         """
         b0 = 1 - b1 - b2
         p0, p1, p2 = corners
         edge1, edge2 = p1 - p0, p2 - p0
         n = unit_or_up(dr.cross(edge1, edge2))
         row = self.face_row(face) if self._reads_rows() else None
-        dp_du, dp_dv = coordinate_system(n)
-        uv = Point2f(b1, b2)
+        uv, dp_du, dp_dv = Point2f(b1, b2), edge1, edge2
         if self._has_texcoords.any:
             uv0, uv1, uv2 = self.texcoords_of(row)
             d1, d2 = uv1 - uv0, uv2 - uv0
-            # Zero where the mesh has none: then the other tangents stay.
             determinant = dr.fma(d1.x, d2.y, -d1.y * d2.x)
             solvable, inv = determinant != 0, dr.rcp(determinant)
-            dp_du = dr.select(solvable, (d2.y * edge1 - d1.y * edge2) * inv, dp_du)
-            dp_dv = dr.select(solvable, (d1.x * edge2 - d2.x * edge1) * inv, dp_dv)
-            interpolated = dr.fma(uv2, b2, dr.fma(uv1, b1, uv0 * b0))
-            uv = self._has_texcoords.choose(row, interpolated, uv)
+            tangents = coordinate_system(n)
+            mapped = (
+                dr.fma(uv2, b2, dr.fma(uv1, b1, uv0 * b0)),
+                dr.select(solvable, (d2.y * edge1 - d1.y * edge2) * inv, tangents[0]),
+                dr.select(solvable, (d1.x * edge2 - d2.x * edge1) * inv, tangents[1]),
+            )
+            uv, dp_du, dp_dv = self._has_texcoords.choose(row, mapped, (uv, dp_du, dp_dv))
         shading = self.normal_of(row, (b0, b1, b2), n)
         if self._flips.any:
             n, shading = self._flips.choose(row, -n, n), self._flips.choose(row, -shading, shading)
@@ -180,11 +182,11 @@ class MeshSet:
 
     def _frame(self, n: Vector3f, dp_du: Vector3f) -> Frame3f:
         """The shading frame whose `s` follows dp/du."""
-        s = dp_du
-        if self._has_normals.any or self._has_texcoords.any:
-            s = dr.fma(n, -dr.dot(n, dp_du), dp_du)
-            squared = dr.squared_norm(s)
-            s = dr.select(squared > 0, s * dr.rsqrt(squared), coordinate_system(n)[0])
+        s = dr.fma(n, -dr.dot(n, dp_du), dp_du)
+        squared = dr.squared_norm(s)
+        # A shading normal along dp/du leaves nothing but rounding errors.
+        usable = squared > 1e-10 * dr.squared_norm(dp_du)
+        s = dr.select(usable, s * dr.rsqrt(squared), coordinate_system(n)[0])
         return Frame3f(s, dr.cross(n, s), n)
 
     def attribute(self, name: str, face: UInt32, b1: Float, b2: Float) -> Any:

@@ -158,9 +158,11 @@ class Mesh(Shape):
             value = self._vertex_data(name, old.shape[1], count, changed)
             attributes[name] = (np.zeros((count, old.shape[1]), np.float32) if value is None else value, kind)
 
+        # Taking a change back must give the old normals again, also those that came with the mesh.
+        moved = resized or not np.array_equal(positions, self.positions)
         self.positions, self.indices, self.texcoords, self.attributes = positions, indices, texcoords, attributes
         self.normals = None if normals is None else unit(normals)
-        if self.normals is not None and (resized or "vertex_positions" in changed):
+        if self.normals is not None and moved:
             data = MeshData(positions, indices)
             data.compute_normals()
             self.normals = data.normals
