@@ -1,0 +1,1 @@
+"""Bounding volume hierarchies: built and kept up to date on the host, searched in kernels."""
