@@ -81,8 +81,14 @@ def read_elements(data: bytes, where: str) -> list[Element]:
     for element in elements:
         if len({p.name for p in element.properties}) < len(element.properties):
             raise SceneError(f"{where}: the element '{element.name}' declares a property twice")
-        if element.properties:
+    try:
+        for element in elements:
             rows.read(element)
+    except SceneError:
+        rows.explain(elements)
+        raise
+    if rows.is_left():
+        rows.explain(elements)
     return elements
 
 
@@ -139,6 +145,13 @@ class Rows:
     def read(self, element: Element) -> None:
         """Fill the element's columns."""
         raise NotImplementedError
+
+    def is_left(self) -> bool:
+        """Is there more in the file than was declared?"""
+        return False
+
+    def explain(self, elements: list[Element]) -> None:
+        """Something is wrong: raise a more exact error if one is found."""
 
 
 class BinaryRows(Rows):
@@ -313,6 +326,24 @@ class TextRows(Rows):
         for p in element.properties:
             column = Column(np.concatenate(parts[p.name]), np.array(counts[p.name]) if p.count_type else None)
             element.columns[p.name] = column
+
+    def is_left(self) -> bool:
+        return self.position < len(self.values)
+
+    def explain(self, elements: list[Element]) -> None:
+        # Usually each row has a line: the first of another length is the culprit.
+        lines = [(n, line.split()) for n, line in enumerate(self.text.split(b"\n"), self.line) if line.split()]
+        rows = ((element, row) for element in elements for row in range(element.count))
+        for (number, words), (element, row) in zip(lines, rows, strict=False):
+            wanted = 0
+            for p in element.properties:
+                length = words[wanted] if p.count_type and wanted < len(words) else b"0"
+                wanted += 1 + (int(length) if length.isdigit() else 0) if p.count_type else 1
+            if wanted != len(words):
+                raise SceneError(
+                    f"{self.where}, line {number}: row {row} of the element '{element.name}' should have "
+                    f"{wanted} numbers, found {len(words)}"
+                )
 
     def _cut_short(self, element: Element, row: int) -> None:
         line = self.line + self.text.rstrip().count(b"\n")

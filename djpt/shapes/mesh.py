@@ -103,7 +103,7 @@ class Mesh(Shape):
         """The scene's meshes, this one among them; given by `MeshSet`."""
         self.first_face = self.first_area = dr.opaque(UInt32, 0)
         for key in self.attributes:
-            if hasattr(self, key):
+            if hasattr(self, key) or key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
                 raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
         self._expose()
         self._measure()
