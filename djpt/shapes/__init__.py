@@ -3,14 +3,29 @@
 from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.cube import Cube
+from djpt.shapes.instance import Instance
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.obj import Obj
 from djpt.shapes.ply import Ply
 from djpt.shapes.rectangle import Rectangle
 from djpt.shapes.serialized import Serialized
+from djpt.shapes.shapegroup import ShapeGroup
 from djpt.shapes.sphere import Sphere
 
-__all__ = ["Cube", "Face", "Hit", "Mesh", "Obj", "Ply", "Rectangle", "Serialized", "Shape", "Sphere"]
+__all__ = [
+    "Cube",
+    "Face",
+    "Hit",
+    "Instance",
+    "Mesh",
+    "Obj",
+    "Ply",
+    "Rectangle",
+    "Serialized",
+    "Shape",
+    "ShapeGroup",
+    "Sphere",
+]
 
 register_shape("rectangle", Rectangle)
 register_shape("cube", Cube)
@@ -18,3 +33,5 @@ register_shape("sphere", Sphere)
 register_shape("obj", Obj)
 register_shape("ply", Ply)
 register_shape("serialized", Serialized)
+register_shape("shapegroup", ShapeGroup)
+register_shape("instance", Instance)

@@ -54,6 +54,7 @@ class Mesh(Shape):
     Triangles without area or with a corner that isn't finite are dropped with a warning.
     """
 
+    of_triangles = True
     values = dict.fromkeys(("first_face", "first_area", "own_faces", "area"), HIDDEN)
     statics = ("flip_normals",)
 

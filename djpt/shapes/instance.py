@@ -1,0 +1,56 @@
+"""Instances: a group of shapes placed anew without being copied."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.geometry.axes import AxisPool
+from djpt.shapes.base import Shape
+from djpt.shapes.shapegroup import ShapeGroup
+from djpt.transforms import ScalarTransform4f
+
+__all__ = ["Instance"]
+
+
+class Instance(Shape):
+    """The shapes of a `shapegroup`, moved by `to_world`.
+
+    Parameters: a nested `shapegroup`, or a reference to one (`group`), and `to_world` (affine, default
+    identity), which maps from the group's space. BSDFs are those of the group's shapes.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        # Not `Shape.__init__`: BSDFs, flips and so on belong to the group's shapes.
+        Plugin.__init__(self, props)
+        self.bsdf: Any = None
+        self.emitter: Any = None
+        nested = props.children("shape")
+        if len(nested) != 1 or not isinstance(nested[0][1], ShapeGroup):
+            found = ", ".join(f"'{key}' ({type(shape).__name__})" for key, shape in nested) or "none"
+            raise SceneError(
+                f"{props.node}: an 'instance' needs one 'shapegroup' or a reference to one, found: {found}"
+            )
+        self.group: ShapeGroup = nested[0][1]
+        self.to_world: ScalarTransform4f = props.transform("to_world")
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        # As in Mitsuba: the group's parameters belong to the group, which stands in the scene.
+        callback.put("to_world", self.to_world)
+
+    def place(self, pool: AxisPool) -> None:
+        """Nothing is derived here: what kernels read of an instance belongs to the scene's geometry."""
+
+    def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
+        matrix = self.to_world.matrix
+        # <d, L p + t> = <L^T d, p> + <d, t>
+        local = matrix[:3, :3].T @ direction
+        length = float(np.linalg.norm(local))
+        low, high = self.group.interval(local / length)
+        shift = float(matrix[:3, 3] @ direction)
+        return low * length + shift, high * length + shift

@@ -1,0 +1,58 @@
+"""Groups of shapes that are seen only through their instances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.geometry.axes import AxisPool
+from djpt.shapes.base import Shape
+
+__all__ = ["ShapeGroup"]
+
+
+class ShapeGroup(Shape):
+    """Shapes that are kept once and placed many times, each time by an `instance`.
+
+    The nested shapes may have BSDFs but no emitters, and can't be instances or groups. A group itself is
+    invisible.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        from djpt.shapes.instance import Instance
+
+        # Not `Shape.__init__`: a group has no BSDF, no emitter and no place of its own.
+        Plugin.__init__(self, props)
+        self.bsdf: Any = None
+        self.emitter: Any = None
+        self.named: list[tuple[str, Shape]] = props.children("shape")
+        if not self.named:
+            raise SceneError(f"{props.node}: the 'shapegroup' is empty; nest the shapes to be instanced in it")
+        for key, shape in self.named:
+            if isinstance(shape, (ShapeGroup, Instance)):
+                raise SceneError(f"{props.node}: '{key}' is itself a group or an instance, which can't be instanced")
+            if shape.emitter is not None:
+                raise SceneError(f"{props.node}: '{key}' has an emitter; what is instanced can't emit light")
+
+    @property
+    def shapes(self) -> list[Shape]:
+        """The shapes of the group, in its own space."""
+        return [shape for _, shape in self.named]
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for key, shape in self.named:
+            callback.put(key, shape)
+
+    def place(self, pool: AxisPool) -> None:
+        for shape in self.shapes:
+            shape.place(pool)
+
+    def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
+        """The extent of the whole group in its own space."""
+        intervals = [shape.interval(direction) for shape in self.shapes]
+        return min(low for low, _ in intervals), max(high for _, high in intervals)
