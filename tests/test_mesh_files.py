@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from meshes import bumpy_sheet, properties, write_binary_ply, write_obj, write_ply, write_serialized
 
 import djpt
-from djpt.errors import DjptError, SceneError
+from djpt.errors import DjptError, FileError, SceneError
 from djpt.meshes.obj import read_obj
 from djpt.meshes.ply import read_ply
 from djpt.meshes.serialized import read_serialized
@@ -109,6 +109,7 @@ def test_other_properties_are_ignored_with_one_warning(tmp_path: Path) -> None:
     assert list(mesh.attributes) == ["vertex_pair"]
 
 
+@pytest.mark.filterwarnings("ignore:x.ply. ignored properties of 'face'. flags")
 def test_ply_with_polygons_and_other_elements() -> None:
     header = "format {}\nelement camera 1\nproperty double f\nelement vertex 4\nproperty double x\nproperty double y\n"
     header += "property double z\nelement face 2\nproperty uchar flags\nproperty list uchar ushort vertex_index\n"
@@ -124,6 +125,23 @@ def test_ply_with_polygons_and_other_elements() -> None:
         mesh = read_ply(data, "x.ply")
         assert mesh.indices.tolist() == [[0, 1, 2], [0, 1, 2], [0, 2, 3]]
         np.testing.assert_array_equal(mesh.positions, np.array(CORNERS.split(), float).reshape(4, 3))
+
+
+def test_a_written_mesh_is_read_back_by_both(mi: Any, tmp_path: Path) -> None:
+    sheet = bumpy_sheet()
+    attributes = {
+        "vertex_color": sheet["normals"],
+        "face_flow": np.ones((32, 3)),
+        "vertex_heat": np.arange(25.0)[:, None],
+    }
+    mesh = djpt.Mesh("m", sheet["positions"], sheet["faces"], sheet["normals"], sheet["texcoords"], None, attributes)
+    mesh.write_ply(tmp_path / "a.ply")
+    again = assert_same(mi, "ply", tmp_path / "a.ply")
+    for key, value in djpt.traverse(mesh).items():
+        np.testing.assert_allclose(np.array(djpt.traverse(again)[key]), np.array(value), atol=1e-6, err_msg=key)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+    with pytest.raises(FileError, match="can't write"):
+        mesh.write_ply(tmp_path / "nowhere" / "a.ply")
 
 
 # ---------------------------------------------------------------- obj

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,6 +22,7 @@ from djpt.lookup import as_float
 from djpt.meshes.cleaning import check_indices, clean
 from djpt.meshes.data import MeshData, unit
 from djpt.meshes.normals import face_areas
+from djpt.meshes.ply_writer import write_ply
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
 from djpt.types import Float, Point2f, UInt32
@@ -203,6 +205,15 @@ class Mesh(Shape):
         used = np.zeros(len(self.positions), bool)
         used[self.indices.ravel()] = True
         self._used = self.positions if used.all() else self.positions[used]
+
+    def write_ply(self, filename: str | os.PathLike[str]) -> None:
+        """Write the mesh as it is now, in world space, to a binary PLY file with all its attributes.
+
+        Raises:
+            FileError: the file can't be written.
+        """
+        attributes = {name: values for name, (values, _) in self.attributes.items()}
+        write_ply(filename, MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes))
 
     def face_areas(self) -> NDArray[np.float64]:
         """The areas of all triangles, (F,)."""
