@@ -1,90 +1,72 @@
 """Building a BVH, level by level: all nodes of a level are split at once.
 
-A tree has one primitive per leaf. Its primitives are reordered in place as nodes are split, so that
-every node owns a range of them.
+Every node owns a range of the primitives. A kernel chooses where to split each node (`splits`), others
+move its primitives to the two sides, in their old order (`ranges`). Boxes come last, from the leaves up.
+
+The tree depends on nothing but the input: no float is summed by several threads.
 """
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
+import math
 from typing import Literal
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+
+from djpt.geometry.bvh.median import build_by_medians
+from djpt.geometry.bvh.ranges import Level, Ranges
+from djpt.geometry.bvh.splits import binned_split, exact_split, midpoint_split, no_split
+from djpt.geometry.bvh.tree import BinaryTree, fitted, half_area
+from djpt.types import UInt32
 
 __all__ = ["BinaryTree", "Method", "build", "half_area"]
 
 Method = Literal["sah", "median", "longest_axis"]
 
-
-@dataclass
-class BinaryTree:
-    """A binary tree over N primitives: 2N - 1 nodes, level by level, node 0 the root."""
-
-    box: NDArray[np.float32]
-    """(2N - 1, 6): low xyz, high xyz."""
-    left: NDArray[np.int32]
-    """The left child; the right one is left + 1; -1 at leaves."""
-    primitive: NDArray[np.int32]
-    """The primitive of a leaf; -1 at inner nodes."""
-
-
-def half_area(box: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Half the surface of boxes (..., 6): xy + yz + zx."""
-    x, y, z = (box[..., 3 + a] - box[..., a] for a in range(3))
-    return x * y + y * z + z * x
+EXACT = 12
+"""Nodes with at most so many primitives try all splits."""
 
 
 def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = "sah") -> BinaryTree:
-    """A tree over boxes with corners `low`, `high` (N, 3).
+    """A tree over boxes with corners `low`, `high` (N, 3), N >= 1.
 
-    The same input gives the same tree.
+    `method`: `sah` minimises the surface area heuristic, `median` gives each side half of the
+    primitives, `longest_axis` cuts the longest axis of the centroids' bounds in the middle.
     """
     count = len(low)
-    centroid = low + high
-    order = np.arange(count, dtype=np.int32)
-    start, size = np.zeros(1, np.int32), np.array([count], np.int32)
-    lefts, leaves, total = [], [], 1
-    while True:
-        inner = size > 1
-        left = np.full(len(size), -1, np.int32)
-        left[inner] = total + 2 * np.arange(inner.sum(), dtype=np.int32)
-        primitive = np.where(inner, np.int32(-1), order[start])
-        lefts.append(left)
-        leaves.append(primitive)
-        total += 2 * int(inner.sum())
-        start, size = start[inner], size[inner]
-        if not len(size):
-            break
-        half = halve(centroid, order, start, size)
-        start = np.stack([start, start + half], axis=1).ravel()
-        size = np.stack([half, size - half], axis=1).ravel()
-    left, primitive = np.concatenate(lefts), np.concatenate(leaves)
-    box = np.empty((len(left), 6), np.float32)
-    leaf = left < 0
-    box[leaf, :3], box[leaf, 3:] = low[primitive[leaf]], high[primitive[leaf]]
-    first = np.cumsum([0, *(len(level) for level in lefts)])
-    for begin, end in reversed(list(itertools.pairwise(first))):
-        nodes = begin + np.flatnonzero(left[begin:end] >= 0)
-        pair = left[nodes]
-        box[nodes, :3] = np.minimum(box[pair, :3], box[pair + 1, :3])
-        box[nodes, 3:] = np.maximum(box[pair, 3:], box[pair + 1, 3:])
-    return BinaryTree(box, left, primitive)
+    if count == 1:
+        return fitted(np.full(1, -1, np.int32), np.zeros(1, np.int32), [0, 1], low, high)
+    if method == "median":
+        return build_by_medians(low, high)
+    left = np.full(2 * count - 1, -1, np.int32)
+    levels = [0, 1]
+    # Skewed input could make a tree as deep as it has leaves; traversal keeps a stack.
+    deepest = 2 * math.ceil(math.log2(count)) + 12
+    with dr.suspend_grad():
+        ranges, level = Ranges.of(low, high)
+        while len(level.id):
+            next_id = levels[-1]
+            left[level.id] = next_id + 2 * np.arange(len(level.id), dtype=np.int32)
+            levels.append(next_id + 2 * len(level.id))
+            crowded = np.ceil(np.log2(level.size)) >= deepest - len(levels)
+            level = ranges.part(level, choose(ranges.records, level, method, crowded), next_id)
+        primitive = ranges.leaf.numpy().view(np.int32)
+    return fitted(left, primitive, levels, low, high)
 
 
-def halve(
-    centroid: NDArray[np.float32], order: NDArray[np.int32], start: NDArray[np.int32], size: NDArray[np.int32]
-) -> NDArray[np.int32]:
-    """Sort each node's primitives along its longest axis; returns how many go left."""
-    segment = np.repeat(np.arange(len(size), dtype=np.int32), size)
-    within = np.arange(size.sum(), dtype=np.int32) - np.repeat(np.cumsum(size, dtype=np.int32) - size, size)
-    where = within + np.repeat(start, size)
-    primitives = order[where]
-    points = centroid[primitives]
-    offset = np.cumsum(size) - size
-    extent = np.maximum.reduceat(points, offset) - np.minimum.reduceat(points, offset)
-    axis = extent.argmax(axis=1)
-    along = points[np.arange(len(points)), axis[segment]]
-    order[where] = primitives[np.lexsort((along, segment))]
-    return size // 2
+def choose(records: UInt32, level: Level, method: Method, crowded: NDArray[np.bool_]) -> UInt32:
+    """The splits of a level's nodes, four words each. Nodes that are `crowded` are halved."""
+    splits = dr.zeros(UInt32, 4 * len(level.id))
+    small = level.size <= EXACT
+    if method == "sah":
+        kinds = [(binned_split, ~small & ~crowded), (exact_split, small & ~crowded)]
+    else:
+        kinds = [(midpoint_split, ~crowded)]
+    for split, which in [*kinds, (lambda records, nodes: no_split(), crowded)]:
+        if which.any():
+            index, nodes = level.nodes(which)
+            dr.scatter(splits, split(records, nodes).words(nodes), index)
+    dr.eval(splits)
+    return splits

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.build import BinaryTree, half_area
+from djpt.geometry.bvh.tree import BinaryTree, half_area
 
 __all__ = ["NO_CHILD", "WideTree", "child_leaf", "collapse"]
 
