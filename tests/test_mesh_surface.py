@@ -181,6 +181,16 @@ def test_vertices_without_a_normal_take_that_of_the_triangle() -> None:
     assert np.array(surface.sh_frame.n).ravel().tolist() == [0, 0, 1]
 
 
+def test_a_mesh_knows_whether_it_is_closed() -> None:
+    # Each face of a tetrahedron has vertices of its own, one of them at -0.
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    loose = corners[faces].reshape(-1, 3)
+    loose[0] *= -1
+    assert djpt.Mesh("closed", loose, np.arange(12).reshape(4, 3)).is_closed()
+    assert not djpt.Mesh("open", loose, np.arange(9).reshape(3, 3)).is_closed()
+
+
 # ---------------------------------------------------------------- parameters
 
 

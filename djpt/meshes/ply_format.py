@@ -34,6 +34,9 @@ TYPES = {
 }
 ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 
+COUNT = "length of "
+"""Prefix of a list's length in the layout of rows; no property's name has blanks."""
+
 
 @dataclass
 class Property:
@@ -83,7 +86,8 @@ def read_elements(data: bytes, where: str) -> list[Element]:
             raise SceneError(f"{where}: the element '{element.name}' declares a property twice")
     try:
         for element in elements:
-            rows.read(element)
+            if element.properties:
+                rows.read(element)
     except SceneError:
         rows.explain(elements)
         raise
@@ -169,7 +173,7 @@ class BinaryRows(Rows):
         end = self.position + layout.itemsize * element.count
         if end <= len(self.data):
             table = np.frombuffer(self.data, layout, element.count, self.position)
-            if all((table["#" + name] == length).all() for name, length in lengths.items()):
+            if all((table[COUNT + name] == length).all() for name, length in lengths.items()):
                 self.position = end
                 for p in element.properties:
                     counts = np.full(element.count, lengths[p.name]) if p.name in lengths else None
@@ -184,7 +188,10 @@ class BinaryRows(Rows):
         fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
         for p in element.properties:
             if p.count_type:
-                fields += [("#" + p.name, self.order + p.count_type), (p.name, self.order + p.type, (lengths[p.name],))]
+                fields += [
+                    (COUNT + p.name, self.order + p.count_type),
+                    (p.name, self.order + p.type, (lengths[p.name],)),
+                ]
             else:
                 fields.append((p.name, self.order + p.type))
         return np.dtype(fields)
@@ -271,7 +278,7 @@ class TextRows(Rows):
             if p.count_type:
                 if self.position + width >= len(self.values):
                     self._cut_short(element, 0)
-                lengths[p.name] = max(int(self.values[self.position + width]), 0)
+                lengths[p.name] = self._length(self.position + width, element, 0)
                 width += lengths[p.name]
             width += 1
         table = self.values[self.position :][: width * element.count]
@@ -284,6 +291,13 @@ class TextRows(Rows):
             self._read_table(element, lengths)
         else:
             self._walk(element)
+
+    def _length(self, position: int, element: Element, row: int) -> int:
+        """The length of the list that begins at a position."""
+        value = float(self.values[position])
+        if not (value >= 0 and value.is_integer()):
+            raise SceneError(f"{self.where}: row {row} of the element '{element.name}' has a list of {value:g} entries")
+        return int(value)
 
     def _read_table(self, element: Element, lengths: dict[str, int]) -> None:
         """Read rows of equal width."""
@@ -313,9 +327,7 @@ class TextRows(Rows):
             for p in element.properties:
                 size = 1
                 if p.count_type:
-                    size = int(self.values[position]) if position < total else 0
-                    if size < 0:
-                        raise SceneError(f"{self.where}: row {row} of '{element.name}' has a list of length {size}")
+                    size = self._length(position, element, row) if position < total else 0
                     counts[p.name].append(size)
                     position += 1
                 parts[p.name].append(self.values[position : position + size])

@@ -23,6 +23,7 @@ from djpt.meshes.cleaning import check_indices, clean
 from djpt.meshes.data import MeshData, unit
 from djpt.meshes.normals import face_areas
 from djpt.meshes.ply_writer import write_ply
+from djpt.meshes.topology import is_closed
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
 from djpt.types import Float, Point2f, UInt32
@@ -214,6 +215,10 @@ class Mesh(Shape):
         """
         attributes = {name: values for name, (values, _) in self.attributes.items()}
         write_ply(filename, MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes))
+
+    def is_closed(self) -> bool:
+        """Does the mesh enclose a volume, so that crossing parity tells inside from outside?"""
+        return is_closed(self.positions, self.indices)
 
     def face_areas(self) -> NDArray[np.float64]:
         """The areas of all triangles, (F,)."""

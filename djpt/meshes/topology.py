@@ -1,0 +1,25 @@
+"""Does a mesh enclose a volume?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["is_closed"]
+
+
+def is_closed(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> bool:
+    """Does every edge belong to an even number of triangles?
+
+    Then any ray from a point far away crosses the mesh an even number of times on its way out, and parity
+    tells inside from outside. Vertices at the same place count as one: seams of texture coordinates
+    double them.
+    """
+    # Adding zero turns -0 into 0, so that equal numbers have equal bits.
+    bits = np.ascontiguousarray(positions + np.float32(0)).view(np.dtype((np.void, 12))).ravel()
+    _, place = np.unique(bits, return_inverse=True)
+    corners = place[indices].astype(np.uint64)
+    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    ends.sort(axis=1)
+    _, uses = np.unique(ends[:, 0] << np.uint64(32) | ends[:, 1], return_counts=True)
+    return bool((uses % 2 == 0).all())
