@@ -181,7 +181,7 @@ class Scene(Plugin):
     def ray_intersect_preliminary(self, ray: Ray3f, active: Bool | bool = True) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt, with Mitsuba's fields."""
         pi = self.closest_hit(ray, active)
-        surface = self.geometry.surface(ray, pi.t, pi.face, self.lookup, full=True)
+        surface = self.geometry.surface(ray, pi, self.lookup, full=True)
         pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, self.lookup)
         pi.prim_uv = surface.prim_uv
         return pi
@@ -208,7 +208,7 @@ class Scene(Plugin):
     def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
         """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
         valid = pi.is_valid()
-        surface = self.geometry.surface(ray, pi.t, pi.face, self.lookup, full)
+        surface = self.geometry.surface(ray, pi, self.lookup, full)
         return SurfaceInteraction3f(
             t=pi.t,
             p=surface.p,

@@ -15,8 +15,8 @@ import numpy as np
 
 from djpt.dispatch import Ensemble, Lookup
 from djpt.frame import Frame3f
-from djpt.geometry.bvh.traversal import NONE, Stepper, start
-from djpt.geometry.query import ANALYTIC, Query
+from djpt.geometry.bvh.traversal import NONE, Stepper, enter, start
+from djpt.geometry.query import ANALYTIC, FACE, Query
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
 from djpt.lookup import Numbers, is_one_of
@@ -106,24 +106,30 @@ class Geometry:
         assert self.triangles is not None
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
         found = dr.isfinite(t)
-        maxt = dr.select(found, t, ray.maxt)
+        origin, entry = enter(self.triangles.records, ray)
+        maxt = dr.select(found, t, ray.maxt) - entry
         if shadow is not None:
             active = active & ~(shadow & found)
         hit = dr.select(found, face | ANALYTIC, UInt32(NONE))
-        return Query(ray, start(self.triangles.records, maxt, active, hit))
+        return Query(origin, ray.d, entry, start(self.triangles.records, maxt, active, hit))
 
     def stepper(self, query: Query) -> Stepper:
         """What takes steps for a query."""
         assert self.triangles is not None
-        return Stepper(self.triangles.records, query.ray.o, query.ray.d)
+        return Stepper(self.triangles.records, query.o, query.d)
 
-    def end(self, query: Query) -> PreliminaryIntersection3f:
-        """The result of a query whose cursor has come to the end."""
-        hit = query.cursor.hit
-        t = dr.select(hit != NONE, query.cursor.t, dr.inf)
-        face = dr.select(hit >= ANALYTIC, hit & ~UInt32(ANALYTIC), hit + self.first_record)
-        face = dr.select(hit != NONE, face, 0)
-        return PreliminaryIntersection3f(t, face, self.shape_of(face))
+    def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
+        """The ray of a query whose cursor has come to the end, and its result.
+
+        The ray starts where the BVH began, that is `entry` before; `t` counts from its own origin.
+        """
+        number = query.cursor.hit
+        t = dr.select(number != NONE, query.cursor.t + query.entry, dr.inf)
+        face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
+        face = dr.select(number != NONE, face, 0)
+        origin = dr.fma(query.d, -query.entry, query.o + self.triangles.records.center)
+        hit = PreliminaryIntersection3f(t, face, self.shape_of(face), origin=query.o)
+        return Ray3f(origin, query.d, Float(dr.inf)), hit
 
     # ---- faces -------------------------------------------------------------------------
 
@@ -148,15 +154,16 @@ class Geometry:
 
     # ---- surface points ------------------------------------------------------------------
 
-    def surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
-        """The surface point at distance `t` on `face`; uv and dp/du, dp/dv of analytic shapes only if `full`."""
+    def surface(self, ray: Ray3f, hit: PreliminaryIntersection3f, lookup: Lookup, full: bool) -> Surface:
+        """The surface point of a hit; uv and dp/du, dp/dv of analytic shapes only if `full`."""
         if self.triangles is None:
-            return self._analytic_surface(ray, t, face, lookup, full)
-        mesh = self.triangles.surface(ray, self.record_of(face))
+            return self._analytic_surface(ray, hit.t, hit.face, lookup, full)
+        origin = enter(self.triangles.records, ray)[0] if hit.origin is None else hit.origin
+        mesh = self.triangles.surface(origin, ray.d, self.record_of(hit.face))
         if not self.analytic_shapes:
             return mesh
-        analytic = self._analytic_surface(ray, t, face, lookup, full)
-        return dr.select(self.on_mesh(face), mesh, analytic)
+        analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, full)
+        return dr.select(self.on_mesh(hit.face), mesh, analytic)
 
     def _analytic_surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
         p = ray(t)

@@ -5,17 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from djpt.geometry.bvh.traversal import Cursor
-from djpt.records import Ray3f
+from djpt.types import Float, Point3f, Vector3f
 
-__all__ = ["ANALYTIC", "Query"]
+__all__ = ["ANALYTIC", "FACE", "Query"]
 
 ANALYTIC = 0x80000000
 """Set in `Query.cursor.hit` where the number is that of a face of the unrolled set, not of a record."""
+
+FACE = 0x7FFFFFFF
+"""The rest of it."""
 
 
 @dataclass
 class Query:
     """A ray that has met the unrolled shapes, and how far it has come in the BVH."""
 
-    ray: Ray3f
+    o: Point3f
+    """The origin, near the triangles, as seen from the centre of the BVH."""
+    d: Vector3f
+    entry: Float
+    """How far from the ray's own origin that is."""
     cursor: Cursor

@@ -35,27 +35,28 @@ class TriangleHit:
 
 
 class RayPlane:
-    """A ray's origin and two directions across it. Neither they nor `d` need have unit length."""
+    """A ray and two directions across it. Neither they nor `d` need have unit length."""
 
     def __init__(self, o: Point3f, d: Vector3f) -> None:
-        self.o, self.d = o, d
         # Perpendicular to d by swapping two components; never the two small ones.
         steep = dr.abs(d.x) > dr.abs(d.z)
-        self.s = Vector3f(dr.select(steep, -d.y, 0), dr.select(steep, d.x, -d.z), dr.select(steep, 0, d.y))
-        self.t = dr.cross(d, self.s)
+        s = Vector3f(dr.select(steep, -d.y, 0), dr.select(steep, d.x, -d.z), dr.select(steep, 0, d.y))
+        self._axes = [(axis, -dr.dot(axis, o)) for axis in (s, dr.cross(d, s), d)]
         self.inv_length_squared = dr.rcp(dr.squared_norm(d))
 
-    def project(self, p: Point3f) -> tuple[Float, Float, Float]:
-        """Coordinates of a point across the ray and along it, seen from the origin."""
-        v = p - self.o
-        return dr.dot(self.s, v), dr.dot(self.t, v), dr.dot(self.d, v)
+    def project(self, p: Point3f) -> list[Float]:
+        """Coordinates of a point across the ray (two) and along it, seen from the origin.
+
+        Rounded in units of the coordinates: these should be small where triangles are.
+        """
+        return [dr.fma(a.x, p.x, dr.fma(a.y, p.y, dr.fma(a.z, p.z, offset))) for a, offset in self._axes]
 
 
 def intersect_triangle(ray: RayPlane, p0: Point3f, p1: Point3f, p2: Point3f) -> TriangleHit:
     """Intersect a line with a triangle, edges included; the caller compares `t`.
 
     `t` is a convex combination of the corners' distances, so that even a sliver seen edge-on doesn't
-    give one far off.
+    give one far off. It is NaN or infinite for triangles that the ray sees exactly edge-on.
     """
     (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = ray.project(p0), ray.project(p1), ray.project(p2)
     # Products and differences are rounded one by one (Dr.Jit doesn't fuse them): swapping the ends of an
@@ -63,8 +64,7 @@ def intersect_triangle(ray: RayPlane, p0: Point3f, p1: Point3f, p2: Point3f) -> 
     w0 = x2 * y1 - y2 * x1
     w1 = x0 * y2 - y0 * x2
     w2 = x1 * y0 - y1 * x0
-    determinant = w0 + w1 + w2
+    inv = dr.rcp(w0 + w1 + w2)
     inside = (minimum(minimum(w0, w1), w2) >= 0) | (maximum(maximum(w0, w1), w2) <= 0)
-    inv = dr.rcp(determinant)
     t = dr.fma(w0, z0, dr.fma(w1, z1, w2 * z2)) * inv * ray.inv_length_squared
-    return TriangleHit(inside & (determinant != 0), t, w1 * inv, w2 * inv)
+    return TriangleHit(inside, t, w1 * inv, w2 * inv)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.geometry.bvh.build import build
-from djpt.geometry.bvh.records import LEAF, WORDS, Records, pack
+from djpt.geometry.bvh.records import LEAF, MESH, WORDS, Records, pack
 from djpt.geometry.bvh.search import search
 from djpt.geometry.bvh.traversal import NONE, load, triangle_corners
 from djpt.geometry.bvh.wide import collapse
@@ -17,7 +17,7 @@ from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.lookup import Numbers
 from djpt.records import Ray3f
-from djpt.types import Bool, Float, Point2f, UInt32
+from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh
@@ -60,7 +60,7 @@ class Triangles:
 
     def mesh_of(self, record: UInt32) -> UInt32:
         """The mesh that a triangle belongs to."""
-        return dr.gather(UInt32, self.records.words, record * WORDS + 12) & ~LEAF
+        return dr.gather(UInt32, self.records.words, record * WORDS + 12) & MESH
 
     def shape_of(self, record: UInt32) -> UInt32:
         """The index of its shape in the scene."""
@@ -75,20 +75,13 @@ class Triangles:
         face = dr.gather(UInt32, self.records.words, record * WORDS + 13, record != NONE)
         return face - self._first_face.at(self.mesh_of(record))
 
-    def surface(self, ray: Ray3f, record: UInt32) -> Surface:
-        """The point where a ray hits a triangle."""
+    def surface(self, origin: Point3f, d: Vector3f, record: UInt32) -> Surface:
+        """The point where a ray hits a triangle; `origin` as `enter` gives it."""
         words = load(self.records.words, record)
         corners = triangle_corners(words)
-        hit = intersect_triangle(RayPlane(ray.o, ray.d), *corners)
+        hit = intersect_triangle(RayPlane(origin, d), *corners)
         # The empty record stands for a miss: any face will do, but one that exists.
         face = dr.select(words[12] >= LEAF, words[13], 0)
         surface = self.meshes.surface(face, corners, hit.b1, hit.b2)
-        return Surface(
-            surface.p,
-            surface.n,
-            surface.sh_frame,
-            surface.uv,
-            surface.dp_du,
-            surface.dp_dv,
-            Point2f(hit.b1, hit.b2),
-        )
+        surface.p = surface.p + self.records.center
+        return surface

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import drjit as dr
 
 from djpt.schedules.job import Band, Job
-from djpt.types import UInt32
+from djpt.types import Bool, Float, Int32, UInt32
 
-__all__ = ["Lanes", "grouped", "interleaved", "lanes_per_pixel", "layered", "tiled"]
+__all__ = ["Lanes", "TiledLanes", "TiledSample", "grouped", "interleaved", "lanes_per_pixel", "layered"]
 
 BLOCK = 2**14
 """Lanes that one thread takes at a time: Dr.Jit's number."""
 
 TILE = 4
-"""Pixels of 4 x 4 tiles share a packet of lanes: their rays take similar ways."""
+"""The pixels of 4 x 4 tiles share a packet of lanes: their rays take similar ways."""
+
+PACKET = TILE * TILE
 
 LANES = 2**16
 """Fewer lanes leave processor cores idle: Dr.Jit hands them out in blocks of 2^14."""
@@ -80,33 +82,83 @@ def layered(job: Job, band: Band, begin: int, end: int) -> Lanes:
     return Lanes(pixel, dr.opaque(UInt32, begin) + group, dr.opaque(UInt32, end), dr.opaque(UInt32, count))
 
 
-def tiled(job: Job, band: Band, begin: int, end: int) -> tuple[Lanes, UInt32, UInt32]:
-    """The samples begin <= k < end of a band, for lanes of very different length.
+class TiledLanes:
+    """Lanes that compute the samples begin <= k < end of a band, for the machine schedule.
 
-    Also returns where each lane stores its first sample, for storage as [k - begin][pixel], and how
-    far apart its samples lie. Packets of lanes are tiles of pixels. The blocks of lanes that threads
-    take are spread evenly over the band, so that all take about the same time.
+    A packet of lanes (16, whatever the processor's) covers a tile of pixels, whose rays take similar
+    ways. It has a list of samples to do, and a lane that has finished one takes the next from the list,
+    so that none runs out of work before the others. The blocks of packets that threads take are spread
+    evenly over the band, for the same reason. Samples are stored as [k - begin][pixel].
     """
-    columns, rows = -(-job.width // TILE), -(-band.rows // TILE)
-    tiles, size = columns * rows, TILE * TILE
-    count = 1
-    while tiles * size * count < 2 * LANES and (end - begin) // (2 * count) >= 4:
-        count *= 2
-    blocks = -(-tiles * size * count // BLOCK)
-    lane = dr.arange(UInt32, blocks * BLOCK)
-    packet, place = lane // size, lane % size
-    block = packet // (BLOCK // size)
-    # Neighbouring blocks take neighbouring tiles.
-    packet = (packet - block * (BLOCK // size)) * dr.opaque(UInt32, blocks) + block
-    group = packet // dr.opaque(UInt32, tiles)
-    tile = packet - group * dr.opaque(UInt32, tiles)
-    tile_row = tile // dr.opaque(UInt32, columns)
-    column = (tile - tile_row * dr.opaque(UInt32, columns)) * TILE + place % TILE
-    row = tile_row * TILE + place // TILE
-    inside = (column < job.width_value) & (row < dr.opaque(UInt32, band.rows)) & (group < dr.opaque(UInt32, count))
-    position = dr.fma(row, job.width_value, column)
-    pixels, last = dr.opaque(UInt32, band.rows * job.width), dr.opaque(UInt32, end)
-    first = dr.select(inside, dr.opaque(UInt32, begin) + group, last)
-    pixel = position + dr.opaque(UInt32, band.first_row * job.width)
-    lanes = Lanes(pixel, first, last, dr.opaque(UInt32, count))
-    return lanes, dr.fma(group, pixels, position), pixels * dr.opaque(UInt32, count)
+
+    def __init__(self, job: Job, band: Band, begin: int, end: int) -> None:
+        columns, rows = -(-job.width // TILE), -(-band.rows // TILE)
+        tiles = columns * rows
+        share = 1
+        while tiles * PACKET * share < LANES and (end - begin) // (2 * share) >= 4:
+            share *= 2
+        blocks = -(-tiles * PACKET * share // BLOCK)
+        self.count = blocks * BLOCK
+        packets = self.count // PACKET
+
+        lane = dr.arange(UInt32, self.count)
+        self._packet = lane // PACKET
+        block = self._packet // (BLOCK // PACKET)
+        # Neighbouring blocks take neighbouring tiles.
+        spread = (self._packet - block * (BLOCK // PACKET)) * dr.opaque(UInt32, blocks) + block
+        # Tiles are shared by `share` packets: the layers.
+        layer = spread // dr.opaque(UInt32, tiles)
+        tile = spread - layer * dr.opaque(UInt32, tiles)
+        row = tile // dr.opaque(UInt32, columns)
+        self._column, self._row = (tile - row * dr.opaque(UInt32, columns)) * TILE, row * TILE
+        self._share, self._begin, self._end = (dr.opaque(UInt32, n) for n in (share, begin, end))
+        self._first_k = dr.select(layer < self._share, self._begin + layer, self._end)
+        self._width, self._rows = job.width_value, dr.opaque(UInt32, band.rows)
+        self._first_pixel = dr.opaque(UInt32, band.first_row * job.width)
+        self._first_row = dr.opaque(UInt32, band.first_row)
+        self._pixels = dr.opaque(UInt32, band.rows * job.width)
+        self.first = lane % PACKET
+        """The first entry of each lane in its packet's list."""
+        self._taken = dr.opaque(UInt32, PACKET, packets)
+
+    def next(self, entry: UInt32, finished: Bool) -> UInt32:
+        """The entry that a lane does next: that of its list which nobody has taken, where it has `finished`."""
+        # The lanes of a packet run in step, on one thread: who gets which entry is always the same.
+        taken = dr.scatter_inc(self._taken, self._packet, finished)
+        return dr.select(finished, taken, entry)
+
+    def at(self, entry: UInt32) -> TiledSample:
+        """The sample at an entry of a packet's list."""
+        place, k = entry % PACKET, dr.fma(entry // PACKET, self._share, self._first_k)
+        column, row = self._column + place % TILE, self._row + place // TILE
+        position = dr.fma(row, self._width, column)
+        return TiledSample(
+            pixel=position + self._first_pixel,
+            k=k,
+            x=Float(Int32(column)),
+            y=Float(Int32(row + self._first_row)),
+            slot=dr.fma(k - self._begin, self._pixels, position),
+            left=k < self._end,
+            # Tiles may stick out of the band on the right and below.
+            exists=(column < self._width) & (row < self._rows),
+        )
+
+    def left(self, entry: UInt32) -> Bool:
+        """Is there such an entry? False when a lane has nothing left to do."""
+        return dr.fma(entry // PACKET, self._share, self._first_k) < self._end
+
+
+@dataclass
+class TiledSample:
+    """A sample of a lane."""
+
+    pixel: UInt32
+    k: UInt32
+    x: Float
+    """Column and row on the grid."""
+    y: Float
+    slot: UInt32
+    left: Bool
+    """See `TiledLanes.left`."""
+    exists: Bool
+    """Is its pixel within the band? If not, the result must not be stored."""

@@ -25,7 +25,7 @@ from djpt.lanewide import wide
 from djpt.records import Ray3f
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job
-from djpt.schedules.lanes import Lanes, tiled
+from djpt.schedules.lanes import TiledLanes
 from djpt.schedules.sinks import Write, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
 
@@ -51,21 +51,22 @@ class Lane:
     sampler: Any
     path: PathState
     radiance: Color3f
-    k: UInt32
-    slot: UInt32
-    """Where the sample will be stored."""
+    entry: UInt32
+    """Which sample of its packet's list the lane works on: see `TiledLanes`."""
+    frame: Any
+    """See `aligned_frame`."""
 
 
-def run(job: Job, lanes: Lanes, slots: UInt32, slot_stride: UInt32, write: Write) -> UInt32:
+def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     """Advance all lanes until their samples are written; returns a number to evaluate."""
-    integrator, scene, width = job.integrator, job.scene, dr.width(lanes.pixel)
+    integrator, scene, width = job.integrator, job.scene, lanes.count
     assert isinstance(integrator, PathIntegrator)
     geometry = scene.geometry
-    x, y = job.coordinates(lanes.pixel)
-    sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
+    first = lanes.at(lanes.first)
+    sampler, ray, _ = job.begin(first.pixel, first.k, first.x, first.y)
     path = integrator.start(scene)
     start = Lane(
-        query=wide(geometry.begin(ray, lanes.first < lanes.end, through_lights=integrator.passes_lights(path)), width),
+        query=wide(geometry.begin(ray, first.left, through_lights=integrator.passes_lights(path)), width),
         shadow=dr.full(Bool, False, width),
         pending=dr.zeros(Color3f, width),
         next_ray=wide(Ray3f(), width),
@@ -74,16 +75,17 @@ def run(job: Job, lanes: Lanes, slots: UInt32, slot_stride: UInt32, write: Write
         sampler=sampler,
         path=wide(path, width),
         radiance=dr.zeros(Color3f, width),
-        k=wide(lanes.first, width),
-        slot=slots,
+        entry=wide(lanes.first, width),
+        frame=aligned_frame(width),
     )
 
     def advance(lane: Lane) -> Lane:
         """What comes after a ray."""
-        shadow, hit = lane.shadow, geometry.end(lane.query)
+        shadow = lane.shadow
+        ray, hit = geometry.end(lane.query)
         stream = lane.sampler.clone()
-        si = scene.surface_interaction(lane.query.ray, hit, full=scene.needs_uv)
-        v = integrator.vertex(scene, stream, lane.path, lane.query.ray, si)
+        si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
+        v = integrator.vertex(scene, stream, lane.path, ray, si)
 
         arrived = dr.select(shadow, dr.select(hit.is_valid(), 0, lane.pending), v.emitted)
         radiance = lane.radiance + arrived
@@ -92,14 +94,16 @@ def run(job: Job, lanes: Lanes, slots: UInt32, slot_stride: UInt32, write: Write
         next_ray = dr.select(shadow, lane.next_ray, v.ray)
         state = dr.select(shadow, lane.path, v.state)
         ended = ~lit & ~active
-        write(lane.slot, job.channels(radiance, valid, []), ended)
+        here = lanes.at(lane.entry)
+        write(here.slot, job.channels(radiance, valid, []), ended & here.exists)
 
-        k = dr.select(ended, lane.k + lanes.stride, lane.k)
-        fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
+        entry = lanes.next(lane.entry, ended)
+        sample = lanes.at(entry)
+        fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
         path = restart(ended, integrator.start(scene), state)
-        ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
+        new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
-            query=geometry.begin(ray, k < lanes.end, lit, integrator.passes_lights(path)),
+            query=geometry.begin(new_ray, sample.left, lit, integrator.passes_lights(path)),
             shadow=lit,
             pending=v.reflected,
             next_ray=next_ray,
@@ -108,8 +112,8 @@ def run(job: Job, lanes: Lanes, slots: UInt32, slot_stride: UInt32, write: Write
             sampler=dr.select(ended, fresh, dr.select(shadow, lane.sampler, stream)),
             path=path,
             radiance=dr.select(ended, 0, radiance),
-            k=k,
-            slot=dr.select(ended, lane.slot + slot_stride, lane.slot),
+            entry=entry,
+            frame=lane.frame,
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
@@ -119,16 +123,28 @@ def run(job: Job, lanes: Lanes, slots: UInt32, slot_stride: UInt32, write: Write
         (lane,) = dr.if_stmt(
             (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
         )
+        lane.frame.write(lane.entry, lane.entry & 1)
         return (lane,)
 
-    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, turn, label="machine")
-    return end.k
+    (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
+    return end.entry + end.frame.read(end.entry & 1)
+
+
+def aligned_frame(width: int) -> Any:
+    """A little memory per lane, whose only use is that it is there.
+
+    A kernel that has some keeps its stack aligned to whole cache lines, and with it all registers that
+    it has to spill.
+    """
+    memory = dr.alloc_local(UInt32, 2)
+    for index in range(2):
+        memory.write(dr.full(UInt32, 0, width), dr.full(UInt32, index, width))
+    return memory
 
 
 def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
     """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
-    lanes, slots, stride = tiled(job, band, begin, end)
     buffers, write = sample_buffers(job, band, end - begin)
-    finished = run(job, lanes, slots, stride, write)
+    finished = run(job, TiledLanes(job, band, begin, end), write)
     dr.eval(finished, buffers)
     return buffers

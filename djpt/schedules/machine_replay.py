@@ -23,7 +23,7 @@ from djpt.replay import Numbering
 from djpt.scene import Scene
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Job
-from djpt.schedules.lanes import Lanes
+from djpt.schedules.lanes import TiledLanes
 from djpt.schedules.replay_modes import Mode
 from djpt.types import Bool, Color3f, Float, UInt32, UInt64
 
@@ -48,22 +48,20 @@ class Lane:
     """Bit i: was the shadow ray of vertex i free?"""
     radiance: Color3f
     again: Bool
-    k: UInt32
+    entry: UInt32
     slot: UInt32
     delta: Color3f
     sums: list[Float]
 
 
-def run(
-    job: Job, values: Detached, numbering: Numbering, lanes: Lanes, slots: UInt32, slot_stride: UInt32, mode: Mode
-) -> tuple[list[Float], UInt32]:
+def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mode: Mode) -> tuple[list[Float], UInt32]:
     """Walk all samples twice; returns the sums, and a number to evaluate if there are none."""
-    integrator, scene, width = job.integrator, job.scene, dr.width(lanes.pixel)
+    integrator, scene, width = job.integrator, job.scene, lanes.count
     assert isinstance(integrator, PathIntegrator)
     geometry = scene.geometry
-    x, y = job.coordinates(lanes.pixel)
-    sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
-    path, usable = integrator.start(scene), lanes.first < lanes.end
+    first = lanes.at(lanes.first)
+    sampler, ray, _ = job.begin(first.pixel, first.k, first.x, first.y)
+    path, usable = integrator.start(scene), first.left
     start = Lane(
         query=wide(geometry.begin(ray, usable, through_lights=integrator.passes_lights(path)), width),
         shadow=dr.full(Bool, False, width),
@@ -75,20 +73,21 @@ def run(
         free=dr.zeros(UInt64, width),
         radiance=dr.zeros(Color3f, width),
         again=dr.full(Bool, False, width),
-        k=wide(lanes.first, width),
-        slot=wide(slots, width),
-        delta=wide(mode.delta_of(slots, usable), width),
+        entry=wide(lanes.first, width),
+        slot=wide(first.slot, width),
+        delta=wide(mode.delta_of(first.slot, usable & first.exists), width),
         sums=mode.start(),
     )
 
     def advance(lane: Lane) -> Lane:
-        shadow, hit = lane.shadow, geometry.end(lane.query)
+        shadow = lane.shadow
+        ray, hit = geometry.end(lane.query)
         stream = lane.sampler.clone()
         leaves, view = mode.view(scene, values, numbering)
-        si = scene.surface_interaction(lane.query.ray, hit, full=scene.needs_uv)
+        si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
         si.scene = view
         with dr.resume_grad():
-            v = integrator.vertex(view, stream, lane.path, lane.query.ray, si)
+            v = integrator.vertex(view, stream, lane.path, ray, si)
         vertex_ray, vertex_state = dr.detach(v.ray), dr.detach(v.state)
         visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
         radiance, delta, sums = mode.visit(lane, leaves, v, visible, lane.again & ~shadow)
@@ -107,15 +106,15 @@ def run(
         ended = ~lit & ~active
         finished = ended & lane.again
 
-        k = dr.select(finished, lane.k + lanes.stride, lane.k)
-        next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
-        more = k < lanes.end
-        delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & more)
-        fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
+        entry, here = lanes.next(lane.entry, finished), lanes.at(lane.entry)
+        sample = lanes.at(entry)
+        more = finished & sample.left & sample.exists
+        delta, sums = mode.hand_over(job, lane, finished & here.exists, sample.slot, more)
+        fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
         path = restart(ended, integrator.start(scene), state)
-        ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
+        new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
-            query=geometry.begin(ray, more, lit, integrator.passes_lights(path)),
+            query=geometry.begin(new_ray, sample.left, lit, integrator.passes_lights(path)),
             shadow=lit,
             pending=reflected,
             next_ray=next_ray,
@@ -125,8 +124,8 @@ def run(
             free=dr.select(finished, 0, free),
             radiance=dr.select(finished, 0, lane.radiance),
             again=lane.again ^ ended,
-            k=k,
-            slot=next_slot,
+            entry=entry,
+            slot=dr.select(finished, sample.slot, lane.slot),
             delta=delta,
             sums=sums,
         )
@@ -139,8 +138,8 @@ def run(
         (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)
 
-    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, turn, label=mode.label + ", machine")
-    return end.sums, end.k
+    (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label=mode.label + ", machine")
+    return end.sums, end.entry
 
 
 def bit(depth: UInt32) -> UInt64:

@@ -27,7 +27,7 @@ from djpt.replay import Accumulator, Numbering, Parameter, Tangents
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job
 from djpt.schedules import machine_replay
-from djpt.schedules.lanes import Lanes, interleaved, layered, tiled
+from djpt.schedules.lanes import Lanes, TiledLanes, interleaved, layered
 from djpt.schedules.replay_modes import Adjoint, Forward, Mode, Reverse
 from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
@@ -122,11 +122,6 @@ def in_order(lanes: Lanes) -> tuple[Lanes, UInt32, UInt32]:
     return lanes, dr.arange(UInt32, count) + dr.opaque(UInt32, 0), dr.opaque(UInt32, count)
 
 
-def sample_lanes(job: Job, band: Band, begin: int, end: int, machine: bool) -> tuple[Lanes, UInt32, UInt32]:
-    """The same for samples that are stored as [k - begin][pixel]."""
-    return tiled(job, band, begin, end) if machine else in_order(layered(job, band, begin, end))
-
-
 def backward_constant(
     job: Job, values: Detached, parameters: list[Parameter], adjoints: list[Float], begin: int, end: int
 ) -> list[Any]:
@@ -155,11 +150,15 @@ def backward_samples(
     def adjoint(slot: UInt32, active: Bool) -> Color3f:
         return job.film.color_adjoint([dr.gather(Float, a, slot, active) for a in adjoints])
 
-    lanes, slots, stride = sample_lanes(job, band, begin, end, machine)
     numbering = numbering_of(job, parameters)
-    accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
-    walk = machine_replay.run if machine else run
-    sums, k = walk(job, values, numbering, lanes, slots, stride, Reverse(accumulator, None, adjoint))
+    if machine:
+        tiles = TiledLanes(job, band, begin, end)
+        accumulator = Accumulator(parameters, numbering, tiles.count)
+        sums, k = machine_replay.run(job, values, numbering, tiles, Reverse(accumulator, None, adjoint))
+    else:
+        lanes = layered(job, band, begin, end)
+        accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
+        sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, None, adjoint))
     dr.eval(sums, k)
     return accumulator.gradients(sums)
 
@@ -190,9 +189,11 @@ def forward_samples(
 ) -> list[Float]:
     """Like `flat.radiance_samples`, of the samples' derivatives."""
     buffers, write = sample_buffers(job, band, end - begin)
-    lanes, slots, stride = sample_lanes(job, band, begin, end, machine)
     numbering = numbering_of(job, parameters)
-    walk = machine_replay.run if machine else run
-    finished = walk(job, values, numbering, lanes, slots, stride, Forward(Tangents(numbering, tangents), write, []))[1]
+    mode = Forward(Tangents(numbering, tangents), write, [])
+    if machine:
+        finished = machine_replay.run(job, values, numbering, TiledLanes(job, band, begin, end), mode)[1]
+    else:
+        finished = run(job, values, numbering, *in_order(layered(job, band, begin, end)), mode)[1]
     dr.eval(finished, buffers)
     return buffers

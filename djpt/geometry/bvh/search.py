@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY, Records
-from djpt.geometry.bvh.traversal import STEPS, Cursor, Stepper, start
+from djpt.geometry.bvh.traversal import STEPS, Cursor, Stepper, enter, start
 from djpt.records import Ray3f
 from djpt.lanewide import wide
-from djpt.types import Bool, Float, UInt32
+from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["search"]
 
@@ -23,14 +23,26 @@ def search(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool = Tr
     lanes = dr.width(ray, active)
     if lanes >= 2 * BATCH and not dr.flag(dr.JitFlag.SymbolicScope):
         return batched(records, ray, any_hit, active, lanes)
-    stepper = Stepper(records, ray.o, ray.d)
+    origin, entry = enter(records, ray)
+    stepper = Stepper(records, origin, ray.d)
     (end,) = dr.while_loop(
-        (wide(start(records, ray.maxt, active), lanes),),
+        (wide(start(records, ray.maxt - entry, active), lanes),),
         lambda cursor: cursor.current != EMPTY,
         lambda cursor: (stepper.step(cursor, any_hit),),
         label="any hit" if any_hit else "closest hit",
     )
-    return end.t, end.hit
+    return end.t + entry, end.hit
+
+
+@dataclass
+class Flight:
+    """Loop state of `batched`."""
+
+    index: UInt32
+    origin: Point3f
+    d: Vector3f
+    entry: Float
+    cursor: Cursor
 
 
 def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, lanes: int) -> tuple[Float, UInt32]:
@@ -43,33 +55,31 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
     count, stride = dr.opaque(UInt32, lanes), dr.opaque(UInt32, BATCH)
     t, record = dr.empty(Float, lanes), dr.empty(UInt32, lanes)
 
-    def fetch(index: UInt32) -> tuple[Ray3f, Bool]:
+    def fetch(index: UInt32) -> Flight:
         inside = index < count
         ray = Ray3f(
-            type(o)(*(dr.gather(Float, x, index, inside) for x in o)),
-            type(d)(*(dr.gather(Float, x, index, inside) for x in d)),
+            Point3f(*(dr.gather(Float, x, index, inside) for x in o)),
+            Vector3f(*(dr.gather(Float, x, index, inside) for x in d)),
             dr.gather(Float, maxt, index, inside),
         )
-        return ray, inside & dr.gather(Bool, live, index, inside)
+        origin, entry = enter(records, ray)
+        usable = inside & dr.gather(Bool, live, index, inside)
+        return Flight(index, origin, ray.d, entry, start(records, ray.maxt - entry, usable))
 
-    index = dr.arange(UInt32, BATCH)
-    first, usable = fetch(index)
-    state: Any = (index, first, wide(start(records, first.maxt, usable), BATCH))
+    def land(flight: Flight) -> Flight:
+        dr.scatter(t, flight.cursor.t + flight.entry, flight.index)
+        dr.scatter(record, flight.cursor.hit, flight.index)
+        return fetch(flight.index + stride)
 
-    def finish(index: UInt32, ray: Ray3f, cursor: Cursor) -> Any:
-        dr.scatter(t, cursor.t, index)
-        dr.scatter(record, cursor.hit, index)
-        following = index + stride
-        ray, usable = fetch(following)
-        return following, ray, start(records, ray.maxt, usable)
-
-    def turn(index: UInt32, ray: Ray3f, cursor: Cursor) -> Any:
-        stepper = Stepper(records, ray.o, ray.d)
+    def turn(flight: Flight) -> tuple[Flight]:
+        stepper = Stepper(records, flight.origin, flight.d)
         for _ in range(STEPS):
-            cursor = stepper.step(cursor, any_hit)
-        ended = cursor.current == EMPTY
-        return dr.if_stmt((index, ray, cursor), ended, finish, lambda *x: x)
+            flight.cursor = stepper.step(flight.cursor, any_hit)
+        ended = flight.cursor.current == EMPTY
+        (flight,) = dr.if_stmt((flight,), ended, lambda flight: (land(flight),), lambda flight: (flight,))
+        return (flight,)
 
-    end = dr.while_loop(state, lambda index, ray, cursor: index < count, turn, label="ray batch")
-    dr.eval(end[0], t, record)
+    first = wide(fetch(dr.arange(UInt32, BATCH)), BATCH)
+    (end,) = dr.while_loop((first,), lambda flight: flight.index < count, turn, label="ray batch")
+    dr.eval(end.index, t, record)
     return t, record

@@ -18,12 +18,13 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.geometry.bvh.records import EMPTY, LEAF, ROOT, Records
+from djpt.geometry.bvh.records import CELL, CHILD, EMPTY, LEAF, ROOT, Records
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.minmax import maximum, minimum
+from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
 
-__all__ = ["NONE", "Cursor", "Stepper", "load", "start", "triangle_corners"]
+__all__ = ["NONE", "Cursor", "Stepper", "enter", "load", "start", "triangle_corners"]
 
 NONE = 0
 """The record number that stands for "nothing was hit"."""
@@ -58,6 +59,29 @@ def start(records: Records, maxt: Float, active: Bool | bool, hit: UInt32 | int 
     return Cursor(root, [UInt32(0) for _ in range(records.depth)], Float(maxt), UInt32(hit))
 
 
+def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
+    """Where a ray comes near the triangles, as seen from the records' centre, and its distance there.
+
+    A ray that starts within the sphere about all triangles starts there. The origin is moved without
+    loss: the errors of all sums and products are carried along, so that from far away triangles are hit
+    as precisely as from nearby (T. Ogita, S. Rump and S. Oishi, "Accurate Sum and Dot Product", 2005).
+    """
+    from_center, lost = two_sum(ray.o, -records.center)
+    inv = dr.rsqrt(dr.squared_norm(ray.d))
+    t = -dr.dot(from_center, ray.d) * dr.square(inv) - records.radius * inv
+    t = dr.select(t > 0, t, 0)
+    step = ray.d * t
+    moved, also_lost = two_sum(from_center, step)
+    return moved + (lost + also_lost + dr.fma(ray.d, t, -step)), t
+
+
+def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
+    """The sum, and what rounding took from it (D. Knuth, TAOCP vol. 2, 4.2.2)."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
 def load(words: UInt32, record: UInt32) -> list[UInt32]:
     """The 16 words of a record, by two packet loads."""
     half = record * 2
@@ -76,7 +100,8 @@ class Stepper:
     """Takes steps along a ray; holds what doesn't change from step to step."""
 
     def __init__(self, records: Records, o: Point3f, d: Vector3f) -> None:
-        self.records = records
+        """`o` as seen from the records' centre: see `enter`."""
+        self.records, self.o = records, o
         self.plane = RayPlane(o, d)
         # A direction along an axis would give inf * 0 where the origin lies in a plane.
         self.inv = Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-18, dr.copysign(Float(1e-18), x), x)) for x in d))
@@ -95,7 +120,7 @@ class Stepper:
         t = dr.select(hit, found.t, cursor.t)
         record = dr.select(hit, cursor.current, cursor.hit)
 
-        current, stack = advance(cursor, words[12], order)
+        current, stack = advance(cursor, words[12] & CHILD, order)
         if any_hit is not False:
             current = dr.select(hit & any_hit, UInt32(EMPTY), current)
         return Cursor(current, stack, t, record)
@@ -105,14 +130,13 @@ class Stepper:
 
     def _boxes(self, words: list[UInt32], reach: Float) -> list[UInt32]:
         """The four children in the order of their entry distances, as tagged integers; misses are INFINITY."""
+        cell: Any = dr.reinterpret_array(Float, words[12] & CELL)
         offset, scale = [], []
         for axis in range(3):
-            frame = words[13 + axis]
-            origin: Any = dr.reinterpret_array(Float, frame & 0xFFFFFF00)
-            cell: Any = dr.reinterpret_array(Float, (frame & 0xFF) << 23)
+            origin: Any = dr.reinterpret_array(Float, words[13 + axis])
             s = cell * self.inv[axis]
             # The 2^23 of `plane_number` is taken off here, once per axis.
-            offset.append(dr.fma(Float(-8388608.0), s, (origin - self.plane.o[axis]) * self.inv[axis]))
+            offset.append(dr.fma(Float(-8388608.0), s, (origin - self.o[axis]) * self.inv[axis]))
             scale.append(s)
         order = []
         for child in range(4):
