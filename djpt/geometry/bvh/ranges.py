@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.bvh.splits import MIDDLE, WORDS, Nodes, as_float, center, load, no_split
+from djpt.geometry.sharing import aligned, shared
 from djpt.types import ArrayXu, UInt32
 
 __all__ = ["Level", "Ranges"]
@@ -130,22 +130,3 @@ class Ranges:
         dr.scatter(self.leaf, words[6], child + dr.opaque(UInt32, next_id), ~remains)
         dr.eval(records, segments, self.leaf)
         self.records, self.segment = records, segments
-
-
-def aligned(shape: tuple[int, ...]) -> NDArray[np.uint32]:
-    """Memory for words that starts at a multiple of 64 bytes.
-
-    Dr.Jit shares NumPy's memory. Whether that is aligned is part of a kernel, so that the same code
-    would be compiled several times; and only aligned memory has packet loads.
-    """
-    count = math.prod(shape)
-    room = np.empty(count + 16, np.uint32)
-    first = (-room.ctypes.data % 64) // 4
-    return room[first : first + count].reshape(shape)
-
-
-def shared(values: NDArray[np.uint32]) -> UInt32:
-    """An array for kernels."""
-    copy = aligned(values.shape)
-    copy[...] = values
-    return UInt32(copy)

@@ -1,0 +1,31 @@
+"""Memory that NumPy and kernels share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.types import UInt32
+
+__all__ = ["aligned", "shared"]
+
+
+def aligned(shape: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Zeros in memory that starts at a multiple of 64 bytes.
+
+    Dr.Jit shares NumPy's memory, and whether it is aligned is part of a kernel: the same code would be
+    compiled several times. Also, only aligned memory has packet loads.
+    """
+    count = math.prod(shape)
+    room = np.zeros(count + 16, np.uint32)
+    first = (-room.ctypes.data % 64) // 4
+    return room[first : first + count].reshape(shape)
+
+
+def shared(values: NDArray[np.uint32]) -> UInt32:
+    """A copy of an array for kernels."""
+    copy = aligned(values.shape)
+    copy[...] = values
+    return UInt32(copy.ravel())
