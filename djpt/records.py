@@ -118,8 +118,8 @@ class PreliminaryIntersection3f:
     """The triangle within its shape, as Mitsuba counts; 0 for shapes that aren't made of triangles."""
     prim_uv: Point2f | None = None
     """Barycentric weights of the second and third corner of a mesh's triangle; 0 for other shapes."""
-    origin: Point3f | None = None
-    """Where the search for triangles began; see `djpt.geometry.bvh.traversal.enter`."""
+    near: Any = None
+    """What the search for triangles knows of the hit already: see `djpt.geometry.query.Near`."""
 
     def is_valid(self) -> Bool:
         """True where something was hit."""

@@ -112,6 +112,7 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
             f"{job.width} x {job.height} pixels at {spp} spp are more than 2^32 samples; "
             "render fewer spp under several seeds and average the images"
         )
+    scene.geometry.seen_from(sensor.to_world.translation())
     return job
 
 

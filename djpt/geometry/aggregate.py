@@ -15,8 +15,8 @@ import numpy as np
 
 from djpt.dispatch import Ensemble, Lookup
 from djpt.frame import Frame3f
-from djpt.geometry.bvh.traversal import NONE, Stepper, enter, start
-from djpt.geometry.query import ANALYTIC, FACE, Query
+from djpt.geometry.bvh.traversal import NONE, Stepper, start
+from djpt.geometry.query import ANALYTIC, FACE, Near, Query
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
 from djpt.lookup import Numbers, is_one_of
@@ -48,6 +48,14 @@ class Geometry:
         self._curved = [group for group in self.surfaces.groups if not group.plugins[0].faces()]
         self._emits = [s.emitter is not None for s in analytic]
         self._number()
+        low, high = self.bounding_box()
+        self.seen_from(low)
+        self.seen_from(high)
+
+    def seen_from(self, p: np.ndarray) -> None:
+        """Rays may start at `p`."""
+        if self.triangles is not None:
+            self.triangles.seen_from(float(np.linalg.norm(p - np.array(self.triangles.records.center).ravel())))
 
     def _number(self) -> None:
         """Tables by face number; they follow the unrolled set's numbering, which an edit may change."""
@@ -106,12 +114,15 @@ class Geometry:
         assert self.triangles is not None
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
         found = dr.isfinite(t)
-        origin, entry = enter(self.triangles.records, ray)
-        maxt = dr.select(found, t, ray.maxt) - entry
+        origin, entry = self.triangles.enter(ray)
+        maxt = dr.select(found, t, ray.maxt)
+        maxt = maxt if entry is None else maxt - entry
         if shadow is not None:
             active = active & ~(shadow & found)
         hit = dr.select(found, face | ANALYTIC, UInt32(NONE))
-        return Query(origin, ray.d, entry, start(self.triangles.records, maxt, active, hit))
+        return Query(
+            origin, ray.d, entry, start(self.triangles.records, maxt, active, hit, self.triangles.meshes.smooth)
+        )
 
     def stepper(self, query: Query) -> Stepper:
         """What takes steps for a query."""
@@ -124,11 +135,13 @@ class Geometry:
         The ray starts where the BVH began, that is `entry` before; `t` counts from its own origin.
         """
         number = query.cursor.hit
-        t = dr.select(number != NONE, query.cursor.t + query.entry, dr.inf)
+        t, origin = query.cursor.t, query.o + self.triangles.records.center
+        if query.entry is not None:
+            t, origin = t + query.entry, dr.fma(query.d, -query.entry, origin)
+        t = dr.select(number != NONE, t, dr.inf)
         face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
         face = dr.select(number != NONE, face, 0)
-        origin = dr.fma(query.d, -query.entry, query.o + self.triangles.records.center)
-        hit = PreliminaryIntersection3f(t, face, self.shape_of(face), origin=query.o)
+        hit = PreliminaryIntersection3f(t, face, self.shape_of(face), near=Near(query.o, query.entry, query.cursor.b))
         return Ray3f(origin, query.d, Float(dr.inf)), hit
 
     # ---- faces -------------------------------------------------------------------------
@@ -158,8 +171,9 @@ class Geometry:
         """The surface point of a hit; uv and dp/du, dp/dv of analytic shapes only if `full`."""
         if self.triangles is None:
             return self._analytic_surface(ray, hit.t, hit.face, lookup, full)
-        origin = enter(self.triangles.records, ray)[0] if hit.origin is None else hit.origin
-        mesh = self.triangles.surface(origin, ray.d, self.record_of(hit.face))
+        near = hit.near or Near(*self.triangles.enter(ray), None)
+        t = hit.t if near.entry is None else hit.t - near.entry
+        mesh = self.triangles.surface(near.origin, ray.d, t, self.record_of(hit.face), near.b, full)
         if not self.analytic_shapes:
             return mesh
         analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, full)

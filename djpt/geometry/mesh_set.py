@@ -177,6 +177,20 @@ class MeshSet:
         p = dr.fma(p0, b0, dr.fma(p1, b1, p2 * b2))
         return Surface(p, n, self._frame(shading, dp_du), uv, dp_du, dp_dv, Point2f(b1, b2))
 
+    @property
+    def smooth(self) -> bool:
+        """Does any mesh have vertex normals?"""
+        return self._normals is not None
+
+    def smooth_frame(self, face: UInt32, b: Point2f, n: Vector3f, dp_du: Vector3f) -> Frame3f:
+        """The shading frame at a point of a face with the normal `n` and the tangent `dp_du`."""
+        row = self.face_row(face)
+        # The vertex normals aren't flipped yet, `n` is.
+        flipped = self._flips.choose(row, -n, n) if self._flips.any else n
+        shading = self.normal_of(row, (1 - b.x - b.y, b.x, b.y), flipped)
+        shading = self._flips.choose(row, -shading, shading) if self._flips.any else shading
+        return self._frame(shading, dp_du)
+
     def _reads_rows(self) -> bool:
         return self._has_normals.any or self._has_texcoords.any or self._flips.mixed
 

@@ -95,7 +95,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         state = dr.select(shadow, lane.path, v.state)
         ended = ~lit & ~active
         here = lanes.at(lane.entry)
-        write(here.slot, job.channels(radiance, valid, []), ended & here.exists)
+        store(write, here.slot, job.channels(radiance, valid, []), ended & here.exists)
 
         entry = lanes.next(lane.entry, ended)
         sample = lanes.at(entry)
@@ -128,6 +128,16 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
 
     (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
     return end.entry + end.frame.read(end.entry & 1)
+
+
+def store(write: Write, slot: UInt32, channels: list[Float], active: Bool) -> None:
+    """Write the samples of active lanes; skipped if there are none, since scattered writes are slow."""
+
+    def stored(slot: UInt32, channels: list[Float]) -> UInt32:
+        write(slot, channels, Bool(True))
+        return slot
+
+    dr.if_stmt((slot, channels), active, stored, lambda slot, channels: slot)
 
 
 def aligned_frame(width: int) -> Any:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import time
+
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.geometry.accelerator import Statistics
 from djpt.geometry.bvh.build import Method, build
-from djpt.geometry.bvh.records import Records, pack
+from djpt.geometry.bvh.records import Records, TriangleData, pack
 from djpt.geometry.bvh.search import search
+from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.traversal import NONE
 from djpt.geometry.bvh.wide import collapse
 from djpt.records import Ray3f
@@ -22,9 +26,15 @@ class Bvh:
 
     def __init__(self, corners: NDArray[np.float32], method: Method = "sah") -> None:
         """`corners` (F, 3, 3) float32."""
+        start = time.perf_counter()
         low, high = corners.min(axis=1), corners.max(axis=1)
         tree = collapse(build(low, high, method))
-        self.records: Records = pack(tree, corners, np.zeros(len(corners), np.uint32))
+        count = len(corners)
+        unused = np.zeros((count, 3), np.float32)
+        data = TriangleData(corners, np.zeros(count, np.uint32), unused, unused[:, :2])
+        self.records: Records = pack(tree, data)
+        self._seconds = time.perf_counter() - start
+        self._faces, self._nodes, self._cost = count, len(tree.child), sah_cost(tree)
 
     def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
         """Distance (infinity on a miss) and face of the first hit."""
@@ -35,6 +45,11 @@ class Bvh:
     def any_hit(self, ray: Ray3f) -> Bool:
         """Is there a hit with 0 < t < maxt?"""
         return search(self.records, ray, True)[1] != NONE
+
+    def statistics(self) -> Statistics:
+        """Size and quality."""
+        memory = 4 * dr.width(self.records.words)
+        return Statistics(self._faces, self._nodes, self._faces, self.records.depth, self._cost, memory, self._seconds)
 
 
 def face_of(records: Records, record: UInt32) -> UInt32:

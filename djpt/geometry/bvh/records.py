@@ -6,11 +6,12 @@ node lie side by side, so that a node holds one reference.
 ==========  ==================================================  ===================
 word        node                                                triangle
 ==========  ==================================================  ===================
-0 .. 11     planes of child c along axis a, at 3 c + a:         corners, 3 x 3
-            low in the lower half, high in the upper            floats; 9 .. 11: 0
+0 .. 8      planes of child c along axis a, at 3 c + a:         corners, 3 x 3 floats
+9 .. 11     low in the lower half, high in the upper            unit normal
 12          bits 23 .. 30: those of the size of a cell as a     LEAF + mesh
             float; below them: record of the first child
-13 .. 15    origin of the node's frame, 3 floats                face; 0; 0
+13          origin of the node's frame, 3 floats                face
+14, 15                                                          direction of dp/du
 ==========  ==================================================  ===================
 
 Planes are counted in cells of the node's own frame, 2^16 to its longest side, so that a small object
@@ -35,7 +36,20 @@ from djpt.types import Float, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.geometry.bvh.wide import WideTree
 
-__all__ = ["CELL", "CHILD", "EMPTY", "LEAF", "MAX_RECORDS", "MESH", "ROOT", "WORDS", "Records", "aligned", "pack"]
+__all__ = [
+    "CELL",
+    "CHILD",
+    "EMPTY",
+    "LEAF",
+    "MAX_RECORDS",
+    "MESH",
+    "ROOT",
+    "WORDS",
+    "Records",
+    "TriangleData",
+    "aligned",
+    "pack",
+]
 
 WORDS = 16
 CHILD, CELL = 0x007FFFFF, 0x7F800000
@@ -75,6 +89,8 @@ class Records:
     """The middle of all triangles: the origin of the records' coordinates."""
     radius: Float
     """No triangle reaches further from the centre."""
+    extent: float
+    """The diagonal of the triangles' bounding box."""
     record_of_face: NDArray[np.uint32]
     """The record of each triangle."""
 
@@ -91,8 +107,22 @@ def aligned(values: NDArray[np.uint32]) -> UInt32:
     return words
 
 
-def pack(tree: WideTree, corners: NDArray[np.float32], mesh_of_face: NDArray[np.uint32]) -> Records:
-    """Lay out a tree over triangles (F, 3, 3), each of a numbered mesh."""
+@dataclass
+class TriangleData:
+    """What the records of triangles hold; (F, ..) arrays."""
+
+    corners: NDArray[np.float32]
+    """(F, 3, 3)."""
+    mesh: NDArray[np.uint32]
+    normal: NDArray[np.float32]
+    """(F, 3)."""
+    direction: NDArray[np.float32]
+    """(F, 2), see `djpt.geometry.face_frames`."""
+
+
+def pack(tree: WideTree, triangles: TriangleData) -> Records:
+    """Lay out a tree over triangles."""
+    corners = triangles.corners
     filled = tree.child != -1
     fill = filled.sum(axis=1)
     first_child = (ROOT + 1 + np.cumsum(fill) - fill).astype(np.uint32)
@@ -118,13 +148,14 @@ def pack(tree: WideTree, corners: NDArray[np.float32], mesh_of_face: NDArray[np.
     center = ((low.astype(np.float64) + high) / 2).astype(np.float32)
     extent = float(np.linalg.norm(high.astype(np.float64) - low))
     fill_nodes(words, record_of_node, tree, filled, first_child, center, np.float32(SLACK * max(extent, 1e-30)))
-    fill_triangles(words, slots[leaf], face, corners, mesh_of_face, center)
+    fill_triangles(words, slots[leaf], face, triangles, center)
     return Records(
         aligned(words),
         count,
         tree.depth,
         as_vector(center.astype(np.float64)),
         as_float(0.50001 * extent),
+        extent,
         record_of_face,
     )
 
@@ -170,14 +201,15 @@ def fill_triangles(
     words: NDArray[np.uint32],
     record: NDArray[np.uint32],
     face: NDArray[np.int32],
-    corners: NDArray[np.float32],
-    mesh_of_face: NDArray[np.uint32],
+    triangles: TriangleData,
     center: NDArray[np.float32],
 ) -> None:
     """Write the triangles' records."""
     for begin in range(0, len(record), 4 * CHUNK):
         part = slice(begin, begin + 4 * CHUNK)
         at, of = record[part], face[part]
-        words[at, :9] = (corners[of] - center).reshape(-1, 9).view(np.uint32)
-        words[at, 12] = mesh_of_face[of] | np.uint32(LEAF)
+        words[at, :9] = (triangles.corners[of] - center).reshape(-1, 9).view(np.uint32)
+        words[at, 9:12] = triangles.normal[of].view(np.uint32)
+        words[at, 12] = triangles.mesh[of] | np.uint32(LEAF)
         words[at, 13] = of
+        words[at, 14:] = triangles.direction[of].view(np.uint32)

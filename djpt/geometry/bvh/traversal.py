@@ -22,9 +22,9 @@ from djpt.geometry.bvh.records import CELL, CHILD, EMPTY, LEAF, ROOT, Records
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f
-from djpt.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
+from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["NONE", "Cursor", "Stepper", "enter", "load", "start", "triangle_corners"]
+__all__ = ["NONE", "Cursor", "Stepper", "as_float", "enter", "load", "load_second", "start", "triangle_corners"]
 
 NONE = 0
 """The record number that stands for "nothing was hit"."""
@@ -51,12 +51,68 @@ class Cursor:
     """The closest hit so far, or how far the ray reaches."""
     hit: UInt32
     """The record of the triangle at `t`, or NONE."""
+    b: Point2f | None = None
+    """Barycentric weights there of the second and third corner; None if nobody will ask."""
 
 
-def start(records: Records, maxt: Float, active: Bool | bool, hit: UInt32 | int = NONE) -> Cursor:
-    """A cursor at the root; at once finished where not `active`. `hit`: what was hit before, at `maxt`."""
+def start(
+    records: Records, maxt: Float, active: Bool | bool, hit: UInt32 | int = NONE, weights: bool = False
+) -> Cursor:
+    """A cursor at the root; at once finished where not `active`. `hit`: what was hit before, at `maxt`.
+
+    With `weights` it keeps barycentric weights.
+    """
     root: Any = dr.select(active, UInt32(ROOT), UInt32(EMPTY))
-    return Cursor(root, [UInt32(0) for _ in range(records.depth)], Float(maxt), UInt32(hit))
+    return Cursor(
+        root, [UInt32(0) for _ in range(records.depth)], Float(maxt), UInt32(hit), Point2f(0) if weights else None
+    )
+
+
+def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
+    """Where a ray comes near the triangles, as seen from the records' centre, and its distance there.
+
+    A ray that starts within the sphere about all triangles starts there. The origin is moved without
+    loss: the errors of all sums and products are carried along, so that from far away triangles are hit
+    as precisely as from nearby (T. Ogita, S. Rump and S. Oishi, "Accurate Sum and Dot Product", 2005).
+    """
+    from_center, lost = two_sum(ray.o, -records.center)
+    inv = dr.rsqrt(dr.squared_norm(ray.d))
+    t = -dr.dot(from_center, ray.d) * dr.square(inv) - records.radius * inv
+    t = dr.select(t > 0, t, 0)
+    step = ray.d * t
+    moved, also_lost = two_sum(from_center, step)
+    return moved + (lost + also_lost + dr.fma(ray.d, t, -step)), t
+
+
+def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
+    """The sum, and what rounding took from it (D. Knuth, TAOCP vol. 2, 4.2.2)."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+def load(words: UInt32, record: UInt32) -> list[UInt32]:
+    """The 16 words of a record, by two packet loads."""
+    first: Any = dr.gather(ArrayXu, words, record * 2, shape=(8, 1))
+    return [*first, *load_second(words, record)]
+
+
+def load_second(words: UInt32, record: UInt32) -> list[UInt32]:
+    """Words 8 to 15 of a record."""
+    second: Any = dr.gather(ArrayXu, words, record * 2 + 1, shape=(8, 1))
+    return list(second)
+
+
+def triangle_corners(words: list[UInt32]) -> tuple[Point3f, Point3f, Point3f]:
+    """The corners in a triangle's record."""
+    x = [as_float(w) for w in words[:9]]
+    return Point3f(x[0:3]), Point3f(x[3:6]), Point3f(x[6:9])
+
+
+def as_float(bits: UInt32) -> Float:
+    """The float with these bits."""
+    number: Any = dr.reinterpret_array(Float, bits)
+    return number
 
 
 def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
@@ -123,7 +179,8 @@ class Stepper:
         current, stack = advance(cursor, words[12] & CHILD, order)
         if any_hit is not False:
             current = dr.select(hit & any_hit, UInt32(EMPTY), current)
-        return Cursor(current, stack, t, record)
+        b = None if cursor.b is None else dr.select(hit, Point2f(found.b1, found.b2), cursor.b)
+        return Cursor(current, stack, t, record, b)
 
     def _triangle(self, words: list[UInt32]) -> TriangleHit:
         return intersect_triangle(self.plane, *triangle_corners(words))
