@@ -28,6 +28,9 @@ Method = Literal["sah", "median", "longest_axis"]
 EXACT = 12
 """Nodes with at most so many primitives try all splits."""
 
+MANY = 1 << 17
+"""From so many primitives on, the memory of kernels is given back: Dr.Jit would keep it for later arrays."""
+
 
 def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = "sah") -> BinaryTree:
     """A tree over boxes with corners `low`, `high` (N, 3), N >= 1.
@@ -53,6 +56,9 @@ def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = 
             crowded = np.ceil(np.log2(level.size)) >= deepest - len(levels)
             level = ranges.part(level, choose(ranges.records, level, method, crowded), next_id)
         primitive = ranges.leaf.numpy().view(np.int32)
+    if count > MANY:
+        del ranges
+        dr.flush_malloc_cache()
     return fitted(left, primitive, levels, low, high)
 
 
