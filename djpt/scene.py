@@ -80,20 +80,19 @@ class Scene(Plugin):
 
         bsdfs: list[BSDF] = []
         self._bsdf_of_shape: list[int] = []
-        for shape in self._shapes:
+        self._light_of_shape: list[int] = []
+        none = len(self._emitters)
+        # Those of groups included.
+        for shape in self.geometry.contents.shapes:
             if shape.bsdf is None:
                 shape.bsdf = default_bsdf(shape)
             if shape.bsdf not in bsdfs:
                 bsdfs.append(shape.bsdf)
             self._bsdf_of_shape.append(bsdfs.index(shape.bsdf))
+            self._light_of_shape.append(none if shape.emitter is None else self._emitters.index(shape.emitter))
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs or [black(f"{self.id}.bsdf")])
-
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
-        none = len(self._emitters)
-        self._light_of_shape = [
-            self._emitters.index(shape.emitter) if shape.emitter is not None else none for shape in self._shapes
-        ]
         self._prepare()
         self._light_on_miss = none if self._environment is None else self._environment
 
@@ -115,11 +114,11 @@ class Scene(Plugin):
         """Some plugins' parameters have changed: renew what was derived from them."""
         assert isinstance(self.lookup, Detached)
         self.lookup.forget()
-        for plugin in changed:
-            if isinstance(plugin, Shape):
-                self.geometry.move(plugin)
-            elif isinstance(plugin, PointLight):
-                self.geometry.move_points([e.position for e in self._emitters if isinstance(e, PointLight)])
+        shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
+        if shapes:
+            self.geometry.move(shapes)
+        if any(isinstance(plugin, PointLight) for plugin in changed):
+            self.geometry.move_points([e.position for e in self._emitters if isinstance(e, PointLight)])
         self._prepare()
 
     def with_lookup(self, lookup: Lookup) -> Scene:
@@ -173,10 +172,10 @@ class Scene(Plugin):
 
         Lanes with `through_lights` ignore shapes that emit.
         """
-        t, face = self.geometry.closest(ray, through_lights)
+        pi = self.geometry.closest(ray, through_lights)
         if active is not True:
-            t = dr.select(active, t, dr.inf)
-        return PreliminaryIntersection3f(t, face, self.geometry.shape_of(face))
+            pi.t = dr.select(active, pi.t, dr.inf)
+        return pi
 
     def ray_intersect_preliminary(self, ray: Ray3f, active: Bool | bool = True) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt, with Mitsuba's fields."""

@@ -15,7 +15,8 @@ import numpy as np
 
 from djpt.dispatch import Ensemble, Lookup
 from djpt.frame import Frame3f
-from djpt.geometry.bvh.traversal import NONE, Stepper, start
+from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
+from djpt.geometry.contents import Contents
 from djpt.geometry.query import ANALYTIC, FACE, Near, Query
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
@@ -32,19 +33,14 @@ class Geometry:
 
     def __init__(self, shapes: Sequence[Shape], points: Sequence[Point3f], open_sky: bool) -> None:
         """`points` are the positions of point lights; `open_sky`: is there light from infinity?"""
-        self.shapes = tuple(shapes)
-        self.analytic_shapes = [i for i, s in enumerate(shapes) if not s.of_triangles]
-        meshes = [i for i, s in enumerate(shapes) if s.of_triangles]
+        self.contents = Contents(shapes)
+        self.analytic_shapes = self.contents.analytic
+        every = self.contents.shapes
         lights = [s for s in shapes if s.emitter is not None]
-        analytic = [self.shapes[i] for i in self.analytic_shapes]
-        self.unrolled = Unrolled(analytic, [self.shapes[i] for i in meshes], lights, points, open_sky)
+        analytic = [every[i] for i in self.analytic_shapes]
+        self.unrolled = Unrolled(analytic, self.contents.bounding, lights, points, open_sky)
         self.surfaces: Ensemble[Shape] = Ensemble(analytic)
-        self.triangles: Any = None
-        if meshes:
-            from djpt.geometry.mesh_set import MeshSet
-            from djpt.geometry.triangles import Triangles
-
-            self.triangles = Triangles(MeshSet([shapes[i] for i in meshes]), meshes)
+        self.triangles = self.contents.triangles()
         self._curved = [group for group in self.surfaces.groups if not group.plugins[0].faces()]
         self._emits = [s.emitter is not None for s in analytic]
         self._number()
@@ -62,11 +58,14 @@ class Geometry:
         self.first_record = self.unrolled.face_count
         self._shape_of = Numbers([self.analytic_shapes[s] for s in self.unrolled.face_shape])
 
-    def move(self, shape: Shape) -> None:
-        """A shape's parameters have changed."""
-        self.unrolled.move(shape)
-        if shape.of_triangles and self.triangles is not None:
-            self.triangles.move(shape)
+    def move(self, shapes: Sequence[Shape]) -> None:
+        """Some shapes' parameters have changed."""
+        for shape in self.contents.renewed(shapes):
+            self.unrolled.move(shape)
+        if self.triangles is not None:
+            meshes = self.contents.moved_meshes(shapes)
+            if self.contents.moved_instances(shapes) or meshes:
+                self.triangles.move(meshes)
         self._number()
 
     def move_points(self, points: Sequence[Point3f]) -> None:
@@ -79,18 +78,16 @@ class Geometry:
 
     # ---- ray queries -----------------------------------------------------------------
 
-    def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> tuple[Float, UInt32]:
-        """Distance and face of the first hit with 0 < t < maxt; infinity on a miss.
-
-        Lanes with `through_lights` ignore shapes that emit.
-        """
+    def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> PreliminaryIntersection3f:
+        """The first hit with 0 < t < maxt. Lanes with `through_lights` ignore shapes that emit."""
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
         if self.triangles is None:
-            return t, face
-        found = dr.isfinite(t)
-        further, record = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(found, t, ray.maxt)), False)
-        hit = record != NONE
-        return dr.select(hit, further, t), dr.select(hit, record + self.first_record, face)
+            return PreliminaryIntersection3f(t, face, self.shape_of(face))
+        found = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(dr.isfinite(t), t, ray.maxt)))
+        hit = found.record != NONE
+        t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
+        near = None if found.inside is None else Near(*self.triangles.enter(ray), None, found.inside)
+        return PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Is anything hit with 0 < t < maxt?"""
@@ -120,14 +117,15 @@ class Geometry:
         if shadow is not None:
             active = active & ~(shadow & found)
         hit = dr.select(found, face | ANALYTIC, UInt32(NONE))
-        return Query(
-            origin, ray.d, entry, start(self.triangles.records, maxt, active, hit, self.triangles.meshes.smooth)
-        )
+        # Instances look their corners up anyway.
+        weights = self.triangles.meshes.smooth and not self.triangles.records.instanced
+        cursor = start(self.triangles.records, origin, ray.d, maxt, active, hit, weights)
+        return Query(origin, ray.d, entry, cursor)
 
-    def stepper(self, query: Query) -> Stepper:
-        """What takes steps for a query."""
+    def turn(self, query: Query, any_hit: Bool, steps: int) -> Cursor:
+        """Where the cursor is after some steps."""
         assert self.triangles is not None
-        return Stepper(self.triangles.records, query.o, query.d)
+        return turn(self.triangles.records, query.cursor, query.o, query.d, any_hit, steps)
 
     def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
         """The ray of a query whose cursor has come to the end, and its result.
@@ -139,9 +137,11 @@ class Geometry:
         if query.entry is not None:
             t, origin = t + query.entry, dr.fma(query.d, -query.entry, origin)
         t = dr.select(number != NONE, t, dr.inf)
+        passage = query.cursor.passage
+        near = Near(query.o, query.entry, query.cursor.b, None if passage is None else passage.hit_inside)
         face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
         face = dr.select(number != NONE, face, 0)
-        hit = PreliminaryIntersection3f(t, face, self.shape_of(face), near=Near(query.o, query.entry, query.cursor.b))
+        hit = PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
         return Ray3f(origin, query.d, Float(dr.inf)), hit
 
     # ---- faces -------------------------------------------------------------------------
@@ -171,9 +171,9 @@ class Geometry:
         """The surface point of a hit; uv and dp/du, dp/dv of analytic shapes only if `full`."""
         if self.triangles is None:
             return self._analytic_surface(ray, hit.t, hit.face, lookup, full)
-        near = hit.near or Near(*self.triangles.enter(ray), None)
+        near = hit.near or Near(*self.triangles.enter(ray), None, None)
         t = hit.t if near.entry is None else hit.t - near.entry
-        mesh = self.triangles.surface(near.origin, ray.d, t, self.record_of(hit.face), near.b, full)
+        mesh = self.triangles.surface(near, ray.d, t, self.record_of(hit.face), full)
         if not self.analytic_shapes:
             return mesh
         analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, full)

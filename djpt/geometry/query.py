@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from djpt.geometry.bvh.traversal import Cursor
-from djpt.types import Float, Point2f, Point3f, Vector3f
+from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["ANALYTIC", "FACE", "Near", "Query"]
 
@@ -26,6 +26,8 @@ class Near:
     """How far it was moved, in units of the ray's `d`; None: not at all."""
     b: Point2f | None
     """Barycentric weights of the second and third corner, if they are known."""
+    inside: UInt32 | None
+    """In scenes with instances: the record of that which the triangle belongs to."""
 
 
 @dataclass

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import drjit as dr
 
-from djpt.geometry.bvh.build import build
-from djpt.geometry.bvh.records import LEAF, MESH, WORDS, Records, TriangleData, pack
-from djpt.geometry.bvh.search import search
-from djpt.geometry.bvh.traversal import NONE, as_float, enter, load, load_second, triangle_corners
-from djpt.geometry.bvh.wide import collapse
 from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.face_frames import face_frames
+from djpt.geometry.bvh.records import LEAF, NUMBER, WORDS
+from djpt.geometry.bvh.search import Found, search
+from djpt.geometry.bvh.traversal import NONE, as_float, enter, into_group, load, load_second, triangle_corners
+from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
+from djpt.geometry.query import Near
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.lookup import Numbers
@@ -33,25 +33,23 @@ FAR = 8
 class Triangles:
     """Ray queries against the meshes of a scene. Faces are named by their record in the BVH."""
 
-    def __init__(self, meshes: MeshSet, shapes: Sequence[int]) -> None:
-        """`shapes[i]` is the index in the scene of the i-th mesh."""
-        self.meshes = meshes
+    def __init__(self, meshes: MeshSet, shapes: Sequence[int], forest: Forest) -> None:
+        """`shapes[i]` is the scene's number of the i-th mesh; `forest` builds the trees over them."""
+        self.meshes, self.forest = meshes, forest
         self._shapes = list(shapes)
         self._shape_of_mesh = Numbers(self._shapes)
         self._first_face = Numbers(meshes.first_face)
-        self.records = self._build()
+        start = time.perf_counter()
+        self.records = forest.records()
+        self.build_seconds = time.perf_counter() - start
         self._far = False
 
-    def _build(self) -> Records:
-        corners = self.meshes.corners()
-        tree = collapse(build(corners.min(axis=1), corners.max(axis=1)))
-        normals, directions = face_frames(self.meshes, corners)
-        return pack(tree, TriangleData(corners, self.meshes.mesh_of_face(), normals, directions))
-
-    def move(self, mesh: Mesh) -> None:
-        """A mesh has new vertices or faces."""
-        self.meshes.refresh(mesh)
-        self.records = self._build()
+    def move(self, meshes: Sequence[Mesh]) -> None:
+        """Some meshes have new vertices or faces, or instances have moved."""
+        for mesh in meshes:
+            self.meshes.refresh(mesh)
+        self._first_face = Numbers(self.meshes.first_face)
+        self.records = self.forest.records()
 
     def seen_from(self, distance: float) -> None:
         """Rays may start as far as that from the centre: from far away they are moved near, see `enter`.
@@ -66,19 +64,19 @@ class Triangles:
         """The origin as seen from the centre, moved near the triangles if rays start far away; and how far."""
         return enter(self.records, ray) if self._far else (ray.o - self.records.center, None)
 
-    def search(self, ray: Ray3f, any_hit: bool, active: Bool | bool = True) -> tuple[Float, UInt32]:
-        """Distance and record of the first hit with 0 < t < maxt, or of any one; NONE on a miss."""
-        return search(self.records, ray, any_hit, active)
+    def search(self, ray: Ray3f, active: Bool | bool = True) -> Found:
+        """The first hit with 0 < t < maxt."""
+        return search(self.records, ray, False, active)
 
     def occluded(self, ray: Ray3f, active: Bool | bool) -> Bool:
         """Is there a hit with 0 < t < maxt?"""
-        return self.search(ray, True, active)[1] != NONE
+        return search(self.records, ray, True, active).record != NONE
 
     # ---- what a record says --------------------------------------------------------------
 
     def mesh_of(self, record: UInt32) -> UInt32:
         """The mesh that a triangle belongs to."""
-        return dr.gather(UInt32, self.records.words, record * WORDS + 12) & MESH
+        return dr.gather(UInt32, self.records.words, record * WORDS + 12, record != NONE) & NUMBER
 
     def shape_of(self, record: UInt32) -> UInt32:
         """The index of its shape in the scene."""
@@ -93,28 +91,69 @@ class Triangles:
         face = dr.gather(UInt32, self.records.words, record * WORDS + 13, record != NONE)
         return face - self._first_face.at(self.mesh_of(record))
 
-    def surface(self, origin: Point3f, d: Vector3f, t: Float, record: UInt32, b: Point2f | None, full: bool) -> Surface:
-        """The point where a ray hits a triangle, `t` beyond `origin`, which is what `enter` gave.
+    def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
+        """The point where a ray hits a triangle; `t` counts from `near.origin`.
 
-        `b` are the barycentric weights, if they are known. Unless `full`, uv and the lengths of dp/du
-        and dp/dv aren't needed: that takes half a record, and no corners.
+        Unless `full`, uv and the lengths of dp/du and dp/dv aren't needed: that takes half a record,
+        and no corners.
         """
-        if full or (self.meshes.smooth and b is None):
-            words = load(self.records.words, record)
-            corners = triangle_corners(words)
-            hit = intersect_triangle(RayPlane(origin, d), *corners)
-            # The empty record stands for a miss: any face will do, but one that exists.
-            face = dr.select(words[12] >= LEAF, words[13], 0)
-            surface = self.meshes.surface(face, corners, hit.b1, hit.b2)
+        if near.inside is not None:
+            return self._instanced(near, near.inside, d, t, record)
+        if full or (self.meshes.smooth and near.b is None):
+            surface = self._by_corners(near.origin, d, record)
             surface.p = surface.p + self.records.center
             return surface
         half = load_second(self.records.words, record)
         n = Vector3f(*(as_float(word) for word in half[1:4]))
-        s, t_ = coordinate_system(n)
-        dp_du = dr.fma(s, as_float(half[6]), t_ * as_float(half[7]))
-        p = dr.fma(d, t, origin) + self.records.center
+        tangents = coordinate_system(n)
+        dp_du = dr.fma(tangents[0], as_float(half[6]), tangents[1] * as_float(half[7]))
+        p = dr.fma(d, t, near.origin) + self.records.center
         frame, weights = Frame3f(dp_du, dr.cross(n, dp_du), n), Point2f(0)
-        if b is not None:
-            weights = b
-            frame = self.meshes.smooth_frame(dr.select(half[4] >= LEAF, half[5], 0), b, n, dp_du)
+        if near.b is not None:
+            weights = near.b
+            frame = self.meshes.smooth_frame(dr.select(half[4] >= LEAF, half[5], 0), weights, n, dp_du)
         return Surface(p, n, frame, weights, dp_du, frame.t, weights)
+
+    def _by_corners(self, origin: Point3f, d: Vector3f, record: UInt32) -> Surface:
+        """The point with all that belongs to it, as seen from the centre of the triangle's tree."""
+        words = load(self.records.words, record)
+        corners = triangle_corners(words)
+        hit = intersect_triangle(RayPlane(origin, d), *corners)
+        # The empty record stands for a miss: any face will do, but one that exists.
+        face = dr.select(words[12] >= LEAF, words[13], 0)
+        return self.meshes.surface(face, corners, hit.b1, hit.b2)
+
+    def _instanced(self, near: Near, inside: UInt32, d: Vector3f, t: Float, record: UInt32) -> Surface:
+        """The point on a triangle that may belong to an instance."""
+        within = inside != NONE
+        words = load(self.records.words, inside)
+        o, local_d = into_group(words, near.origin, d)
+        surface = self._by_corners(dr.select(within, o, near.origin), dr.select(within, local_d, d), record)
+        p = dr.select(within, dr.fma(d, t, near.origin), surface.p) + self.records.center
+        surface = dr.select(within, to_world(words, surface), surface)
+        surface.p = p
+        return surface
+
+
+def to_world(words: list[UInt32], surface: Surface) -> Surface:
+    """A surface point of a group in the space of an instance, whose record is given; all but `p`."""
+    m = [as_float(word) for word in words[:12]]
+    rows = [Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]) for i in range(3)]
+    # The columns of the inverse: the way back into the world.
+    adjugate = [dr.cross(rows[1], rows[2]), dr.cross(rows[2], rows[0]), dr.cross(rows[0], rows[1])]
+    inv = dr.rcp(dr.dot(rows[0], adjugate[0]))
+
+    def vector(v: Vector3f) -> Vector3f:
+        return (adjugate[0] * v.x + adjugate[1] * v.y + adjugate[2] * v.z) * inv
+
+    def normal(n: Vector3f) -> Vector3f:
+        turned = rows[0] * n.x + rows[1] * n.y + rows[2] * n.z
+        squared = dr.squared_norm(turned)
+        return dr.select(squared > 0, turned * dr.rsqrt(squared), Vector3f(0, 0, 1))
+
+    n, dp_du, shading = normal(surface.n), vector(surface.dp_du), normal(surface.sh_frame.n)
+    s = dr.fma(shading, -dr.dot(shading, dp_du), dp_du)
+    squared = dr.squared_norm(s)
+    s = dr.select(squared > 0, s * dr.rsqrt(squared), coordinate_system(shading)[0])
+    frame = Frame3f(s, dr.cross(shading, s), shading)
+    return Surface(surface.p, n, frame, surface.uv, dp_du, vector(surface.dp_dv), surface.prim_uv)

@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY
-from djpt.geometry.bvh.traversal import STEPS, Cursor
+from djpt.geometry.bvh.traversal import STEPS
 from djpt.geometry.query import Query
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.lanewide import wide
@@ -117,9 +117,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
-        stepper = geometry.stepper(lane.query)
-        for _ in range(STEPS):
-            lane.query.cursor = stepper.step(lane.query.cursor, lane.shadow)
+        lane.query.cursor = geometry.turn(lane.query, lane.shadow, STEPS)
         (lane,) = dr.if_stmt(
             (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
         )

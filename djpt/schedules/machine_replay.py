@@ -131,9 +131,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
-        stepper = geometry.stepper(lane.query)
-        for _ in range(STEPS):
-            lane.query.cursor = stepper.step(lane.query.cursor, lane.shadow)
+        lane.query.cursor = geometry.turn(lane.query, lane.shadow, STEPS)
         ended = lane.query.cursor.current == EMPTY
         (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)

@@ -24,11 +24,11 @@ from djpt.integrators.base import PathIntegrator, PathState
 from djpt.lanewide import wide
 from djpt.records import Ray3f
 from djpt.replay import Accumulator, Numbering, Parameter, Tangents
+from djpt.schedules import machine_replay
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job
-from djpt.schedules import machine_replay
 from djpt.schedules.lanes import Lanes, TiledLanes, interleaved, layered
-from djpt.schedules.replay_modes import Adjoint, Forward, Mode, Reverse
+from djpt.schedules.replay_modes import Forward, Mode, Reverse
 from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
 

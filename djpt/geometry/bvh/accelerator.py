@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from djpt.geometry.accelerator import Statistics
 from djpt.geometry.bvh.build import Method, build
-from djpt.geometry.bvh.records import Records, TriangleData, pack
+from djpt.geometry.bvh.leaves import TriangleLeaves
+from djpt.geometry.bvh.records import Records, pack
 from djpt.geometry.bvh.search import search
 from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.traversal import NONE
@@ -31,20 +32,20 @@ class Bvh:
         tree = collapse(build(low, high, method))
         count = len(corners)
         unused = np.zeros((count, 3), np.float32)
-        data = TriangleData(corners, np.zeros(count, np.uint32), unused, unused[:, :2])
-        self.records: Records = pack(tree, data)
+        data = TriangleLeaves(corners, np.zeros(count, np.uint32), unused, unused[:, :2])
+        self.records: Records = pack([tree], [data])
         self._seconds = time.perf_counter() - start
         self._faces, self._nodes, self._cost = count, len(tree.child), sah_cost(tree)
 
     def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
         """Distance (infinity on a miss) and face of the first hit."""
-        t, record = search(self.records, ray, False)
-        face = face_of(self.records, record)
-        return dr.select(record != NONE, t, dr.inf), face
+        found = search(self.records, ray, False)
+        face = face_of(self.records, found.record)
+        return dr.select(found.record != NONE, found.t, dr.inf), face
 
     def any_hit(self, ray: Ray3f) -> Bool:
         """Is there a hit with 0 < t < maxt?"""
-        return search(self.records, ray, True)[1] != NONE
+        return search(self.records, ray, True).record != NONE
 
     def statistics(self) -> Statistics:
         """Size and quality."""

@@ -1,69 +1,56 @@
-"""The BVH in memory: one record of 64 bytes per node or triangle.
+"""The BVH in memory: one record of 64 bytes per node, triangle or instance.
 
 A lane that takes a step loads one record, whatever it is, with two packet loads. The children of a
 node lie side by side, so that a node holds one reference.
 
-==========  ==================================================  ===================
-word        node                                                triangle
-==========  ==================================================  ===================
-0 .. 8      planes of child c along axis a, at 3 c + a:         corners, 3 x 3 floats
-9 .. 11     low in the lower half, high in the upper            unit normal
-12          bits 23 .. 30: those of the size of a cell as a     LEAF + mesh
-            float; below them: record of the first child
-13          origin of the node's frame, 3 floats                face
-14, 15                                                          direction of dp/du
-==========  ==================================================  ===================
+======  ================================================  ======================  ==================
+word    node                                              triangle                instance
+======  ================================================  ======================  ==================
+0 .. 8  planes of child c along axis a, at 3 c + a:       corners, 3 x 3 floats   into the space of
+9 .. 11 low in the lower half, high in the upper          unit normal             its group: 3 x 4
+12      bits 23 .. 30: those of the size of a cell as a   LEAF + mesh             LEAF + PORTAL +
+        float; below them: record of the first child                              number of it
+13      origin of the node's frame, 3 floats              face                    root of its group
+14, 15                                                    direction of dp/du      0, 0
+======  ================================================  ======================  ==================
 
 Planes are counted in cells of the node's own frame, 2^16 to its longest side, so that a small object
-in a large scene loses nothing. All coordinates count from the middle of the scene, so that far from
+in a large scene loses nothing. All coordinates count from the middle of their tree, so that far from
 the world's origin nothing is lost either. Record 0 is a node without children: lanes that wait spin
-on it.
+on it. Record 1 is the way out of an instance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import SceneError
+from djpt.geometry.sharing import aligned
 from djpt.lookup import as_float, as_vector
 from djpt.types import Float, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.geometry.bvh.wide import WideTree
 
-__all__ = [
-    "CELL",
-    "CHILD",
-    "EMPTY",
-    "LEAF",
-    "MAX_RECORDS",
-    "MESH",
-    "ROOT",
-    "WORDS",
-    "Records",
-    "TriangleData",
-    "aligned",
-    "pack",
-]
+__all__ = ["CELL", "CHILD", "EMPTY", "EXIT", "LEAF", "NUMBER", "PORTAL", "ROOT", "WORDS", "Leaves", "Records", "pack"]
 
 WORDS = 16
+
 CHILD, CELL = 0x007FFFFF, 0x7F800000
 """The parts of word 12 of nodes."""
 
-EMPTY = 0
-ROOT = 1
-LEAF = 0x80000000
-"""Set in word 12 of triangles."""
+LEAF, PORTAL, NUMBER = 0x80000000, 0x40000000, 0x3FFFFFFF
+"""The parts of word 12 of triangles and instances."""
 
-MESH = 0x7FFFFFFF
-"""The rest of word 12 of triangles."""
+EMPTY, EXIT, ROOT = 0, 1, 2
+"""Records of their own: no node, the way out of an instance, the root."""
 
-MAX_RECORDS = 1 << 23
+MAX_RECORDS = CHILD + 1
 """Stack entries hold a record number and three 3-bit tags in 32 bits."""
 
 NO_CHILD = 0x0000FFFF
@@ -73,95 +60,107 @@ EMPTY_CELL = (127 + 20) << 23
 """A large cell, so that no rounding puts the reversed planes in order again."""
 
 SLACK = 4e-7
-"""Boxes grow by this share of the scene's extent: the rounding of a ray's distances to planes."""
+"""Boxes grow by this share of the tree's extent: the rounding of a ray's distances to planes."""
+
+CHUNK = 1 << 16
+"""Nodes that are quantised at a time: bounds temporary memory."""
+
+
+class Leaves(Protocol):
+    """The primitives that a tree's leaves refer to."""
+
+    def write(
+        self, words: NDArray[np.uint32], at: NDArray[np.uint32], of: NDArray[np.int32], center: NDArray[np.float32]
+    ) -> None:
+        """Write the records `at` of the primitives `of`; `center` is the origin of coordinates."""
 
 
 @dataclass
 class Records:
-    """The packed tree, ready for kernels."""
+    """The packed trees, ready for kernels."""
 
     words: UInt32
     """All records, 16 words each."""
     count: int
     depth: int
-    """Levels of nodes: how many stack entries a traversal needs."""
+    """Stack entries that a traversal needs."""
     center: Point3f
-    """The middle of all triangles: the origin of the records' coordinates."""
+    """The middle of all that the first tree holds: the origin of its coordinates."""
     radius: Float
-    """No triangle reaches further from the centre."""
+    """Nothing reaches further from the centre."""
     extent: float
-    """The diagonal of the triangles' bounding box."""
-    record_of_face: NDArray[np.uint32]
-    """The record of each triangle."""
-
-
-def aligned(values: NDArray[np.uint32]) -> UInt32:
-    """A Dr.Jit copy of an array in memory of its own.
-
-    Arrays made from NumPy's share its memory, which isn't aligned: Dr.Jit then silently gathers word
-    by word instead of whole records.
-    """
-    words = UInt32(values.ravel()) ^ dr.opaque(UInt32, 0)
-    dr.eval(words)
-    dr.sync_thread()
-    return words
+    """The diagonal of the bounding box."""
+    instanced: bool
+    """Are there instances?"""
 
 
 @dataclass
-class TriangleData:
-    """What the records of triangles hold; (F, ..) arrays."""
+class Extent:
+    """The box about a tree."""
 
-    corners: NDArray[np.float32]
-    """(F, 3, 3)."""
-    mesh: NDArray[np.uint32]
-    normal: NDArray[np.float32]
-    """(F, 3)."""
-    direction: NDArray[np.float32]
-    """(F, 2), see `djpt.geometry.face_frames`."""
+    center: NDArray[np.float32]
+    diagonal: float
+
+    @staticmethod
+    def of(tree: WideTree) -> Extent:
+        """The box of the root's children."""
+        filled = tree.child[0] != -1
+        low, high = tree.box[0, filled, :3].min(axis=0), tree.box[0, filled, 3:].max(axis=0)
+        center = ((low.astype(np.float64) + high) / 2).astype(np.float32)
+        return Extent(center, float(np.linalg.norm(high.astype(np.float64) - low)))
 
 
-def pack(tree: WideTree, triangles: TriangleData) -> Records:
-    """Lay out a tree over triangles."""
-    corners = triangles.corners
-    filled = tree.child != -1
-    fill = filled.sum(axis=1)
-    first_child = (ROOT + 1 + np.cumsum(fill) - fill).astype(np.uint32)
-    count = int(ROOT + 1 + fill.sum())
-    if count > MAX_RECORDS:
+def roots(trees: Sequence[WideTree]) -> list[int]:
+    """Where `pack` will put the root of each tree."""
+    sizes = [1 + int((tree.child != -1).sum()) for tree in trees]
+    return [ROOT + int(n) for n in np.cumsum([0, *sizes])]
+
+
+def pack(trees: Sequence[WideTree], leaves: Sequence[Leaves], least_depth: int = 0) -> Records:
+    """Lay out some trees, each over the primitives of its `leaves`; rays start in the first.
+
+    The others are reached by instances. `least_depth` keeps kernels that are compiled already usable.
+    """
+    starts = roots(trees)
+    if starts[-1] > MAX_RECORDS:
         raise SceneError(
-            f"{len(corners)} triangles in one scene are too many: about {MAX_RECORDS * 2 // 3} are possible"
+            f"the scene has too many triangles: they take {starts[-1]} records of the BVH, {MAX_RECORDS} are possible"
         )
-    slots = first_child[:, None] + np.arange(tree.child.shape[1], dtype=np.uint32)
-
-    record_of_node = np.empty(len(tree.child), np.uint32)
-    record_of_node[0] = ROOT
-    inner = tree.child >= 0
-    record_of_node[tree.child[inner]] = slots[inner]
-    leaf = tree.child <= -2
-    face = -2 - tree.child[leaf]
-    record_of_face = np.zeros(len(corners), np.uint32)
-    record_of_face[face] = slots[leaf]
-
-    words = np.zeros((count, WORDS), np.uint32)
+    words = aligned((starts[-1], WORDS))
     words[EMPTY, :12], words[EMPTY, 12] = NO_CHILD, EMPTY_CELL
-    low, high = tree.box[0, filled[0], :3].min(axis=0), tree.box[0, filled[0], 3:].max(axis=0)
-    center = ((low.astype(np.float64) + high) / 2).astype(np.float32)
-    extent = float(np.linalg.norm(high.astype(np.float64) - low))
-    fill_nodes(words, record_of_node, tree, filled, first_child, center, np.float32(SLACK * max(extent, 1e-30)))
-    fill_triangles(words, slots[leaf], face, triangles, center)
+    words[EXIT, 12] = LEAF | PORTAL | NUMBER
+    extents = [Extent.of(tree) for tree in trees]
+    for tree, root, primitives, extent in zip(trees, starts, leaves, extents, strict=False):
+        pack_tree(words, tree, root, primitives, extent)
+    first = extents[0]
     return Records(
-        aligned(words),
-        count,
-        tree.depth,
-        as_vector(center.astype(np.float64)),
-        as_float(0.50001 * extent),
-        extent,
-        record_of_face,
+        UInt32(words.ravel()),
+        starts[-1],
+        max(least_depth, trees[0].depth + max((1 + tree.depth for tree in trees[1:]), default=0)),
+        as_vector(first.center.astype(np.float64)),
+        as_float(0.50001 * first.diagonal),
+        first.diagonal,
+        len(trees) > 1,
     )
 
 
-CHUNK = 1 << 16
-"""Nodes that are quantised at a time: bounds temporary memory."""
+def pack_tree(words: NDArray[np.uint32], tree: WideTree, root: int, leaves: Leaves, extent: Extent) -> None:
+    """Write the records of one tree."""
+    filled = tree.child != -1
+    fill = filled.sum(axis=1)
+    first_child = (root + 1 + np.cumsum(fill) - fill).astype(np.uint32)
+    slots = first_child[:, None] + np.arange(tree.child.shape[1], dtype=np.uint32)
+    record_of_node = np.empty(len(tree.child), np.uint32)
+    record_of_node[0] = root
+    inner = tree.child >= 0
+    record_of_node[tree.child[inner]] = slots[inner]
+    slack = np.float32(SLACK * max(extent.diagonal, 1e-30))
+    fill_nodes(words, record_of_node, tree, filled, first_child, extent.center, slack)
+    leaf = tree.child <= -2
+    at, of = slots[leaf], -2 - tree.child[leaf]
+    for begin in range(0, len(at), 4 * CHUNK):
+        part = slice(begin, begin + 4 * CHUNK)
+        leaves.write(words, at[part], of[part], extent.center)
 
 
 def fill_nodes(
@@ -195,21 +194,3 @@ def fill_nodes(
         words[record, :12] = (first | (last << np.uint32(16))).reshape(-1, 12)
         words[record, 12] = first_child[part] | cell[:, 0].view(np.uint32)
         words[record, 13:] = origin.view(np.uint32)
-
-
-def fill_triangles(
-    words: NDArray[np.uint32],
-    record: NDArray[np.uint32],
-    face: NDArray[np.int32],
-    triangles: TriangleData,
-    center: NDArray[np.float32],
-) -> None:
-    """Write the triangles' records."""
-    for begin in range(0, len(record), 4 * CHUNK):
-        part = slice(begin, begin + 4 * CHUNK)
-        at, of = record[part], face[part]
-        words[at, :9] = (triangles.corners[of] - center).reshape(-1, 9).view(np.uint32)
-        words[at, 9:12] = triangles.normal[of].view(np.uint32)
-        words[at, 12] = triangles.mesh[of] | np.uint32(LEAF)
-        words[at, 13] = of
-        words[at, 14:] = triangles.direction[of].view(np.uint32)

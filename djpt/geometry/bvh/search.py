@@ -7,31 +7,41 @@ from dataclasses import dataclass
 import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY, Records
-from djpt.geometry.bvh.traversal import STEPS, Cursor, Stepper, enter, start
-from djpt.records import Ray3f
+from djpt.geometry.bvh.traversal import STEPS, Cursor, enter, start, turn
 from djpt.lanewide import wide
+from djpt.records import Ray3f
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
-__all__ = ["search"]
+__all__ = ["Found", "search"]
 
 BATCH = 2**17
 """Rays in flight: lanes of a persistent loop. Eight blocks of Dr.Jit's, so that cores share them evenly."""
 
 
-def search(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool = True) -> tuple[Float, UInt32]:
-    """Distance and record of the first hit, or of any one; the record is NONE on a miss."""
+@dataclass
+class Found:
+    """The result of a search."""
+
+    t: Float
+    record: UInt32
+    """The record of the triangle, or NONE."""
+    inside: UInt32 | None
+    """The record of the instance that it belongs to, or NONE; None in scenes without instances."""
+
+
+def search(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool = True) -> Found:
+    """The first hit with 0 < t < maxt, or any one."""
     lanes = dr.width(ray, active)
     if lanes >= 2 * BATCH and not dr.flag(dr.JitFlag.SymbolicScope):
         return batched(records, ray, any_hit, active, lanes)
     origin, entry = enter(records, ray)
-    stepper = Stepper(records, origin, ray.d)
     (end,) = dr.while_loop(
-        (wide(start(records, ray.maxt - entry, active), lanes),),
+        (wide(start(records, origin, ray.d, ray.maxt - entry, active), lanes),),
         lambda cursor: cursor.current != EMPTY,
-        lambda cursor: (stepper.step(cursor, any_hit),),
+        lambda cursor: (turn(records, cursor, origin, ray.d, any_hit, 1),),
         label="any hit" if any_hit else "closest hit",
     )
-    return end.t + entry, end.hit
+    return Found(end.t + entry, end.hit, end.passage and end.passage.hit_inside)
 
 
 @dataclass
@@ -45,7 +55,7 @@ class Flight:
     cursor: Cursor
 
 
-def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, lanes: int) -> tuple[Float, UInt32]:
+def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, lanes: int) -> Found:
     """The same for many rays: a lane that has finished takes the next ray.
 
     Traversals differ in length; with one ray per lane a packet would wait for its longest.
@@ -54,32 +64,33 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
     dr.eval(o, d, maxt, live)
     count, stride = dr.opaque(UInt32, lanes), dr.opaque(UInt32, BATCH)
     t, record = dr.empty(Float, lanes), dr.empty(UInt32, lanes)
+    inside = dr.empty(UInt32, lanes) if records.instanced else None
 
     def fetch(index: UInt32) -> Flight:
-        inside = index < count
+        exists = index < count
         ray = Ray3f(
-            Point3f(*(dr.gather(Float, x, index, inside) for x in o)),
-            Vector3f(*(dr.gather(Float, x, index, inside) for x in d)),
-            dr.gather(Float, maxt, index, inside),
+            Point3f(*(dr.gather(Float, x, index, exists) for x in o)),
+            Vector3f(*(dr.gather(Float, x, index, exists) for x in d)),
+            dr.gather(Float, maxt, index, exists),
         )
         origin, entry = enter(records, ray)
-        usable = inside & dr.gather(Bool, live, index, inside)
-        return Flight(index, origin, ray.d, entry, start(records, ray.maxt - entry, usable))
+        usable = exists & dr.gather(Bool, live, index, exists)
+        return Flight(index, origin, ray.d, entry, start(records, origin, ray.d, ray.maxt - entry, usable))
 
     def land(flight: Flight) -> Flight:
         dr.scatter(t, flight.cursor.t + flight.entry, flight.index)
         dr.scatter(record, flight.cursor.hit, flight.index)
+        if inside is not None:
+            dr.scatter(inside, flight.cursor.passage.hit_inside, flight.index)
         return fetch(flight.index + stride)
 
-    def turn(flight: Flight) -> tuple[Flight]:
-        stepper = Stepper(records, flight.origin, flight.d)
-        for _ in range(STEPS):
-            flight.cursor = stepper.step(flight.cursor, any_hit)
+    def body(flight: Flight) -> tuple[Flight]:
+        flight.cursor = turn(records, flight.cursor, flight.origin, flight.d, any_hit, STEPS)
         ended = flight.cursor.current == EMPTY
         (flight,) = dr.if_stmt((flight,), ended, lambda flight: (land(flight),), lambda flight: (flight,))
         return (flight,)
 
     first = wide(fetch(dr.arange(UInt32, BATCH)), BATCH)
-    (end,) = dr.while_loop((first,), lambda flight: flight.index < count, turn, label="ray batch")
-    dr.eval(end.index, t, record)
-    return t, record
+    (end,) = dr.while_loop((first,), lambda flight: flight.index < count, body, label="ray batch")
+    dr.eval(end.index, t, record, inside)
+    return Found(t, record, inside)

@@ -18,13 +18,25 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.geometry.bvh.records import CELL, CHILD, EMPTY, LEAF, ROOT, Records
+from djpt.geometry.bvh.records import CELL, CHILD, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, Records
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["NONE", "Cursor", "Stepper", "as_float", "enter", "load", "load_second", "start", "triangle_corners"]
+__all__ = [
+    "NONE",
+    "STEPS",
+    "Cursor",
+    "as_float",
+    "enter",
+    "into_group",
+    "load",
+    "load_second",
+    "start",
+    "triangle_corners",
+    "turn",
+]
 
 NONE = 0
 """The record number that stands for "nothing was hit"."""
@@ -37,6 +49,21 @@ INFINITY = 0x7F800000
 
 MAGIC = 0x4B000000
 """The bits of 2^23: with a 16-bit number in the lower half, of 2^23 plus that number."""
+
+
+@dataclass
+class Passage:
+    """A lane's way through instances: loop state."""
+
+    o: Point3f
+    """The ray in the space that the lane is in, of an instance or of the world."""
+    d: Vector3f
+    inside: UInt32
+    """The record of the instance that the lane is in, or NONE."""
+    hit_inside: UInt32
+    """The same of the hit."""
+    waiting: Bool
+    """Has the lane come to the record of an instance, or to the way out of one?"""
 
 
 @dataclass
@@ -53,42 +80,82 @@ class Cursor:
     """The record of the triangle at `t`, or NONE."""
     b: Point2f | None = None
     """Barycentric weights there of the second and third corner; None if nobody will ask."""
+    passage: Passage | None = None
+    """In scenes with instances: where the lane is among them."""
 
 
 def start(
-    records: Records, maxt: Float, active: Bool | bool, hit: UInt32 | int = NONE, weights: bool = False
+    records: Records,
+    o: Point3f,
+    d: Vector3f,
+    maxt: Float,
+    active: Bool | bool,
+    hit: UInt32 | int = NONE,
+    weights: bool = False,
 ) -> Cursor:
     """A cursor at the root; at once finished where not `active`. `hit`: what was hit before, at `maxt`.
 
     With `weights` it keeps barycentric weights.
     """
     root: Any = dr.select(active, UInt32(ROOT), UInt32(EMPTY))
+    stack = [UInt32(0) for _ in range(records.depth)]
+    passage = Passage(Point3f(o), Vector3f(d), UInt32(NONE), UInt32(NONE), Bool(False)) if records.instanced else None
+    return Cursor(root, stack, Float(maxt), UInt32(hit), Point2f(0) if weights else None, passage)
+
+
+def turn(records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool | bool, steps: int) -> Cursor:
+    """Some steps of a ray, and the crossing into or out of an instance that a lane has come to."""
+    passage = cursor.passage
+    if passage is None:
+        stepper = Stepper(records, o, d)
+        for _ in range(steps):
+            cursor = stepper.step(cursor, any_hit)
+        return cursor
+    stepper = Stepper(records, passage.o, passage.d)
+    for _ in range(steps):
+        cursor = stepper.step(cursor, any_hit)
+    assert cursor.passage is not None
+    (cursor,) = dr.if_stmt(
+        (cursor,),
+        cursor.passage.waiting,
+        lambda cursor: (cross(records, cursor, o, d),),
+        lambda cursor: (cursor,),
+    )
+    return cursor
+
+
+def cross(records: Records, cursor: Cursor, o: Point3f, d: Vector3f) -> Cursor:
+    """Go into the instance at the current record, or out of the one that a lane is in; o, d: the ray in the world."""
+    passage = cursor.passage
+    assert passage is not None
+    words = load(records.words, cursor.current)
+    out = (words[12] & NUMBER) == NUMBER
+    into_o, into_d = into_group(words, o, d)
+    # The way out lies under the group's tree on the stack.
+    way_out = UInt32((EXIT << 9) | 4)
+    back, popped = advance(cursor, UInt32(0), [UInt32(INFINITY)] * 4, Bool(False))
+    pushed = [way_out, *cursor.stack[:-1]]
     return Cursor(
-        root, [UInt32(0) for _ in range(records.depth)], Float(maxt), UInt32(hit), Point2f(0) if weights else None
+        dr.select(out, back, words[13]),
+        [dr.select(out, a, b) for a, b in zip(popped, pushed, strict=True)],
+        cursor.t,
+        cursor.hit,
+        cursor.b,
+        Passage(
+            dr.select(out, o, into_o),
+            dr.select(out, d, into_d),
+            dr.select(out, UInt32(NONE), cursor.current),
+            passage.hit_inside,
+            Bool(False),
+        ),
     )
 
 
-def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
-    """Where a ray comes near the triangles, as seen from the records' centre, and its distance there.
-
-    A ray that starts within the sphere about all triangles starts there. The origin is moved without
-    loss: the errors of all sums and products are carried along, so that from far away triangles are hit
-    as precisely as from nearby (T. Ogita, S. Rump and S. Oishi, "Accurate Sum and Dot Product", 2005).
-    """
-    from_center, lost = two_sum(ray.o, -records.center)
-    inv = dr.rsqrt(dr.squared_norm(ray.d))
-    t = -dr.dot(from_center, ray.d) * dr.square(inv) - records.radius * inv
-    t = dr.select(t > 0, t, 0)
-    step = ray.d * t
-    moved, also_lost = two_sum(from_center, step)
-    return moved + (lost + also_lost + dr.fma(ray.d, t, -step)), t
-
-
-def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
-    """The sum, and what rounding took from it (D. Knuth, TAOCP vol. 2, 4.2.2)."""
-    total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
+def into_group(words: list[UInt32], o: Point3f, d: Vector3f) -> tuple[Point3f, Vector3f]:
+    """A ray in the space of the group that an instance's record names; distances stay as they are."""
+    m = [as_float(word) for word in words[:12]]
+    rows = [(Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]), m[4 * i + 3]) for i in range(3)]
+    return Point3f(*(dr.dot(row, o) + shift for row, shift in rows)), Vector3f(*(dr.dot(row, d) for row, _ in rows))
 
 
 def load(words: UInt32, record: UInt32) -> list[UInt32]:
@@ -168,19 +235,23 @@ class Stepper:
     def step(self, cursor: Cursor, any_hit: Bool | bool) -> Cursor:
         """Visit one record. Where `any_hit`, the first triangle hit ends the search."""
         words = load(self.records.words, cursor.current)
-        leaf = words[12] >= LEAF
+        passage, leaf = cursor.passage, words[12] >= LEAF
         order = self._boxes(words, dr.select(leaf, Float(-1), cursor.t))
 
         found = self._triangle(words)
-        hit = leaf & found.hit & (found.t > 0) & (found.t < cursor.t)
+        portal = False if passage is None else words[12] >= LEAF | PORTAL
+        hit = (leaf if passage is None else leaf & ~portal) & found.hit & (found.t > 0) & (found.t < cursor.t)
         t = dr.select(hit, found.t, cursor.t)
         record = dr.select(hit, cursor.current, cursor.hit)
 
-        current, stack = advance(cursor, words[12] & CHILD, order)
+        current, stack = advance(cursor, words[12] & CHILD, order, portal)
         if any_hit is not False:
             current = dr.select(hit & any_hit, UInt32(EMPTY), current)
         b = None if cursor.b is None else dr.select(hit, Point2f(found.b1, found.b2), cursor.b)
-        return Cursor(current, stack, t, record, b)
+        if passage is not None:
+            inside = dr.select(hit, passage.inside, passage.hit_inside)
+            passage = Passage(passage.o, passage.d, passage.inside, inside, Bool(portal))
+        return Cursor(current, stack, t, record, b, passage)
 
     def _triangle(self, words: list[UInt32]) -> TriangleHit:
         return intersect_triangle(self.plane, *triangle_corners(words))
@@ -217,18 +288,21 @@ def plane_number(word: UInt32, shift: UInt32) -> Float:
     return number
 
 
-def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32]) -> tuple[UInt32, list[UInt32]]:
-    """The next record and stack: down to the nearest child, or on to what the stack holds."""
+def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32], stay: Bool | bool) -> tuple[UInt32, list[UInt32]]:
+    """The next record and stack: down to the nearest child, or on to what the stack holds; or `stay`."""
     down, several = order[0] < INFINITY, order[1] < INFINITY
     top = cursor.stack[0]
     remaining = (top & 511) >> 3
-    popped = ~down & (remaining == 0)
+    leaving = ~down if stay is False else ~down & ~stay
+    popped = leaving & (remaining == 0)
     # The lower two bits of a tag are the child's number.
     from_stack = dr.select(cursor.current == EMPTY, UInt32(EMPTY), (top >> 9) + (top & 3))
     current = dr.select(down, first_child + (order[0] & 3), from_stack)
+    if stay is not False:
+        current = dr.select(stay, cursor.current, current)
 
     entry = (first_child << 9) | (order[1] & 7) | ((order[2] & 7) << 3) | ((order[3] & 7) << 6)
-    kept = dr.select(down, top, (top & 0xFFFFFE00) | remaining)
+    kept = dr.select(leaving, (top & 0xFFFFFE00) | remaining, top)
     stack = [*cursor.stack, UInt32(0)]
     shifted = [dr.select(several, entry, dr.select(popped, stack[1], kept))]
     for level in range(1, len(cursor.stack)):

@@ -1,0 +1,88 @@
+"""Sorting a scene's shapes: which are unrolled, which stand in the BVH, and which are seen where."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+from djpt.geometry.forest import Forest, Placement
+from djpt.geometry.mesh_set import MeshSet
+from djpt.geometry.triangles import Triangles
+from djpt.shapes.base import Shape
+from djpt.shapes.instance import Instance
+from djpt.shapes.mesh import Mesh
+from djpt.shapes.shapegroup import ShapeGroup
+
+__all__ = ["Contents"]
+
+
+class Contents:
+    """The shapes of a scene and of its groups.
+
+    `shapes` are those of the scene, then the meshes of groups, then a copy of each analytic shape of a
+    group for every instance: such a shape needs no tree, and moving it is exact.
+    """
+
+    def __init__(self, shapes: Sequence[Shape]) -> None:
+        self._own = tuple(shapes)
+        self._instances = [s for s in shapes if isinstance(s, Instance)]
+        # Groups without meshes need no tree, nor do those that nobody places.
+        self._groups: list[ShapeGroup] = []
+        for instance in self._instances:
+            if instance.group not in self._groups and any(s.of_triangles for s in instance.group.shapes):
+                self._groups.append(instance.group)
+        inner = [mesh for group in self._groups for mesh in group.shapes if mesh.of_triangles]
+        copies = [(i, s) for i in self._instances for s in i.group.shapes if not s.of_triangles]
+        self._copied = [(instance, original, placed(instance, original)) for instance, original in copies]
+        self.shapes: list[Shape] = [*shapes, *inner, *(copied for _, _, copied in self._copied)]
+        self.analytic = [i for i, s in enumerate(self.shapes) if not unseen(s) and not s.of_triangles]
+        self._meshes = [i for i, s in enumerate(self.shapes) if s.of_triangles]
+        self._placed = [i for i in self._instances if i.group in self._groups]
+        self.bounding = [s for s in shapes if s.of_triangles or isinstance(s, Instance)]
+        """Shapes whose extent counts beside that of the analytic ones."""
+
+    def triangles(self) -> Triangles | None:
+        """All meshes, and the instances of those in groups; None if there are none."""
+        meshes = [s for s in self.shapes if isinstance(s, Mesh)]
+        if not meshes:
+            return None
+        mesh_set = MeshSet(meshes)
+        world = sum(s.of_triangles for s in self._own)
+        parts = [world, *(sum(s.of_triangles for s in group.shapes) for group in self._groups)]
+        placements = [Placement(self._groups.index(i.group) + 1, i.to_world.matrix) for i in self._placed]
+        self._forest = Forest(mesh_set, parts, placements)
+        return Triangles(mesh_set, self._meshes, self._forest)
+
+    # ---- edits -----------------------------------------------------------------------
+
+    def moved_meshes(self, changed: Sequence[Shape]) -> list[Mesh]:
+        """The meshes among the changed shapes."""
+        return [s for s in changed if isinstance(s, Mesh)]
+
+    def moved_instances(self, changed: Sequence[Shape]) -> bool:
+        """Tell the trees where the changed instances are; has any moved?"""
+        moved = [s for s in changed if isinstance(s, Instance) and s in self._placed]
+        for instance in moved:
+            self._forest.place(self._placed.index(instance), instance.to_world.matrix)
+        return bool(moved)
+
+    def renewed(self, changed: Sequence[Shape]) -> list[Shape]:
+        """The shapes that the unrolled set must look at again: changed ones, and copies of what has changed."""
+        result = list(changed)
+        for instance, original, copied in self._copied:
+            if instance in changed or original in changed:
+                copied.__dict__.update(placed(instance, original).__dict__)
+                result.append(copied)
+        return result
+
+
+def unseen(shape: Shape) -> bool:
+    """Groups aren't visible themselves, and instances only stand for others."""
+    return isinstance(shape, (ShapeGroup, Instance))
+
+
+def placed(instance: Instance, original: Shape) -> Shape:
+    """A copy of an analytic shape where an instance puts it."""
+    copied = copy.copy(original)
+    copied.to_world = copied.check_parameter("to_world", instance.to_world @ original.to_world)
+    return copied

@@ -1,0 +1,121 @@
+"""The trees of a scene: one over its triangles and instances, one over each group that is instanced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.geometry.bvh.build import build
+from djpt.geometry.bvh.leaves import InstanceLeaves, TriangleLeaves
+from djpt.geometry.bvh.records import Extent, Leaves, Records, pack, roots
+from djpt.geometry.bvh.refit import REBUILD, grown, refit
+from djpt.geometry.bvh.statistics import sah_cost
+from djpt.geometry.bvh.wide import WideTree, collapse
+from djpt.geometry.face_frames import face_frames
+from djpt.geometry.mesh_set import MeshSet
+
+__all__ = ["Forest", "Placement"]
+
+
+@dataclass
+class Placement:
+    """An instance of a group."""
+
+    group: int
+    """Counted from 1: the number of its tree."""
+    to_world: NDArray[np.float64]
+    """(4, 4)."""
+
+
+@dataclass
+class Tree:
+    """A tree, and what it cost when it was built."""
+
+    wide: WideTree
+    cost: float
+
+
+class Forest:
+    """Builds the records of a scene's triangles, and renews them after an edit."""
+
+    def __init__(self, meshes: MeshSet, parts: Sequence[int], placements: Sequence[Placement]) -> None:
+        """`parts`: how many meshes of the set belong to the world, and then to each group, in this order."""
+        self._meshes, self._placements = meshes, list(placements)
+        self._parts = [int(n) for n in np.cumsum([0, *parts])]
+        self._trees: list[Tree] = []
+        self._depth = 0
+
+    def records(self) -> Records:
+        """The records of the current geometry. Trees are refitted if they keep their quality, or else rebuilt."""
+        corners = self._meshes.corners()
+        normals, directions = face_frames(self._meshes, corners)
+        mesh_of_face = self._meshes.mesh_of_face()
+        bounds = [*self._meshes.first_face, self._meshes.face_count]
+        triangles = []
+        for first, last in zip(self._parts, self._parts[1:], strict=False):
+            part = slice(bounds[first], bounds[last])
+            triangles.append(
+                TriangleLeaves(corners[part], mesh_of_face[part], normals[part], directions[part], bounds[first])
+            )
+        groups = [self._tree(i, *boxes(leaves)) for i, leaves in enumerate(triangles) if i > 0]
+        low, high = boxes(triangles[0])
+        if self._placements:
+            placed = [placed_box(groups[p.group - 1].wide, p.to_world) for p in self._placements]
+            low = np.concatenate([low, [box[0] for box in placed]]).astype(np.float32)
+            high = np.concatenate([high, [box[1] for box in placed]]).astype(np.float32)
+        trees = [self._tree(0, low, high), *groups]
+        self._trees = trees
+        wide = [tree.wide for tree in trees]
+        leaves: list[Leaves] = [*triangles]
+        if self._placements:
+            leaves[0] = InstanceLeaves(triangles[0], *self._transforms(wide))
+        records = pack(wide, leaves, self._depth)
+        self._depth = records.depth
+        return records
+
+    def _tree(self, number: int, low: NDArray[np.float32], high: NDArray[np.float32]) -> Tree:
+        """A tree over boxes: the old one with new boxes, unless it has become too loose."""
+        if self._trees and (self._trees[number].wide.child <= -2).sum() == len(low):
+            old = self._trees[number]
+            fitted = refit(old.wide, low, high)
+            if grown(fitted, old.cost) <= REBUILD:
+                return Tree(fitted, old.cost)
+        wide = collapse(build(low, high))
+        return Tree(wide, sah_cost(wide))
+
+    def _transforms(self, trees: Sequence[WideTree]) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+        """Per instance the way into its group's space, as seen from the group's centre, and the group's root."""
+        starts = roots(trees)
+        inverse = np.empty((len(self._placements), 3, 4))
+        for i, placement in enumerate(self._placements):
+            inverse[i] = np.linalg.inv(placement.to_world)[:3]
+            inverse[i, :, 3] -= Extent.of(trees[placement.group]).center
+        return inverse, np.array([starts[p.group] for p in self._placements], np.uint32)
+
+    def place(self, number: int, to_world: NDArray[np.float64]) -> None:
+        """Move an instance; takes effect with the next `records`."""
+        self._placements[number].to_world = to_world
+
+    def statistics(self) -> tuple[int, int, float]:
+        """Nodes and levels of all trees, and the SAH cost of the world's."""
+        nodes = sum(len(tree.wide.child) for tree in self._trees)
+        return nodes, self._depth, sah_cost(self._trees[0].wide)
+
+
+def boxes(leaves: TriangleLeaves) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The bounding boxes of triangles."""
+    return leaves.corners.min(axis=1), leaves.corners.max(axis=1)
+
+
+def placed_box(tree: WideTree, to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The world's box about a group's box."""
+    filled = tree.child[0] != -1
+    low, high = tree.box[0, filled, :3].min(axis=0), tree.box[0, filled, 3:].max(axis=0)
+    corners = np.array([[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)], np.float64)
+    placed = corners @ to_world[:3, :3].T + to_world[:3, 3]
+    # The rounding to 32 bits must not cut anything off.
+    margin = 1e-6 * (np.abs(placed).max() + 1e-30)
+    return placed.min(axis=0) - margin, placed.max(axis=0) + margin
