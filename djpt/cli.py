@@ -1,4 +1,4 @@
-"""The command line: ``djpt render``, ``compare``, ``scenes``, ``doctor``.
+"""The command line: ``djpt render``, ``compare``, ``info``, ``scenes``, ``doctor``.
 
 Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
 it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
@@ -166,6 +166,16 @@ def compare(
                 print(f"picture: {target}")
     if not result.passed:
         raise typer.Exit(ExitCode.DIFFERENT)
+
+
+@app.command()
+def info(scene: SceneName) -> None:
+    """Say what SCENE consists of, and how well its triangles can be searched."""
+    with _readable_errors():
+        from djpt.description.overrides import described
+        from djpt.info import describe
+
+        print(describe(djpt.load_dict(described(scene)[1])))
 
 
 @app.command()

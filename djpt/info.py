@@ -1,0 +1,68 @@
+"""``djpt info``: what a scene consists of, and how well its triangles can be searched."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.shapes.instance import Instance
+from djpt.shapes.mesh import Mesh
+from djpt.shapes.shapegroup import ShapeGroup
+
+if TYPE_CHECKING:
+    from djpt.geometry.triangles import Triangles
+    from djpt.scene import Scene
+    from djpt.shapes.base import Shape
+
+__all__ = ["describe"]
+
+
+def describe(scene: Scene) -> str:
+    """A few lines about a scene: shapes, primitives, nodes, depth, SAH cost, memory, build time.
+
+    The SAH cost is the number of nodes and primitives that a random line through the scene meets on
+    average; see docs/theory/acceleration.md.
+    """
+    rows = [("shapes", counted(scene.shapes()))]
+    groups = [shape for shape in scene.shapes() if isinstance(shape, ShapeGroup)]
+    rows += [(f"in {group.id}", counted(group.shapes)) for group in groups]
+    rows.append(("emitters", counted(scene.emitters())))
+    triangles = scene.geometry.triangles
+    analytic = len(scene.geometry.analytic_shapes)
+    rows.append(("unrolled", f"{analytic} analytic shape{'s' * (analytic != 1)}, tested by every ray"))
+    if triangles is None:
+        rows.append(("triangles", "none"))
+    else:
+        rows += of_triangles(triangles, scene.shapes())
+    width = max(len(name) for name, _ in rows) + 2
+    return "\n".join(f"{name:<{width}}{text}" for name, text in rows)
+
+
+def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[str, str]]:
+    """What there is to say about the BVH."""
+    nodes, depth, cost = triangles.forest.statistics()
+    stored, seen = triangles.meshes.face_count, sum(faces_of(shape) for shape in shapes)
+    instanced = "" if stored == seen else f", {seen} with instances"
+    return [
+        ("triangles", f"{stored}{instanced}"),
+        ("nodes", f"{nodes}, depth {depth}"),
+        ("SAH cost", f"{cost:.2f}"),
+        ("memory", f"{4 * dr.width(triangles.records.words) / 2**20:.1f} MiB"),
+        ("built in", f"{triangles.build_seconds:.3f} s"),
+    ]
+
+
+def faces_of(shape: Shape) -> int:
+    """How many triangles of a shape can be seen."""
+    if isinstance(shape, Instance):
+        return sum(faces_of(inner) for inner in shape.group.shapes)
+    return len(shape.indices) if isinstance(shape, Mesh) else 0
+
+
+def counted(plugins: Sequence[object]) -> str:
+    """How many of each class: ``2 Cube, 6 Rectangle``."""
+    kinds = Counter(type(plugin).__name__ for plugin in plugins)
+    return ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds)) or "none"
