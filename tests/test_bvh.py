@@ -85,6 +85,19 @@ def test_a_wide_tree_holds_the_same_leaves_in_depth_first_order(name: str, width
     np.testing.assert_array_equal(np.sort(child_leaf(tree.child[tree.child < -1])), np.arange(len(low)))
 
 
+@pytest.mark.parametrize("odd", [np.nan, np.inf, 3e38, 1e25, 1e-40])
+@pytest.mark.filterwarnings("ignore:(overflow|invalid):RuntimeWarning")
+def test_odd_numbers_still_make_a_whole_tree(odd: float) -> None:
+    low, high = boxes(np.concatenate([SOUPS["scattered"](), sphere(100)]))
+    for scaled in (False, True):
+        some = slice(None) if scaled and np.isfinite(odd) else slice(0, None, 17)
+        low[some], high[some] = low[some] * np.float32(odd), high[some] * np.float32(odd)
+        for method in METHODS:
+            tree = build(low, high, method)
+            np.testing.assert_array_equal(np.sort(tree.primitive[tree.left < 0]), np.arange(len(low)))
+            assert len(np.unique(child_leaf(collapse(tree).child)[collapse(tree).child < -1])) == len(low)
+
+
 # ---------------------------------------------------------------- good
 
 

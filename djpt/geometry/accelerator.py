@@ -122,7 +122,7 @@ class TriangleTable:
         rows[:, :9] = centred.reshape(-1, 9).view(np.uint32)
         self.words = UInt32(rows.ravel())
         # Kernels round where rays cross planes; boxes that are a little larger lose no hits by it.
-        self.slack = np.float32(2e-6 * extent)
+        self.slack = np.float32(max(2e-6 * extent, 1e-30))
         self.low: NDArray[np.float32] = centred.min(axis=1) - self.slack
         self.high: NDArray[np.float32] = centred.max(axis=1) + self.slack
 

@@ -55,9 +55,10 @@ class Ranges:
     def of(low: NDArray[np.float32], high: NDArray[np.float32]) -> tuple[Ranges, Level]:
         """All primitives in one node. The large ones come first."""
         count = len(low)
-        x, y, z = (high[:, a] - low[:, a] for a in range(3))
-        area = x * y + y * z + z * x
-        is_large = area > LARGE * area.mean(dtype=np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            x, y, z = (high[:, a] - low[:, a] for a in range(3))
+            area = x * y + y * z + z * x
+            is_large = area > LARGE * area.mean(dtype=np.float64)
         order = np.concatenate([np.flatnonzero(is_large), np.flatnonzero(~is_large)])
         rows = aligned((count, WORDS))
         rows[:, :3] = low[order].view(np.uint32)

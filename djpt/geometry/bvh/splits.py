@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.lanewide import wide
-from djpt.minmax import minimum
+from djpt.minmax import maximum, minimum
 from djpt.types import ArrayXu, Float, UInt32
 
 __all__ = [
@@ -181,7 +181,9 @@ def binned_split(records: UInt32, nodes: Nodes) -> Split:
         position, weight = chosen.at(i)
         box = load(records, position)
         for a in range(3):
-            bin = dr.minimum(UInt32((center(box, a) - bounds[a]) * scale[a]), BINS - 1) + a * BINS
+            # Clamped as a float: the integer part of a NaN could be any.
+            place = minimum((center(box, a) - bounds[a]) * scale[a], Float(BINS - 1))
+            bin = UInt32(maximum(place, Float(0))) + a * BINS
             for k in range(6):
                 bins[bin * 6 + k] = minimum(bins[bin * 6 + k], box[k])
             counts[bin] = counts[bin] + weight
