@@ -83,7 +83,7 @@ class Geometry:
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
         if self.triangles is None:
             return PreliminaryIntersection3f(t, face, self.shape_of(face))
-        found = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(dr.isfinite(t), t, ray.maxt)))
+        found = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(dr.isfinite(t), t, ray.maxt)), through_lights)
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
         near = None if found.inside is None else Near(*self.triangles.enter(ray), None, found.inside)
@@ -122,10 +122,11 @@ class Geometry:
         cursor = start(self.triangles.records, origin, ray.d, maxt, active, hit, weights)
         return Query(origin, ray.d, entry, cursor)
 
-    def turn(self, query: Query, any_hit: Bool, steps: int) -> Cursor:
-        """Where the cursor is after some steps."""
+    def turn(self, query: Query, steps: int, shadow: Bool, through_lights: Bool | None) -> Cursor:
+        """Where the cursor is after some steps; the masks as for `begin`."""
         assert self.triangles is not None
-        return turn(self.triangles.records, query.cursor, query.o, query.d, any_hit, steps)
+        through = through_lights if self.triangles.emit else None
+        return turn(self.triangles.records, query.cursor, query.o, query.d, shadow, steps, through)
 
     def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
         """The ray of a query whose cursor has come to the end, and its result.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 
+from djpt.geometry.axes import AxisPool
 from djpt.geometry.forest import Forest, Placement
 from djpt.geometry.mesh_set import MeshSet
 from djpt.geometry.triangles import Triangles
@@ -33,6 +34,9 @@ class Contents:
                 self._groups.append(instance.group)
         inner = [mesh for group in self._groups for mesh in group.shapes if mesh.of_triangles]
         copies = [(i, s) for i in self._instances for s in i.group.shapes if not s.of_triangles]
+        for _, original in copies:
+            # Only their extent counts: the copies are what is hit.
+            original.place(AxisPool())
         self._copied = [(instance, original, placed(instance, original)) for instance, original in copies]
         self.shapes: list[Shape] = [*shapes, *inner, *(copied for _, _, copied in self._copied)]
         self.analytic = [i for i, s in enumerate(self.shapes) if not unseen(s) and not s.of_triangles]
@@ -71,6 +75,7 @@ class Contents:
         result = list(changed)
         for instance, original, copied in self._copied:
             if instance in changed or original in changed:
+                original.place(AxisPool())
                 copied.__dict__.update(placed(instance, original).__dict__)
                 result.append(copied)
         return result

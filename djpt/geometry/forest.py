@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.geometry.bvh.build import build
 from djpt.geometry.bvh.leaves import InstanceLeaves, TriangleLeaves
-from djpt.geometry.bvh.records import Extent, Leaves, Records, pack, roots
+from djpt.geometry.bvh.records import EMITS, Extent, Leaves, Records, pack, roots
 from djpt.geometry.bvh.refit import REBUILD, grown, refit
 from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.wide import WideTree, collapse
@@ -53,6 +53,8 @@ class Forest:
         corners = self._meshes.corners()
         normals, directions = face_frames(self._meshes, corners)
         mesh_of_face = self._meshes.mesh_of_face()
+        emits = np.array([mesh.emitter is not None for mesh in self._meshes.meshes])
+        mesh_of_face |= np.where(emits, EMITS, 0).astype(np.uint32)[mesh_of_face]
         bounds = [*self._meshes.first_face, self._meshes.face_count]
         triangles = []
         for first, last in zip(self._parts, self._parts[1:], strict=False):

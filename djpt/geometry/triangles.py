@@ -64,9 +64,14 @@ class Triangles:
         """The origin as seen from the centre, moved near the triangles if rays start far away; and how far."""
         return enter(self.records, ray) if self._far else (ray.o - self.records.center, None)
 
-    def search(self, ray: Ray3f, active: Bool | bool = True) -> Found:
-        """The first hit with 0 < t < maxt."""
-        return search(self.records, ray, False, active)
+    @property
+    def emit(self) -> bool:
+        """Is any mesh a light?"""
+        return any(mesh.emitter is not None for mesh in self.meshes.meshes)
+
+    def search(self, ray: Ray3f, through_lights: Bool | None) -> Found:
+        """The first hit with 0 < t < maxt. Lanes with `through_lights` ignore meshes that emit."""
+        return search(self.records, ray, False, through_lights=through_lights if self.emit else None)
 
     def occluded(self, ray: Ray3f, active: Bool | bool) -> Bool:
         """Is there a hit with 0 < t < maxt?"""

@@ -103,7 +103,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         path = restart(ended, integrator.start(scene), state)
         new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
-            query=geometry.begin(new_ray, sample.left, lit, integrator.passes_lights(path)),
+            query=geometry.begin(new_ray, sample.left, lit, passes_lights(integrator, path, lit)),
             shadow=lit,
             pending=v.reflected,
             next_ray=next_ray,
@@ -117,7 +117,8 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
-        lane.query.cursor = geometry.turn(lane.query, lane.shadow, STEPS)
+        through = passes_lights(integrator, lane.path, lane.shadow)
+        lane.query.cursor = geometry.turn(lane.query, STEPS, lane.shadow, through)
         (lane,) = dr.if_stmt(
             (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
         )
@@ -126,6 +127,12 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
 
     (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
     return end.entry + end.frame.read(end.entry & 1)
+
+
+def passes_lights(integrator: PathIntegrator, path: PathState, shadow: Bool) -> Bool | None:
+    """Where a lane's ray ignores shapes that emit; never a shadow ray."""
+    through = integrator.passes_lights(path)
+    return None if through is None else through & ~shadow
 
 
 def store(write: Write, slot: UInt32, channels: list[Float], active: Bool) -> None:

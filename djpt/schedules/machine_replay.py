@@ -24,6 +24,7 @@ from djpt.scene import Scene
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Job
 from djpt.schedules.lanes import TiledLanes
+from djpt.schedules.machine import passes_lights
 from djpt.schedules.replay_modes import Mode
 from djpt.types import Bool, Color3f, Float, UInt32, UInt64
 
@@ -114,7 +115,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         path = restart(ended, integrator.start(scene), state)
         new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
-            query=geometry.begin(new_ray, sample.left, lit, integrator.passes_lights(path)),
+            query=geometry.begin(new_ray, sample.left, lit, passes_lights(integrator, path, lit)),
             shadow=lit,
             pending=reflected,
             next_ray=next_ray,
@@ -131,7 +132,8 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
-        lane.query.cursor = geometry.turn(lane.query, lane.shadow, STEPS)
+        through = passes_lights(integrator, lane.path, lane.shadow)
+        lane.query.cursor = geometry.turn(lane.query, STEPS, lane.shadow, through)
         ended = lane.query.cursor.current == EMPTY
         (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)

@@ -8,7 +8,7 @@ word    node                                              triangle              
 ======  ================================================  ======================  ==================
 0 .. 8  planes of child c along axis a, at 3 c + a:       corners, 3 x 3 floats   into the space of
 9 .. 11 low in the lower half, high in the upper          unit normal             its group: 3 x 4
-12      bits 23 .. 30: those of the size of a cell as a   LEAF + mesh             LEAF + PORTAL +
+12      bits 23 .. 30: those of the size of a cell as a   LEAF + EMITS + mesh     LEAF + PORTAL +
         float; below them: record of the first child                              number of it
 13      origin of the node's frame, 3 floats              face                    root of its group
 14, 15                                                    direction of dp/du      0, 0
@@ -37,15 +37,31 @@ from djpt.types import Float, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.geometry.bvh.wide import WideTree
 
-__all__ = ["CELL", "CHILD", "EMPTY", "EXIT", "LEAF", "NUMBER", "PORTAL", "ROOT", "WORDS", "Leaves", "Records", "pack"]
+__all__ = [
+    "CELL",
+    "CHILD",
+    "EMITS",
+    "EMPTY",
+    "EXIT",
+    "LEAF",
+    "NUMBER",
+    "PORTAL",
+    "ROOT",
+    "WORDS",
+    "Extent",
+    "Leaves",
+    "Records",
+    "pack",
+    "roots",
+]
 
 WORDS = 16
 
 CHILD, CELL = 0x007FFFFF, 0x7F800000
 """The parts of word 12 of nodes."""
 
-LEAF, PORTAL, NUMBER = 0x80000000, 0x40000000, 0x3FFFFFFF
-"""The parts of word 12 of triangles and instances."""
+LEAF, PORTAL, EMITS, NUMBER = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
+"""The parts of word 12 of triangles and instances; EMITS: the triangle's mesh is a light."""
 
 EMPTY, EXIT, ROOT = 0, 1, 2
 """Records of their own: no node, the way out of an instance, the root."""
@@ -181,7 +197,7 @@ def fill_nodes(
         lowest = low.min(axis=1)
         # A power of two, so that counting cells rounds nothing; with room for the margins below.
         longest = np.maximum((high.max(axis=1) - lowest).max(axis=1), np.float32(1e-30))
-        exponent = np.clip(np.ceil(np.log2(longest * np.float32(1 / 65000))), -100, 100).astype(np.int32)
+        exponent = np.clip(np.ceil(np.log2(longest * np.float32(1 / 65000))), -100, 60).astype(np.int32)
         cell = np.ldexp(np.float32(1), exponent)[:, None]
         origin = lowest - 4 * cell
         # Half a cell is lost when a ray's offset is rounded in units of 2^23 cells (see `traversal`).

@@ -29,16 +29,18 @@ class Found:
     """The record of the instance that it belongs to, or NONE; None in scenes without instances."""
 
 
-def search(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool = True) -> Found:
+def search(
+    records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool = True, through_lights: Bool | None = None
+) -> Found:
     """The first hit with 0 < t < maxt, or any one."""
-    lanes = dr.width(ray, active)
-    if lanes >= 2 * BATCH and not dr.flag(dr.JitFlag.SymbolicScope):
+    lanes = dr.width(ray, active, through_lights)
+    if lanes >= 2 * BATCH and through_lights is None and not dr.flag(dr.JitFlag.SymbolicScope):
         return batched(records, ray, any_hit, active, lanes)
     origin, entry = enter(records, ray)
     (end,) = dr.while_loop(
         (wide(start(records, origin, ray.d, ray.maxt - entry, active), lanes),),
         lambda cursor: cursor.current != EMPTY,
-        lambda cursor: (turn(records, cursor, origin, ray.d, any_hit, 1),),
+        lambda cursor: (turn(records, cursor, origin, ray.d, any_hit, 1, through_lights),),
         label="any hit" if any_hit else "closest hit",
     )
     return Found(end.t + entry, end.hit, end.passage and end.passage.hit_inside)

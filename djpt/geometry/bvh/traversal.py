@@ -18,7 +18,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.geometry.bvh.records import CELL, CHILD, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, Records
+from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, Records
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f
@@ -97,23 +97,38 @@ def start(
 
     With `weights` it keeps barycentric weights.
     """
-    root: Any = dr.select(active, UInt32(ROOT), UInt32(EMPTY))
+    # A ray that isn't a number would enter all boxes, those that don't exist as well.
+    reach = dr.abs(o.x) + dr.abs(o.y) + dr.abs(o.z)
+    usable = (reach < 1e18) & dr.isfinite(d.x + d.y + d.z) & active
+    root: Any = dr.select(usable, UInt32(ROOT), UInt32(EMPTY))
     stack = [UInt32(0) for _ in range(records.depth)]
     passage = Passage(Point3f(o), Vector3f(d), UInt32(NONE), UInt32(NONE), Bool(False)) if records.instanced else None
     return Cursor(root, stack, Float(maxt), UInt32(hit), Point2f(0) if weights else None, passage)
 
 
-def turn(records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool | bool, steps: int) -> Cursor:
-    """Some steps of a ray, and the crossing into or out of an instance that a lane has come to."""
+def turn(
+    records: Records,
+    cursor: Cursor,
+    o: Point3f,
+    d: Vector3f,
+    any_hit: Bool | bool,
+    steps: int,
+    through_lights: Bool | None = None,
+) -> Cursor:
+    """Some steps of a ray, and the crossing into or out of an instance that a lane has come to.
+
+    Where `any_hit`, the first triangle hit ends the search; where `through_lights`, triangles that emit
+    aren't hit.
+    """
     passage = cursor.passage
     if passage is None:
         stepper = Stepper(records, o, d)
         for _ in range(steps):
-            cursor = stepper.step(cursor, any_hit)
+            cursor = stepper.step(cursor, any_hit, through_lights)
         return cursor
     stepper = Stepper(records, passage.o, passage.d)
     for _ in range(steps):
-        cursor = stepper.step(cursor, any_hit)
+        cursor = stepper.step(cursor, any_hit, through_lights)
     assert cursor.passage is not None
     (cursor,) = dr.if_stmt(
         (cursor,),
@@ -205,20 +220,6 @@ def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
     return total, (a - (total - part)) + (b - part)
 
 
-def load(words: UInt32, record: UInt32) -> list[UInt32]:
-    """The 16 words of a record, by two packet loads."""
-    half = record * 2
-    first: Any = dr.gather(ArrayXu, words, half, shape=(8, 1))
-    second: Any = dr.gather(ArrayXu, words, half + 1, shape=(8, 1))
-    return [*first, *second]
-
-
-def triangle_corners(words: list[UInt32]) -> tuple[Point3f, Point3f, Point3f]:
-    """The corners in a triangle's record."""
-    x: list[Any] = [dr.reinterpret_array(Float, w) for w in words[:9]]
-    return Point3f(x[0:3]), Point3f(x[3:6]), Point3f(x[6:9])
-
-
 class Stepper:
     """Takes steps along a ray; holds what doesn't change from step to step."""
 
@@ -232,8 +233,8 @@ class Stepper:
         self.near_shift = [dr.select(x < 0, UInt32(16), UInt32(0)) for x in self.inv]
         self.far_shift = [16 - shift for shift in self.near_shift]
 
-    def step(self, cursor: Cursor, any_hit: Bool | bool) -> Cursor:
-        """Visit one record. Where `any_hit`, the first triangle hit ends the search."""
+    def step(self, cursor: Cursor, any_hit: Bool | bool, through_lights: Bool | None) -> Cursor:
+        """Visit one record."""
         words = load(self.records.words, cursor.current)
         passage, leaf = cursor.passage, words[12] >= LEAF
         order = self._boxes(words, dr.select(leaf, Float(-1), cursor.t))
@@ -241,6 +242,8 @@ class Stepper:
         found = self._triangle(words)
         portal = False if passage is None else words[12] >= LEAF | PORTAL
         hit = (leaf if passage is None else leaf & ~portal) & found.hit & (found.t > 0) & (found.t < cursor.t)
+        if through_lights is not None:
+            hit &= ~(through_lights & ((words[12] & EMITS) != 0))
         t = dr.select(hit, found.t, cursor.t)
         record = dr.select(hit, cursor.current, cursor.hit)
 
