@@ -3,6 +3,8 @@
 from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.cube import Cube
+from djpt.shapes.cylinder import Cylinder
+from djpt.shapes.disk import Disk
 from djpt.shapes.instance import Instance
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.obj import Obj
@@ -14,6 +16,8 @@ from djpt.shapes.sphere import Sphere
 
 __all__ = [
     "Cube",
+    "Cylinder",
+    "Disk",
     "Face",
     "Hit",
     "Instance",
@@ -30,6 +34,8 @@ __all__ = [
 register_shape("rectangle", Rectangle)
 register_shape("cube", Cube)
 register_shape("sphere", Sphere)
+register_shape("disk", Disk)
+register_shape("cylinder", Cylinder)
 register_shape("obj", Obj)
 register_shape("ply", Ply)
 register_shape("serialized", Serialized)

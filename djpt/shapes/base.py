@@ -54,6 +54,8 @@ class Shape(Plugin):
     kind: ClassVar[str] = "shape"
     face_count: ClassVar[int] = 1
     """How many faces `intersect` tells apart."""
+    closed: ClassVar[bool] = False
+    """Does it have an inside, that every path to the outside leaves through the surface?"""
     of_triangles: ClassVar[bool] = False
     """Is it a mesh, whose triangles stand in the scene's BVH?"""
 

@@ -34,6 +34,7 @@ class Sphere(Shape):
     uv = (phi / 2 pi, theta / pi) in local spherical coordinates about +z.
     """
 
+    closed = True
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
 
