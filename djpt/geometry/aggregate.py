@@ -122,11 +122,11 @@ class Geometry:
         cursor = start(self.triangles.records, origin, ray.d, maxt, active, hit, weights)
         return Query(origin, ray.d, entry, cursor)
 
-    def turn(self, query: Query, steps: int, shadow: Bool, through_lights: Bool | None) -> Cursor:
+    def turn(self, query: Query, shadow: Bool, through_lights: Bool | None) -> Cursor:
         """Where the cursor is after some steps; the masks as for `begin`."""
         assert self.triangles is not None
         through = through_lights if self.triangles.emit else None
-        return turn(self.triangles.records, query.cursor, query.o, query.d, shadow, steps, through)
+        return turn(self.triangles.records, query.cursor, query.o, query.d, shadow, through)
 
     def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
         """The ray of a query whose cursor has come to the end, and its result.

@@ -18,7 +18,6 @@ from typing import Any
 import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY
-from djpt.geometry.bvh.traversal import STEPS
 from djpt.geometry.query import Query
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.lanewide import wide
@@ -118,7 +117,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
 
     def turn(lane: Lane) -> tuple[Lane]:
         through = passes_lights(integrator, lane.path, lane.shadow)
-        lane.query.cursor = geometry.turn(lane.query, STEPS, lane.shadow, through)
+        lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
         (lane,) = dr.if_stmt(
             (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
         )

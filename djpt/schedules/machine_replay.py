@@ -14,7 +14,6 @@ import drjit as dr
 
 from djpt.dispatch import Detached
 from djpt.geometry.bvh.records import EMPTY
-from djpt.geometry.bvh.traversal import STEPS
 from djpt.geometry.query import Query
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.lanewide import wide
@@ -133,7 +132,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
 
     def turn(lane: Lane) -> tuple[Lane]:
         through = passes_lights(integrator, lane.path, lane.shadow)
-        lane.query.cursor = geometry.turn(lane.query, STEPS, lane.shadow, through)
+        lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
         ended = lane.query.cursor.current == EMPTY
         (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY, Records
-from djpt.geometry.bvh.traversal import STEPS, Cursor, enter, start, turn
+from djpt.geometry.bvh.traversal import Cursor, enter, start, turn, visit
 from djpt.lanewide import wide
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
@@ -40,7 +40,7 @@ def search(
     (end,) = dr.while_loop(
         (wide(start(records, origin, ray.d, ray.maxt - entry, active), lanes),),
         lambda cursor: cursor.current != EMPTY,
-        lambda cursor: (turn(records, cursor, origin, ray.d, any_hit, 1, through_lights),),
+        lambda cursor: (visit(records, cursor, origin, ray.d, Bool(any_hit), through_lights),),
         label="any hit" if any_hit else "closest hit",
     )
     return Found(end.t + entry, end.hit, end.passage and end.passage.hit_inside)
@@ -87,7 +87,7 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
         return fetch(flight.index + stride)
 
     def body(flight: Flight) -> tuple[Flight]:
-        flight.cursor = turn(records, flight.cursor, flight.origin, flight.d, any_hit, STEPS)
+        flight.cursor = turn(records, flight.cursor, flight.origin, flight.d, Bool(any_hit))
         ended = flight.cursor.current == EMPTY
         (flight,) = dr.if_stmt((flight,), ended, lambda flight: (land(flight),), lambda flight: (flight,))
         return (flight,)

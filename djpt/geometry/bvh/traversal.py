@@ -26,7 +26,6 @@ from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
     "NONE",
-    "STEPS",
     "Cursor",
     "as_float",
     "enter",
@@ -36,13 +35,17 @@ __all__ = [
     "start",
     "triangle_corners",
     "turn",
+    "visit",
 ]
 
 NONE = 0
 """The record number that stands for "nothing was hit"."""
 
-STEPS = 6
-"""Steps per turn of a loop: a lane that finishes waits for the end of the turn."""
+UNROLLED = 2
+"""Steps between two questions whether there is anything left to do."""
+
+ROUNDS = 4
+"""How often they are repeated in a turn; a lane that finishes waits for the end of the turn."""
 
 INFINITY = 0x7F800000
 """The bits of +inf; those of non-negative floats are ordered as integers."""
@@ -106,30 +109,45 @@ def start(
     return Cursor(root, stack, Float(maxt), UInt32(hit), Point2f(0) if weights else None, passage)
 
 
-def turn(
-    records: Records,
-    cursor: Cursor,
-    o: Point3f,
-    d: Vector3f,
-    any_hit: Bool | bool,
-    steps: int,
-    through_lights: Bool | None = None,
+def visit(
+    records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None = None
 ) -> Cursor:
-    """Some steps of a ray, and the crossing into or out of an instance that a lane has come to.
+    """One step of a ray, or the crossing into or out of an instance that it leads to.
 
     Where `any_hit`, the first triangle hit ends the search; where `through_lights`, triangles that emit
     aren't hit.
     """
     passage = cursor.passage
-    if passage is None:
-        stepper = Stepper(records, o, d)
-        for _ in range(steps):
+    stepper = Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
+    return crossed(records, stepper.step(cursor, any_hit, through_lights), o, d)
+
+
+def turn(
+    records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None = None
+) -> Cursor:
+    """Some steps; otherwise as `visit`."""
+    passage = cursor.passage
+    stepper = Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
+
+    def steps(cursor: Cursor, any_hit: Bool) -> Cursor:
+        for _ in range(UNROLLED):
             cursor = stepper.step(cursor, any_hit, through_lights)
         return cursor
-    stepper = Stepper(records, passage.o, passage.d)
-    for _ in range(steps):
-        cursor = stepper.step(cursor, any_hit, through_lights)
-    assert cursor.passage is not None
+
+    # A loop, though the number of rounds is known: unrolled, the code outgrows the processor's caches.
+    cursor, _, _ = dr.while_loop(
+        (cursor, UInt32(0), any_hit),
+        lambda cursor, i, any_hit: (i < ROUNDS) & (cursor.current != EMPTY),
+        lambda cursor, i, any_hit: (steps(cursor, any_hit), i + 1, any_hit),
+        label="steps",
+    )
+    return crossed(records, cursor, o, d)
+
+
+def crossed(records: Records, cursor: Cursor, o: Point3f, d: Vector3f) -> Cursor:
+    """The cursor after the crossing that it may be waiting for."""
+    if cursor.passage is None:
+        return cursor
     (cursor,) = dr.if_stmt(
         (cursor,),
         cursor.passage.waiting,
@@ -233,7 +251,7 @@ class Stepper:
         self.near_shift = [dr.select(x < 0, UInt32(16), UInt32(0)) for x in self.inv]
         self.far_shift = [16 - shift for shift in self.near_shift]
 
-    def step(self, cursor: Cursor, any_hit: Bool | bool, through_lights: Bool | None) -> Cursor:
+    def step(self, cursor: Cursor, any_hit: Bool, through_lights: Bool | None) -> Cursor:
         """Visit one record."""
         words = load(self.records.words, cursor.current)
         passage, leaf = cursor.passage, words[12] >= LEAF
@@ -248,8 +266,7 @@ class Stepper:
         record = dr.select(hit, cursor.current, cursor.hit)
 
         current, stack = advance(cursor, words[12] & CHILD, order, portal)
-        if any_hit is not False:
-            current = dr.select(hit & any_hit, UInt32(EMPTY), current)
+        current = dr.select(hit & any_hit, UInt32(EMPTY), current)
         b = None if cursor.b is None else dr.select(hit, Point2f(found.b1, found.b2), cursor.b)
         if passage is not None:
             inside = dr.select(hit, passage.inside, passage.hit_inside)
