@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from djpt import util as util
     from djpt import validation as validation
     from djpt import warp as warp
+    from djpt import xml as xml
     from djpt.description.loader import load_dict as load_dict
     from djpt.description.plugin import ParamFlags as ParamFlags
     from djpt.description.plugin import Plugin as Plugin
@@ -42,6 +43,10 @@ if TYPE_CHECKING:
     from djpt.description.registry import register_sensor as register_sensor
     from djpt.description.registry import register_shape as register_shape
     from djpt.description.registry import register_texture as register_texture
+    from djpt.description.scene_files import load_file as load_file
+    from djpt.description.scene_files import load_string as load_string
+    from djpt.description.xml.writer import to_xml as to_xml
+    from djpt.description.xml.writer import write_dict as write_dict
     from djpt.emitters import Emitter as Emitter
     from djpt.errors import BackendError as BackendError
     from djpt.errors import DjptError as DjptError
@@ -99,7 +104,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_SUBMODULES = ("ad", "errors", "integrators", "materials", "scenes", "types", "util", "validation", "warp")
+_SUBMODULES = ("ad", "errors", "integrators", "materials", "scenes", "types", "util", "validation", "warp", "xml")
 
 _EXPORTS = {
     "djpt.description.loader": "load_dict",
@@ -109,6 +114,8 @@ _EXPORTS = {
         "register_bsdf register_emitter register_film register_integrator register_rfilter "
         "register_sampler register_sensor register_shape register_texture"
     ),
+    "djpt.description.scene_files": "load_file load_string",
+    "djpt.description.xml.writer": "to_xml write_dict",
     "djpt.errors": "BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f",

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import djpt
-from djpt.errors import BackendError, DjptError, RenderError
+from djpt.errors import BackendError, DjptError, RenderError, SceneError
 
 if TYPE_CHECKING:
     from rich.progress import Task
@@ -47,12 +47,15 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A built-in scene; see 'djpt scenes'.")]
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="An XML file, or a built-in scene; see 'djpt scenes'.")]
 Seed = Annotated[int, typer.Option(help="Seed: the same one gives the same image.")]
 Width = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --height is given.")]
 Height = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --width is given.")]
 RFilter = Annotated[str | None, typer.Option(help="Reconstruction filter, instead of the scene's.")]
 IntegratorName = Annotated[str | None, typer.Option("--integrator", help="Integrator, instead of the scene's.")]
+Defines = Annotated[
+    list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A parameter of the XML file; may be repeated.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -79,6 +82,7 @@ def render(
     rfilter: RFilter = None,
     integrator: IntegratorName = None,
     schedule: Annotated[str, typer.Option(help="How lanes are filled: auto, flat or wave.")] = "auto",
+    define: Defines = None,
     quiet: Quiet = False,
 ) -> None:
     """Render SCENE to an image file."""
@@ -87,7 +91,7 @@ def render(
         from djpt.image import check_writable
 
         _require_positive(spp=spp, width=width, height=height)
-        name, description = described(scene)
+        name, description = described(scene, _parameters(define))
         target = output or Path(f"{name}.exr")
         check_writable(target)
         description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
@@ -132,21 +136,24 @@ def compare(
     height: Height = None,
     rfilter: RFilter = None,
     integrator: IntegratorName = None,
+    define: Defines = None,
     quiet: Quiet = False,
 ) -> None:
     """Render SCENE in djpt and in Mitsuba and compare: exit code 1 if they differ."""
     with _readable_errors():
+        from djpt.description.document import Document
         from djpt.description.overrides import described
         from djpt.image import check_writable
         from djpt.validation.compare import compare as run
 
         _require_positive(spp=spp, reference_spp=reference_spp, width=width, height=height)
-        target = output or Path(f"{described(scene)[0]}_comparison.png")
+        name, description = described(scene, _parameters(define))
+        target = output or Path(f"{name}_comparison.png")
         if picture:
             check_writable(target)
         with _progress_bar("comparing", "renders", quiet) as progress:
             result = run(
-                scene,
+                description if isinstance(description, Document) else scene,
                 spp,
                 rmse,
                 same_seed=same_seed,
@@ -169,13 +176,13 @@ def compare(
 
 
 @app.command()
-def info(scene: SceneName) -> None:
+def info(scene: SceneName, define: Defines = None) -> None:
     """Say what SCENE consists of, and how well its triangles can be searched."""
     with _readable_errors():
         from djpt.description.overrides import described
         from djpt.info import describe
 
-        print(describe(djpt.load_dict(described(scene)[1])))
+        print(describe(djpt.load_dict(described(scene, _parameters(define))[1])))
 
 
 @app.command()
@@ -236,6 +243,15 @@ def _readable_errors() -> Iterator[None]:
 def _fail(message: str, code: ExitCode) -> None:
     print(f"djpt: error: {message}", file=sys.stderr)
     raise typer.Exit(code) from None
+
+
+def _parameters(definitions: list[str] | None) -> dict[str, str]:
+    """The parameters of ``-D name=value``; the last one of a name counts."""
+    pairs = [definition.partition("=") for definition in definitions or ()]
+    for name, equals, value in pairs:
+        if not name or not equals:
+            raise SceneError(f"-D takes NAME=VALUE, found '{name}{equals}{value}'")
+    return {name: value for name, _, value in pairs}
 
 
 def _require_positive(**options: int | None) -> None:

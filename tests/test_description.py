@@ -173,7 +173,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "key number": (scene(a={"type": "sphere", 3: 4}), r"^scene\.a: keys must be strings, found int 3$"),
     "empty key": (scene(**{"": {"type": "sphere"}}), r"^scene: keys must be strings, found str ''$"),
     "dotted key": (scene(**{"a.b": {"type": "sphere"}}), r"^scene: the key 'a\.b' contains a '\.'"),
-    "id number": (scene(a={"type": "sphere", "id": 3}), r"^scene\.a: 'id' must be a name without dots, found int 3$"),
+    "id number": (scene(a={"type": "sphere", "id": 3}), r"^scene\.a: 'id' must be a name, found int 3$"),
     "contains itself": (scene(a=LOOP), r"^scene\.a\.inner: the dict contains itself$"),
     "too deep": (scene(a=DEEP), rf": nested deeper than {MAX_DEPTH} levels$"),
     "scene in scene": (scene(a={"type": "scene"}), r"^scene\.a: a scene can't be nested$"),

@@ -334,7 +334,7 @@ def test_unknown_scenes() -> None:
     for function in (compare, lambda name: render_in_mitsuba(name, 1)):
         with pytest.raises(SceneError, match="did you mean 'cornell_box'"):
             function("cornel_box")
-        with pytest.raises(SceneError, match="a scene is a dict or the name"):
+        with pytest.raises(SceneError, match="a scene is a dict, a file or the name"):
             function(3)
 
 

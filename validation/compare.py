@@ -210,7 +210,7 @@ def djpt_renderer(scene: Mapping[str, Any], schedule: str = "auto") -> Renderer:
     from djpt.description.loader import load_dict
     from djpt.rendering import render
 
-    loaded = load_dict(dict(scene))
+    loaded = load_dict(scene)
 
     def renderer(spp: int, seed: int) -> npt.NDArray[np.float32]:
         return np.array(render(loaded, spp=spp, seed=seed, schedule=schedule), np.float32)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from djpt.description.document import Document
+from djpt.description.files import FileResolver
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
@@ -36,6 +38,9 @@ def load_dict(d: Mapping[str, Any], parallel: bool = True, optimize: bool = True
     Raises:
         SceneError: the description is wrong; the message names the node.
     """
+    if isinstance(d, Document) and d.directories:
+        with FileResolver(d.directories).active():
+            return Loader(d).load()
     return Loader(d).load()
 
 
@@ -44,6 +49,8 @@ class Loader:
 
     def __init__(self, root: Any) -> None:
         self.root = root
+        self.places = root.places if isinstance(root, Document) else {}
+        """File and line of each path, if the description comes from a file."""
         self.nodes: dict[str, Mapping[str, Any] | Plugin] = {}
         self.paths: dict[str, str] = {}
         """What a reference can name (a path or an ``id`` entry), and the path that it means."""
@@ -53,21 +60,30 @@ class Loader:
 
     def load(self) -> Plugin:
         """Build the root and, with it, everything."""
+        self.collect()
+        return self._build("")
+
+    def collect(self) -> None:
+        """Check the form of the description, and fill `nodes` and `paths`."""
         if not isinstance(self.root, Mapping):
             raise SceneError(f"load_dict: a scene description is a dict, found {describe(self.root)}")
         self.label = self.root["type"] if isinstance(self.root.get("type"), str) else "scene"
         self._collect(self.root, "", ())
-        return self._build("")
 
     # ---- first walk: names ---------------------------------------------------------------
 
-    def _name(self, path: str) -> str:
-        """A path as messages have it: ``scene.white``."""
-        return f"{self.label}.{path}" if path else self.label
+    def name(self, path: str, key: str = "") -> str:
+        """A path as messages have it: ``scene.white``, ``box.xml:12: scene.white``.
+
+        With a `key`, the line is that of this entry.
+        """
+        name = f"{self.label}.{path}" if path else self.label
+        place = self.places.get((f"{path}.{key}" if path else key) if key else path)
+        return f"{place}: {name}" if place else name
 
     def _collect(self, node: Mapping[str, Any], path: str, parents: tuple[int, ...]) -> None:
         """Check the form of a node and of all below it; note what references can name."""
-        where = self._name(path)
+        where = self.name(path)
         if id(node) in parents:
             raise SceneError(f"{where}: the dict contains itself")
         if len(parents) >= MAX_DEPTH:
@@ -88,8 +104,9 @@ class Loader:
             return
         identity = node.get("id")
         if identity is not None:
-            if not isinstance(identity, str) or not identity or "." in identity:
-                raise SceneError(f"{where}: 'id' must be a name without dots, found {describe(identity)}")
+            # Exporters write ids with dots, such as "Material.001": they are names like others.
+            if not isinstance(identity, str) or not identity:
+                raise SceneError(f"{where}: 'id' must be a name, found {describe(identity)}")
             self._name_node(identity, path)
         for key, value in node.items():
             below = f"{path}.{key}" if path else key
@@ -101,8 +118,8 @@ class Loader:
 
     def _name_node(self, name: str, path: str) -> None:
         if self.paths.setdefault(name, path) != path:
-            other = self._name(self.paths[name])
-            raise SceneError(f"{self._name(path)}: the name '{name}' is taken already by {other}")
+            other = self.name(self.paths[name])
+            raise SceneError(f"{self.name(path)}: the name '{name}' is taken already by {other}")
 
     # ---- second walk: plugins ------------------------------------------------------------
 
@@ -116,20 +133,20 @@ class Loader:
             return node
         if path in self.open:
             circle = [*self.open[self.open.index(path) :], path]
-            raise SceneError(f"{self._name(path)}: references run in a circle: {' -> '.join(circle)}")
+            raise SceneError(f"{self.name(path)}: references run in a circle: {' -> '.join(circle)}")
         if len(self.open) >= MAX_DEPTH:
-            raise SceneError(f"{self._name(path)}: nested deeper than {MAX_DEPTH} levels")
+            raise SceneError(f"{self.name(path)}: nested deeper than {MAX_DEPTH} levels")
         self.open.append(path)
         try:
-            plugin = self._resolve(node, path) if node["type"] == "ref" else self._construct(node, path)
+            plugin = self._build(self.target(node, path)) if node["type"] == "ref" else self._construct(node, path)
         finally:
             self.open.pop()
         self.plugins[path] = plugin
         return plugin
 
-    def _resolve(self, node: Mapping[str, Any], path: str) -> Plugin:
-        """What a reference refers to."""
-        where = self._name(path)
+    def target(self, node: Mapping[str, Any], path: str) -> str:
+        """The path of what a reference refers to."""
+        where = self.name(path)
         extra = [key for key in node if key not in ("type", "id")]
         if extra:
             raise SceneError(f"{where}: unknown key '{extra[0]}' of a reference{near_miss(extra[0], ['id'])}")
@@ -141,14 +158,14 @@ class Loader:
             names = (n for n in self.paths if n and ("." in target or "." not in n))
             possible = [n for n in names if self.paths[n] != path and not self._is_reference(self.paths[n])]
             raise SceneError(f"{where}: nothing has the id '{target}'{near_miss(target, possible)}")
-        return self._build(self.paths[target])
+        return self.paths[target]
 
     def _is_reference(self, path: str) -> bool:
         node = self.nodes[path]
         return isinstance(node, Mapping) and node["type"] == "ref"
 
     def _construct(self, node: Mapping[str, Any], path: str) -> Plugin:
-        name, where = node["type"], self._name(path)
+        name, where = node["type"], self.name(path)
         if name == "scene" and path:
             raise SceneError(f"{where}: a scene can't be nested")
         try:
@@ -165,7 +182,8 @@ class Loader:
                 # In a scene an explicit `id` is the name; elsewhere the key says what the node is for.
                 key = self._own_name(below) if name == "scene" else key
             values[key] = value
-        props = Properties(name, where, values, self._own_name(path) or name)
+        places = {key: self.name(path, key) for key in node} if self.places else {}
+        props = Properties(name, where, values, self._own_name(path) or name, places)
         plugin: Any = factory(props)
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")

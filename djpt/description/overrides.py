@@ -6,9 +6,12 @@ Mitsuba's schema, so the same change reaches djpt and Mitsuba.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
+from djpt.description.document import Document
+from djpt.description.numeric import describe
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["described", "override", "rfilter_name"]
@@ -24,24 +27,32 @@ INTEGRATORS = frozenset(
 )
 
 
-def described(scene: Mapping[str, Any] | str) -> tuple[str, dict[str, Any]]:
-    """The name and the description of a scene that is given as a dict or by a built-in name.
+def described(
+    scene: Mapping[str, Any] | str | os.PathLike[str], parameters: Mapping[str, str] | None = None
+) -> tuple[str, dict[str, Any]]:
+    """The name and the description of a scene: a dict, a built-in name, or an XML file.
 
-    Raises `SceneError` for unknown names, saying which there are, and for files.
+    `parameters` are those of the file. Raises `SceneError` for unknown names, saying which there are, and what
+    `djpt.load_file` raises.
     """
+    from djpt.description.scene_files import read_file
     from djpt.scenes import SCENES
 
+    if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
+        document = read_file(scene, **(parameters or {}))
+        return document.name, document
+    if parameters:
+        what = f"'{scene}'" if isinstance(scene, str) else describe(scene)
+        raise SceneError(f"only scene files (XML) have parameters, found {', '.join(parameters)} for {what}")
+    if isinstance(scene, Document):
+        return scene.name, scene.copy()
     if isinstance(scene, Mapping):
         return "scene", dict(scene)
     if not isinstance(scene, str):
-        raise SceneError(f"a scene is a dict or the name of a built-in scene, found {type(scene).__name__}")
-    if scene.lower().endswith(".xml"):
-        raise SceneError(
-            f"'{scene}': XML files can't be loaded yet; supported: dicts of Mitsuba's schema (djpt.load_dict in "
-            f"Python) and the built-in scenes {', '.join(sorted(SCENES))}"
-        )
+        raise SceneError(f"a scene is a dict, a file or the name of a built-in scene, found {type(scene).__name__}")
     if scene not in SCENES:
-        raise SceneError(f"unknown scene '{scene}'{near_miss(scene, SCENES)}")
+        hint = f"; the file would be '{scene}.xml'" if os.path.exists(f"{scene}.xml") else ""
+        raise SceneError(f"unknown scene '{scene}'{hint}{near_miss(scene, SCENES)}")
     return scene, SCENES[scene]()
 
 
@@ -63,7 +74,7 @@ def override(
     The given dicts are not modified. Raises `SceneError` if there is no sensor to change, if it is a
     plugin object already, or if a film whose size shall change has a crop window.
     """
-    result = dict(scene)
+    result = scene.copy() if isinstance(scene, Document) else dict(scene)
     if integrator is not None:
         _set_integrator(result, integrator)
     if width is None and height is None and rfilter is None:

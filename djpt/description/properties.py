@@ -45,13 +45,22 @@ class Properties:
         node: path for messages, such as ``scene.white``.
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
         id: the name that `Plugin.id` gets; default: `node`.
+        places: what stands for `node` in messages about one entry, if its line in a file is known.
     """
 
-    def __init__(self, plugin_name: str, node: str, values: Mapping[str, Any], id: str | None = None) -> None:
+    def __init__(
+        self,
+        plugin_name: str,
+        node: str,
+        values: Mapping[str, Any],
+        id: str | None = None,
+        places: Mapping[str, str] | None = None,
+    ) -> None:
         self.plugin_name = plugin_name
         self.node = node
         self.id = node if id is None else id
         self._values = dict(values)
+        self._places = places or {}
         self._asked: set[str] = set()
         self._used: set[str] = set()
 
@@ -70,7 +79,10 @@ class Properties:
 
     def error(self, key: str, problem: str) -> SceneError:
         """The error to raise for an entry: ``scene.x: 'fov' must be a float, found str 'abc'``."""
-        return SceneError(f"{self.node}: '{key}' {problem}")
+        return SceneError(f"{self._place(key)}: '{key}' {problem}")
+
+    def _place(self, key: str) -> str:
+        return self._places.get(key, self.node)
 
     def _take(self, key: str, default: Any) -> Any:
         """The raw entry, or `default`."""
@@ -192,11 +204,11 @@ class Properties:
                     problem = str(error).replace("a float", "a number or a texture")
                     raise self.error(key, problem) from None
             path = f"{self.id}.{key}"
-            value = ConstantTexture(Properties("rgb", f"{self.node}.{key}", {"value": value}, path))
+            value = ConstantTexture(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
         elif value.kind != "texture":
             raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
         texture: Texture = value
-        texture.restrict(low, high, f"{self.node}: '{key}'")
+        texture.restrict(low, high, f"{self._place(key)}: '{key}'")
         return texture
 
     def plugin(self, key: str, kind: str, default: Any = REQUIRED) -> Any:
@@ -232,7 +244,7 @@ class Properties:
             if key in self._used or key in self._asked:
                 continue
             held = f" ({article(value.kind)})" if isinstance(value, Plugin) else ""
-            raise SceneError(f"{self.node}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
+            raise SceneError(f"{self._place(key)}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
 
 
 def name_of(value: Any) -> str:

@@ -1,0 +1,37 @@
+"""A scene description that knows where it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Document"]
+
+
+class Document(dict[str, Any]):
+    """The dict of a scene file: an ordinary description, whose errors name the file and the line.
+
+    Args:
+        description: the description.
+        name: what the scene is called, for messages and output files.
+        places: file and line by path: of nodes (``sensor.film``; the root is the empty path) and of
+            their entries (``sensor.film.width``).
+        directories: where relative names of files are looked up, besides the working directory.
+    """
+
+    def __init__(
+        self,
+        description: Mapping[str, Any],
+        name: str = "scene",
+        places: Mapping[str, str] | None = None,
+        directories: tuple[Path, ...] = (),
+    ) -> None:
+        super().__init__(description)
+        self.name = name
+        self.places = dict(places or {})
+        self.directories = directories
+
+    def copy(self) -> Document:
+        """A shallow copy that still knows its places."""
+        return Document(self, self.name, self.places, self.directories)

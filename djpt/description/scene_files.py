@@ -1,0 +1,75 @@
+"""Load scene files: Mitsuba 3's XML, with parameters."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from djpt.description.document import Document
+from djpt.description.loader import load_dict
+from djpt.description.numeric import describe
+from djpt.description.xml.naming import Naming
+from djpt.description.xml.nodes import Node
+from djpt.description.xml.reader import Reader
+from djpt.errors import FileError, SceneError
+
+__all__ = ["load_file", "load_string", "read_file", "read_string"]
+
+
+def load_file(path: str | os.PathLike[str], /, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
+    """Build a scene, or any other plugin, from an XML file of Mitsuba 3.
+
+    Names of files in it are looked up in its own directory first, then in the working directory.
+
+    Args:
+        path: the file.
+        parallel: accepted for Mitsuba's signature, no effect.
+        optimize: accepted for Mitsuba's signature, no effect.
+        parameters: values for the ``$name`` of the file: strings, numbers, booleans. They win over the
+            file's ``<default>``.
+
+    Returns:
+        A `djpt.Scene` if the outermost tag is ``<scene>``, else the plugin.
+
+    Raises:
+        FileError: the file can't be read.
+        SceneError: it is wrong, a parameter is missing or isn't used; the message names file and line.
+    """
+    return load_dict(read_file(path, **parameters), parallel, optimize)
+
+
+def load_string(text: str | bytes, /, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
+    """Build a scene, or any other plugin, from the text of an XML file: see `load_file`.
+
+    Names of files are looked up in the working directory.
+    """
+    return load_dict(read_string(text, **parameters), parallel, optimize)
+
+
+def read_file(path: str | os.PathLike[str], /, **parameters: Any) -> Document:
+    """The dict that an XML file stands for: to be changed, and then given to `djpt.load_dict`.
+
+    Arguments and errors as those of `load_file`. Names of files become absolute.
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise FileError(f"the path of a scene file is a string or a path, found {describe(path)}")
+    source = Path(os.fspath(path))
+    if source.is_dir():
+        raise FileError(f"can't read '{source}': it is a folder")
+    reader = Reader(parameters)
+    return _document(reader, reader.read_file(source), str(source), source.stem)
+
+
+def read_string(text: str | bytes, /, **parameters: Any) -> Document:
+    """The dict that the text of an XML file stands for; arguments and errors as those of `load_string`."""
+    if not isinstance(text, (str, bytes)):
+        raise SceneError(f"the text of a scene file is a string, found {describe(text)}")
+    reader = Reader(parameters)
+    return _document(reader, reader.read_string(text), "<string>", "scene")
+
+
+def _document(reader: Reader, root: Node, where: str, name: str) -> Document:
+    reader.parameters.check_all_used(where)
+    naming = Naming(reader.ids)
+    return Document(naming.dict_of(root), name, naming.places, reader.directories)

@@ -1,0 +1,1 @@
+"""Mitsuba 3's XML scene files: read into dicts, written from dicts."""

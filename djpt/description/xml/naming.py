@@ -1,0 +1,102 @@
+"""From nodes to the dict that `load_dict` takes: keys, references, places."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from djpt.description.registry import home_of, kind_of, registered
+from djpt.description.xml.nodes import Entry, Node, Reference
+from djpt.description.xml.reader import OBJECTS
+from djpt.errors import SceneError, near_miss
+
+__all__ = ["Naming"]
+
+
+class Naming:
+    """Settles the keys of a whole file.
+
+    The key of a node in a scene is its id, elsewhere its name in the object around it (``reflectance``); without
+    one it is the tag: ``shape``, ``shape_1``. An id with dots, as exporters write them, can't be a key and
+    stands in the node.
+
+    Args:
+        ids: all nodes by id, and by alias.
+    """
+
+    def __init__(self, ids: dict[str, Node]) -> None:
+        self.ids = ids
+        self.places: dict[str, str] = {}
+        """File and line by path."""
+        registered()  # so that the kinds of djpt's plugins are known
+
+    def dict_of(self, node: Node, path: str = "") -> dict[str, Any]:
+        """The node as a dict, and all that is nested in it. Raises `SceneError`."""
+        self._check_kind(node)
+        self.places[path] = node.place
+        result: dict[str, Any] = {"type": node.type}
+        keys = self._keys(node, at_top=not path)
+        if node.id and node.id != path:
+            result["id"] = node.id
+        for key, entry in zip(keys, node.entries, strict=True):
+            below = f"{path}.{key}" if path else key
+            self.places[below] = entry.place
+            value = entry.value
+            if isinstance(value, Node):
+                value = self.dict_of(value, below)
+            elif isinstance(value, Reference):
+                value = {"type": "ref", "id": self._target(value, entry).id}
+            result[key] = value
+        return result
+
+    def _target(self, reference: Reference, entry: Entry) -> Node:
+        """What a reference refers to; an alias leads to the node itself."""
+        if reference.id not in self.ids:
+            hint = near_miss(reference.id, self.ids) or "; no object has an id"
+            raise SceneError(f"{entry.place}: <ref>: nothing has the id '{reference.id}'{hint}")
+        return self.ids[reference.id]
+
+    def _keys(self, node: Node, at_top: bool) -> list[str]:
+        """One key for each entry, in order."""
+        keys = [self._own_key(entry, node.tag == "scene") for entry in node.entries]
+        # At the top, keys and ids share one space of names.
+        used = {"type", "id", *keys, *(self.ids if at_top else ())}
+        for i, entry in enumerate(node.entries):
+            if not keys[i]:
+                keys[i] = _unused(self._default_key(entry, node.tag == "scene"), used)
+                used.add(keys[i])
+        return keys
+
+    def _own_key(self, entry: Entry, in_scene: bool) -> str:
+        """The key that the file gives an entry, or an empty string."""
+        if not in_scene:
+            return entry.name
+        if isinstance(entry.value, Node) and entry.value.id:
+            return "" if "." in entry.value.id else entry.value.id
+        return "" if entry.name in self.ids else entry.name
+
+    def _default_key(self, entry: Entry, in_scene: bool) -> str:
+        if isinstance(entry.value, Reference):
+            return self._target(entry.value, entry).tag
+        if not isinstance(entry.value, Node):
+            return entry.name
+        return entry.value.id.replace(".", "_") if in_scene and entry.value.id else entry.value.tag
+
+    @staticmethod
+    def _check_kind(node: Node) -> None:
+        """Does the tag fit the plugin?"""
+        expected = OBJECTS.get(node.tag, "texture")
+        kind = kind_of(node.type) or home_of(node.type)
+        if kind not in (None, expected):
+            tag = next((tag for tag, of in OBJECTS.items() if of == kind), kind)
+            raise SceneError(f"{node.place}: <{node.tag}>: '{node.type}' is a {kind}; write <{tag} type=...>")
+
+
+def _unused(key: str, used: Collection[str]) -> str:
+    """`key`, or the first of ``key_1``, ``key_2``, ... that is free."""
+    if key not in used:
+        return key
+    count = 1
+    while f"{key}_{count}" in used:
+        count += 1
+    return f"{key}_{count}"

@@ -1,0 +1,106 @@
+"""From the text of an XML file to elements that know their line.
+
+What could make a parser read other files or grow without bounds (document types, entities, deep nesting)
+is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser
+
+from djpt.errors import FileError, SceneError
+
+__all__ = ["MAX_NESTING", "Element", "parse", "parse_file"]
+
+MAX_NESTING = 64
+"""Deepest nesting of elements. Real scenes need about six levels."""
+
+
+@dataclass(eq=False)
+class Element:
+    """A tag, its attributes and what is nested in it. `place` is ``file:line``. Text is dropped, as in Mitsuba."""
+
+    tag: str
+    attributes: dict[str, str]
+    place: str
+    children: list[Element] = field(default_factory=list)
+
+    def error(self, problem: str) -> SceneError:
+        """The error to raise: ``box.xml:12: <float>: the problem``."""
+        return SceneError(f"{self.place}: <{self.tag}>: {problem}")
+
+
+def parse_file(path: Path) -> Element:
+    """The root element of a file.
+
+    Raises:
+        FileError: the file can't be read.
+        SceneError: it isn't well-formed XML, or holds what is refused.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"can't read '{path}': {error.strerror or error}") from None
+    return parse(data, str(path))
+
+
+def parse(text: str | bytes, name: str) -> Element:
+    """The root element of a text; `name` stands for the file in messages. Raises `SceneError`."""
+    builder = _Builder(name)
+    parser = DefusedXMLParser(target=builder, forbid_dtd=True, forbid_entities=True, forbid_external=True)
+    builder.expat = parser.parser
+    try:
+        parser.feed(text)
+        root: Any = parser.close()
+    except ParseError as error:
+        line, column = error.position
+        # Python's message ends with the position, which stands in front here.
+        problem = str(error).partition(": line ")[0]
+        raise SceneError(f"{name}:{line}: not well-formed XML: {problem} (column {column + 1})") from None
+    except DefusedXmlException:
+        raise SceneError(f"{builder.place}: document types and entities aren't allowed in scene files") from None
+    except (LookupError, UnicodeError, ValueError) as error:
+        raise SceneError(f"{builder.place}: can't read the text: {error}") from None
+    assert isinstance(root, Element)
+    return root
+
+
+class _Builder:
+    """What the parser reports to."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.expat: Any = None
+        self.open: list[Element] = []
+        self.root: Element | None = None
+
+    @property
+    def place(self) -> str:
+        """Where the parser is."""
+        return f"{self.name}:{self.expat.CurrentLineNumber}"
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, dict(attributes), self.place)
+        if len(self.open) >= MAX_NESTING:
+            raise element.error(f"nested deeper than {MAX_NESTING} levels")
+        if self.open:
+            self.open[-1].children.append(element)
+        else:
+            self.root = element
+        self.open.append(element)
+
+    def end(self, tag: str) -> None:
+        self.open.pop()
+
+    def data(self, text: str) -> None:
+        """Text between tags means nothing."""
+
+    def close(self) -> Element:
+        assert self.root is not None  # else the parser has raised already
+        return self.root

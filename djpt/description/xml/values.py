@@ -1,0 +1,161 @@
+"""The value tags of a scene file: numbers, vectors, colours, spectra."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from djpt.description.numeric import LARGEST
+from djpt.description.xml.source import Element
+from djpt.errors import near_miss
+
+__all__ = ["VALUES", "check_attributes", "numbers", "spectrum_file", "vector"]
+
+_FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_INTEGER = re.compile(r"[+-]?\d{1,19}", re.ASCII)
+_SEPARATORS = re.compile(r"[,\s]+")
+
+
+def check_attributes(element: Element, required: str = "", optional: str = "") -> None:
+    """Raise `SceneError` for an attribute that is missing or unknown. Names are separated by spaces."""
+    possible = [*required.split(), *optional.split()]
+    for name in element.attributes:
+        if name not in possible:
+            raise element.error(f"unknown attribute '{name}'{near_miss(name, possible)}")
+    for name in required.split():
+        if name not in element.attributes:
+            found = ", ".join(element.attributes) or "none"
+            raise element.error(f"the attribute '{name}' is missing (found: {found})")
+
+
+def number(element: Element, text: str) -> float:
+    """A finite number."""
+    if not _FLOAT.fullmatch(text.strip()):
+        raise element.error(f"must be a number, found '{text}'")
+    value = float(text)
+    if abs(value) > LARGEST:
+        raise element.error(f"must be finite in single precision, found '{text}'")
+    return value
+
+
+def numbers(element: Element, text: str) -> list[float]:
+    """Numbers that are separated by spaces or commas."""
+    return [number(element, part) for part in _SEPARATORS.split(text) if part]
+
+
+def vector(element: Element, default: float | None, extra: str = "") -> list[float]:
+    """``x``, ``y``, ``z`` or ``value`` with three numbers, or one for all.
+
+    `default` stands for a missing component (None: all must be there); `extra` names further
+    attributes, which are required.
+    """
+    if "value" in element.attributes:
+        check_attributes(element, f"value {extra}")
+        found = numbers(element, element.attributes["value"])
+        if len(found) not in (1, 3):
+            raise element.error(f"'value' must be one or three numbers, found {len(found)}")
+        return found * 3 if len(found) == 1 else found
+    if default is None:
+        check_attributes(element, f"{extra} x y z")
+    else:
+        check_attributes(element, extra, "x y z value")
+    texts = [element.attributes.get(axis) for axis in "xyz"]
+    return [default or 0.0 if text is None else number(element, text) for text in texts]
+
+
+# ---- one function per tag: what stands in the dict -----------------------------------------
+
+
+def _integer(element: Element) -> int:
+    text = element.attributes["value"]
+    if not _INTEGER.fullmatch(text.strip()):
+        raise element.error(f"must be a whole number, found '{text}'")
+    return int(text)
+
+
+def _boolean(element: Element) -> bool:
+    text = element.attributes["value"].lower()
+    if text not in ("true", "false"):
+        raise element.error(f"must be true or false, found '{element.attributes['value']}'")
+    return text == "true"
+
+
+def _rgb(element: Element) -> dict[str, Any]:
+    found = numbers(element, element.attributes["value"])
+    if len(found) not in (1, 3):
+        raise element.error(f"must be one or three numbers, found {len(found)}: '{element.attributes['value']}'")
+    return {"type": "rgb", "value": found * 3 if len(found) == 1 else found}
+
+
+def _spectrum(element: Element) -> dict[str, Any]:
+    text = element.attributes["value"]
+    parts = [part for part in _SEPARATORS.split(text) if part]
+    if len(parts) == 1 and ":" not in text:
+        return {"type": "spectrum", "value": number(element, parts[0])}
+    pairs = []
+    for part in parts:
+        wavelength, colon, value = part.partition(":")
+        if not colon:
+            raise element.error(f"must be one number or pairs such as '400:0.1, 700:0.2', found '{part}'")
+        pairs.append((number(element, wavelength), number(element, value)))
+    _check_pairs(element, pairs)
+    return {"type": "spectrum", "value": pairs}
+
+
+def spectrum_file(element: Element, path: Path) -> dict[str, Any]:
+    """The spectrum in a text file: a wavelength in nm and a value per line, ``#`` for comments."""
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except OSError as error:
+        raise element.error(f"can't read '{path}': {error.strerror}") from None
+    except UnicodeError:
+        raise element.error(f"'{path}' isn't a text file") from None
+    pairs: list[tuple[float, float]] = []
+    for count, line in enumerate(lines, 1):
+        if not (text := line.partition("#")[0].strip()):
+            continue
+        inside = Element(element.tag, {}, f"{element.place}: {path}:{count}")
+        found = numbers(inside, text)
+        if len(found) != 2:
+            raise inside.error(f"must be a wavelength and a value, found '{text}'")
+        pairs.append((found[0], found[1]))
+    _check_pairs(element, pairs)
+    return {"type": "spectrum", "value": pairs}
+
+
+def _check_pairs(element: Element, pairs: list[tuple[float, float]]) -> None:
+    if len(pairs) < 2:
+        raise element.error(f"a spectrum needs at least two wavelengths, found {len(pairs)}")
+    for (before, _), (after, _) in pairwise(pairs):
+        if after <= before:
+            raise element.error(f"wavelengths must increase, found {after:g} after {before:g}")
+
+
+def _vector(element: Element) -> list[float]:
+    return vector(element, None, "name")
+
+
+def _with_value(read: Callable[[Element], Any]) -> Callable[[Element], Any]:
+    """A tag that has a name and a value and nothing else."""
+
+    def checked(element: Element) -> Any:
+        check_attributes(element, "name value")
+        return read(element)
+
+    return checked
+
+
+VALUES: dict[str, Callable[[Element], Any]] = {
+    "boolean": _with_value(_boolean),
+    "integer": _with_value(_integer),
+    "float": _with_value(lambda element: number(element, element.attributes["value"])),
+    "string": _with_value(lambda element: element.attributes["value"]),
+    "rgb": _with_value(_rgb),
+    "spectrum": _with_value(_spectrum),
+    "point": _vector,
+    "vector": _vector,
+}
+"""What each tag puts into the dict; raises `SceneError` with the element's place."""
