@@ -72,12 +72,16 @@ class Unrolled:
         self._find_occluders()
 
     def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest and largest corner of all shapes, the others included; (+inf, -inf) if there are none."""
+        """Smallest and largest corner of all shapes, the others included; (+inf, -inf) if there are none.
+
+        Infinite extents, those of planes, don't count.
+        """
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for shape in (*self.shapes, *self._others):
             for k, unit in enumerate(np.eye(3)):
                 a, b = shape.interval(unit)
-                low[k], high[k] = min(low[k], a), max(high[k], b)
+                if np.isfinite(a) and np.isfinite(b):
+                    low[k], high[k] = min(low[k], a), max(high[k], b)
         return low, high
 
     # ---- structure -----------------------------------------------------------------

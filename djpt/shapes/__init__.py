@@ -2,12 +2,15 @@
 
 from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
+from djpt.shapes.cone import Cone
 from djpt.shapes.cube import Cube
+from djpt.shapes.cuboid import Cuboid
 from djpt.shapes.cylinder import Cylinder
 from djpt.shapes.disk import Disk
 from djpt.shapes.instance import Instance
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.obj import Obj
+from djpt.shapes.plane import Plane
 from djpt.shapes.ply import Ply
 from djpt.shapes.rectangle import Rectangle
 from djpt.shapes.serialized import Serialized
@@ -15,7 +18,9 @@ from djpt.shapes.shapegroup import ShapeGroup
 from djpt.shapes.sphere import Sphere
 
 __all__ = [
+    "Cone",
     "Cube",
+    "Cuboid",
     "Cylinder",
     "Disk",
     "Face",
@@ -23,6 +28,7 @@ __all__ = [
     "Instance",
     "Mesh",
     "Obj",
+    "Plane",
     "Ply",
     "Rectangle",
     "Serialized",
@@ -36,6 +42,9 @@ register_shape("cube", Cube)
 register_shape("sphere", Sphere)
 register_shape("disk", Disk)
 register_shape("cylinder", Cylinder)
+register_shape("cone", Cone)
+register_shape("plane", Plane)
+register_shape("cuboid", Cuboid)
 register_shape("obj", Obj)
 register_shape("ply", Ply)
 register_shape("serialized", Serialized)

@@ -56,6 +56,8 @@ class Shape(Plugin):
     """How many faces `intersect` tells apart."""
     closed: ClassVar[bool] = False
     """Does it have an inside, that every path to the outside leaves through the surface?"""
+    has_area: ClassVar[bool] = True
+    """Is its area known, so that points can be drawn uniformly? Else `sample_direction` draws directions instead."""
     of_triangles: ClassVar[bool] = False
     """Is it a mesh, whose triangles stand in the scene's BVH?"""
 

@@ -1,0 +1,142 @@
+"""The open cone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.geometry.axes import AxisPool, ProjectedRay
+from djpt.lookup import as_float
+from djpt.records import PositionSample3f
+from djpt.shapes.base import Hit
+from djpt.shapes.revolution import Revolution, along
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["Cone"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+
+
+class Cone(Revolution):
+    """All points whose direction from `apex` makes the angle `angle` with `axis`, as far as `length` along it; no base.
+
+    Parameters: `apex` (default (0, 0, 1)), `axis` (from the apex into the cone, any length; default (0, 0, -1)),
+    `angle` (between axis and surface, degrees, in (0, 90); default 45), `length` (of the axis, default 1), `to_world`
+    (rotation, translation, uniform scale, reflection; default identity), `flip_normals` (default false).
+    uv = (phi / 2 pi, z) with z from 0 at the apex to 1 at the rim, phi as for the cylinder. Normals point outwards.
+    """
+
+    values = dict.fromkeys(
+        ("center", "axis_x", "axis_y", "axis_z", "slope", "cos", "sin", "length", "side", "area"), HIDDEN
+    )
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        apex, axis = props.vector("apex", (0, 0, 1)), props.vector("axis", (0, 0, -1))
+        angle = props.float("angle", 45.0, low=0.0, high=90.0, low_open=True, high_open=True)
+        length = props.float("length", 1.0, low=0.0, low_open=True)
+        if not axis.any():
+            raise props.error("axis", "has length 0")
+        end = apex + axis * (length / float(np.linalg.norm(axis)))
+        self.stretch(along(apex, end, length * math.tan(math.radians(angle))), props.node)
+
+    # ---- on the host ---------------------------------------------------------------
+
+    def place(self, pool: AxisPool) -> None:
+        matrix = self.to_world.matrix
+        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+        directions, apex = (matrix[:3, :3] / lengths).T, matrix[:3, 3]
+        radius, length = float(lengths[0]), float(lengths[2])
+        slant = math.hypot(radius, length)
+        self._axes = pool.find(directions[2:], self._axes)
+        self._host = (apex, matrix[:3, 2], radius)
+
+        self.set_frame(apex, directions)
+        self.slope, self.length = as_float(radius / length), as_float(length)
+        self.cos, self.sin = as_float(length / slant), as_float(radius / slant)
+        self.side = as_float(-1.0 if self.flip_normals else 1.0)
+        self.area = as_float(math.pi * radius * slant)
+        # Along the pool's axis, which may run the other way.
+        axis = self._axes[0].axis
+        self.apex_place = as_float(float(apex.dot(axis.direction)))
+        self.half_length = as_float(0.5 * length)
+        self.middle = as_float(-0.5 * length if self._axes[0].negative else 0.5 * length)
+        self.cos_squared, self.sin_squared = as_float((length / slant) ** 2), as_float((radius / slant) ** 2)
+
+    def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
+        apex, edge, radius = self._host
+        tip, base = apex.dot(direction), (apex + edge).dot(direction)
+        across = direction - edge * (edge.dot(direction) / edge.dot(edge))
+        reach = radius * float(np.linalg.norm(across))
+        return float(min(tip, base - reach)), float(max(tip, base + reach))
+
+    # ---- in kernels ----------------------------------------------------------------
+
+    def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
+        """Roots of z^2 - cos^2 |p|^2 = 0 with p from the apex, seen from the point q of the ray closest to the apex.
+
+        There q . d = 0, so with m = q x d the discriminant is cos^2 (sin^2 |m|^2 - m_z^2), which doesn't cancel far
+        from the cone, and of the two roots the one without cancellation gives the other: their product is known.
+        """
+        o, d, o_z, d_z = self.split(ray, self.apex_place)
+        length_squared = dr.fma(d_z, d_z, dr.squared_norm(d))
+        shift = -dr.fma(o_z, d_z, dr.dot(o, d)) * dr.rcp(length_squared)
+        q, z = dr.fma(d, shift, o), dr.fma(d_z, shift, o_z)
+        q_squared = dr.squared_norm(q)
+        distance_squared = dr.fma(z, z, q_squared)
+        a = dr.fma(d_z, d_z, -self.cos_squared * length_squared)
+        c = dr.fma(self.sin_squared, dr.square(z), -self.cos_squared * q_squared)
+        b = z * d_z
+        moment = self._moment_along(q, d)
+        discriminant = dr.fma(self.sin_squared, distance_squared * length_squared, -dr.square(moment))
+        root = self.cos * dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
+        sum_ = -(b + dr.mulsign(root, b))
+        t1, t2 = sum_ * dr.rcp(a) + shift, c * dr.rcp(sum_) + shift
+        near, far = dr.select(t1 < t2, t1, t2), dr.select(t1 < t2, t2, t1)
+        on_near = (near > 0) & self._within(dr.fma(d_z, near, o_z))
+        t = dr.select(on_near, near, far)
+        inside = self._within(dr.fma(d_z, t, o_z))
+        return Hit((discriminant >= 0) & inside & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
+
+    def _moment_along(self, q: Vector3f | Point2f, d: Vector3f | Point2f) -> Float:
+        """(q x d) . axis."""
+        if len(q) == 2:
+            return dr.fma(q[0], d[1], -q[1] * d[0])
+        assert self._axes is not None
+        return dr.dot(dr.cross(Vector3f(*q), Vector3f(*d)), self._axes[0].axis.vector)
+
+    def _within(self, z: Float) -> Bool:
+        """Is the place `z` along the pool's axis on the cone, not on its mirror image or beyond the rim?"""
+        return dr.abs(z - self.middle) <= self.half_length
+
+    def normal_at(self, p: Point3f) -> Vector3f:
+        across, _ = self.across(p)
+        length = dr.squared_norm(across)
+        outward = dr.select(length > 0, across * dr.rsqrt(length), self.axis_x)
+        return self._tilted(outward)
+
+    def _tilted(self, outward: Vector3f) -> Vector3f:
+        """The normal where `outward` points away from the axis."""
+        return (outward * self.cos - self.axis_z * self.sin) * self.side
+
+    def surface_area(self) -> Float:
+        return self.area
+
+    def sample_position(self, sample: Point2f) -> PositionSample3f:
+        outward, v = self.radial(sample.y), dr.sqrt(sample.x)
+        z = v * self.length
+        p = dr.fma(outward, z * self.slope, dr.fma(self.axis_z, z, self.center))
+        return PositionSample3f(p, self._tilted(outward), Point2f(sample.y, v), dr.rcp(self.area))
+
+    def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
+        across, z = self.across(p)
+        length = dr.squared_norm(across)
+        outward = dr.select(length > 0, across * dr.rsqrt(length), self.axis_x)
+        dv = (self.axis_z + outward * self.slope) * self.length
+        return Point2f(self.turn(across), z * dr.rcp(self.length)), 2 * math.pi * self.around(across), dv

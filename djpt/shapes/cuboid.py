@@ -1,0 +1,50 @@
+"""The box along the coordinate axes, given by two corners."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError
+from djpt.shapes.cube import Cube
+from djpt.types import Point3f
+
+__all__ = ["Cuboid"]
+
+
+class Cuboid(Cube):
+    """All points on the boundary of min <= p <= max, mapped by `to_world`; faces, uv and normals are the cube's.
+
+    Parameters: `min` (default (-1, -1, -1)), `max` (default (1, 1, 1)), `to_world` (affine, default identity),
+    `flip_normals` (default false). Without a rotation it is the cheapest closed shape: nothing is projected.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        low, high = props.vector("min", (-1, -1, -1)), props.vector("max", (1, 1, 1))
+        if not (low < high).all():
+            found = f"{high.tolist()} and {low.tolist()}"
+            raise props.error("max", f"must be greater than 'min' in every coordinate, found {found}")
+        self._placed = self.to_world
+        self.min, self.max = Point3f(*low.tolist()), Point3f(*high.tolist())
+        self._compose()
+
+    def _compose(self) -> None:
+        """`to_world` from the parameters: that of the cube [-1, 1]^3."""
+        low, high = (np.array(corner, np.float64).ravel() for corner in (self.min, self.max))
+        if not (low < high).all():
+            found = f"{high.tolist()} and {low.tolist()}"
+            raise ParameterError(f"{self.id}: 'max' must be greater than 'min' in every coordinate, found {found}")
+        self.to_world = self._placed.translate((low + high) / 2).scale((high - low) / 2)
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        self._compose()
+
+    def traverse_geometry(self, callback: TraversalCallback) -> None:
+        moves = ParamFlags.Differentiable | ParamFlags.Discontinuous
+        callback.put("min", self.min, moves)
+        callback.put("max", self.max, moves)
+        callback.put("to_world", self._placed, moves, attribute="_placed")

@@ -1,0 +1,123 @@
+"""What cylinders and cones share: an axis, and the angle around it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.geometry.axes import ProjectedRay, SignedAxis
+from djpt.lookup import as_vector
+from djpt.shapes.base import Shape
+from djpt.transforms import ScalarTransform4f
+from djpt.types import Float, Point2f, Point3f, Vector3f
+
+__all__ = ["Revolution", "along"]
+
+
+class Revolution(Shape):
+    """A surface of revolution about the local z axis; `center` is a point of the axis.
+
+    `to_world` maps the unit shape about +z to the world; the subclass has `values` of the names below.
+    """
+
+    center: Vector3f
+    axis_x: Vector3f
+    axis_y: Vector3f
+    axis_z: Vector3f
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self._axes: tuple[SignedAxis, ...] | None = None
+
+    def stretch(self, local: ScalarTransform4f, node: str) -> None:
+        """Put `local` under `to_world`, which the description gave."""
+        self.to_world = self.to_world @ local
+        problem = self._problem(self.to_world.matrix)
+        if problem:
+            raise SceneError(f"{node}: {problem}")
+
+    def _problem(self, matrix: NDArray[np.float64]) -> str | None:
+        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+        unit = matrix[:3, :3] / lengths
+        if np.abs(unit.T @ unit - np.eye(3)).max() > 1e-4 or abs(lengths[0] / lengths[1] - 1) > 1e-4:
+            name = type(self).__name__.lower()
+            return f"the 'to_world' of a {name} may scale uniformly, rotate, mirror and translate, nothing else"
+        return None
+
+    def check_parameter(self, name: str, value: object) -> object:
+        value = super().check_parameter(name, value)
+        if name == "to_world" and isinstance(value, ScalarTransform4f):
+            problem = self._problem(value.matrix)
+            if problem:
+                raise ParameterError(f"{self.id}.to_world: {problem}")
+        return value
+
+    def set_frame(self, center: NDArray[np.float64], directions: NDArray[np.float64]) -> None:
+        """The values by which kernels find local coordinates; `directions` are the rows x, y, z."""
+        self.center = as_vector(center)
+        self.axis_x, self.axis_y, self.axis_z = (as_vector(d) for d in directions)
+
+    # ---- in kernels ----------------------------------------------------------------
+
+    def split(self, ray: ProjectedRay, middle: Float) -> tuple[Any, Any, Float, Float]:
+        """Origin and direction across the axis and along it, as seen from `center`; `middle` is its place along."""
+        assert self._axes is not None
+        axis = self._axes[0].axis
+        o_z, d_z, _ = ray.onto(axis)
+        o_z = o_z - middle
+        if axis.coordinate is None:
+            o = dr.fma(axis.vector, -o_z, ray.ray.o - self.center)
+            return o, dr.fma(axis.vector, -d_z, ray.ray.d), o_z, d_z
+        # The component along the axis is left out.
+        across = [k for k in range(3) if k != axis.coordinate]
+        flat = Point2f(*(ray.ray.o[k] - self.center[k] for k in across))
+        return flat, Point2f(*(ray.ray.d[k] for k in across)), o_z, d_z
+
+    def across(self, p: Point3f) -> tuple[Vector3f, Float]:
+        """From the axis to a point, at a right angle; and how far along the axis from `center`."""
+        local = p - self.center
+        z = dr.dot(local, self.axis_z)
+        return dr.fma(self.axis_z, -z, local), z
+
+    def around(self, across: Vector3f) -> Vector3f:
+        """The derivative of the position by phi."""
+        return self.axis_y * dr.dot(across, self.axis_x) - self.axis_x * dr.dot(across, self.axis_y)
+
+    def turn(self, across: Vector3f) -> Float:
+        """How far around, from 0 to 1: phi / 2 pi."""
+        x, y = dr.dot(across, self.axis_x), dr.dot(across, self.axis_y)
+        phi = dr.atan2(y, x) * (1 / (2 * math.pi))
+        return dr.select(phi < 0, phi + 1, phi)
+
+    def radial(self, u: Float) -> Vector3f:
+        """The unit vector away from the axis where phi / 2 pi is `u`."""
+        sin, cos = dr.sincos(2 * math.pi * u)
+        return dr.fma(self.axis_x, cos, self.axis_y * sin)
+
+    def tangent_at(self, p: Point3f) -> Vector3f:
+        across, _ = self.across(p)
+        around = self.around(across)
+        length = dr.squared_norm(around)
+        return dr.select(length > 0, around * dr.rsqrt(length), self.axis_y)
+
+
+def along(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> ScalarTransform4f:
+    """The affine map of the axis (0, 0, 0) to (0, 0, 1) to that from `start` to `end`; across it, scale by `radius`.
+
+    x and y are Mitsuba's choice: Duff's frame, see `djpt.frame`, in double precision.
+    """
+    z = (end - start) / np.linalg.norm(end - start)
+    sign = math.copysign(1.0, z[2])
+    a = -1 / (sign + z[2])
+    b = z[0] * z[1] * a
+    matrix = np.eye(4)
+    matrix[:3, 0] = radius * np.array([1 + sign * z[0] ** 2 * a, sign * b, -sign * z[0]])
+    matrix[:3, 1] = radius * np.array([b, sign + z[1] ** 2 * a, -z[1]])
+    matrix[:3, 2], matrix[:3, 3] = end - start, start
+    return ScalarTransform4f(matrix)
