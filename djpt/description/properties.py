@@ -208,6 +208,7 @@ class Properties:
         elif value.kind != "texture":
             raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
         texture: Texture = value
+        texture.used_by(kind_of(self.plugin_name) or "")
         texture.restrict(low, high, f"{self._place(key)}: '{key}'")
         return texture
 

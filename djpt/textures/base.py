@@ -34,6 +34,9 @@ class Texture(Plugin):
         """The average over the texture's domain and channels."""
         raise NotImplementedError
 
+    def used_by(self, kind: str) -> None:
+        """Learn the kind of the plugin that uses the texture, before `restrict`: light and paint differ in colour."""
+
     def restrict(self, low: float | None, high: float | None, where: str) -> None:
         """All values must lie in [low, high] (None: no bound), now and after each edit.
 
