@@ -109,7 +109,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         entry, here = lanes.next(lane.entry, finished), lanes.at(lane.entry)
         sample = lanes.at(entry)
         more = finished & sample.left & sample.exists
-        delta, sums = mode.hand_over(job, lane, finished & here.exists, sample.slot, more)
+        delta, sums = mode.hand_over(job, lane, finished, sample.slot, more, here.exists)
         fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
         path = restart(ended, integrator.start(scene), state)
         new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))

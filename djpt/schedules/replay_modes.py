@@ -78,9 +78,12 @@ class Mode:
         raise NotImplementedError
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
-        """Delta and sums after the second walk of the lanes that have `finished`; `more`: another sample follows."""
+        """Delta and sums after the second walk of the lanes that have `finished`.
+
+        `more`: another sample follows; `counts`: the one that has ended is part of the image.
+        """
         raise NotImplementedError
 
 
@@ -111,7 +114,7 @@ class Reverse(Mode):
         return walk.delta, self.accumulator.add(walk.sums, leaves, active)
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
         if self.adjoint is None:
             return walk.delta, walk.sums
@@ -142,11 +145,11 @@ class Forward(Mode):
         return walk.delta + dr.select(active, change, 0), walk.sums
 
     def hand_over(
-        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
         channels, sums = job.film.tangent_channels(walk.delta), walk.sums
         if self.store is None:
-            sums = [s + dr.select(finished, c, 0) for s, c in zip(sums, channels, strict=True)]
+            sums = [s + dr.select(finished & counts, c, 0) for s, c in zip(sums, channels, strict=True)]
         else:
-            self.store(walk.slot, channels, finished)
+            self.store(walk.slot, channels, finished & counts)
         return dr.select(finished, 0, walk.delta), sums
