@@ -100,8 +100,13 @@ class Flat:
         self.dtype = type(rows[0])
         components: list[Any] = [c for row in rows for c in (row if dr.depth_v(row) > 1 else (row,))]
         # An own, aligned buffer: gathers from literals or shared memory don't become packet loads.
-        self.data: Any = dr.concat(components)
-        dr.make_opaque(self.data)
+        if dr.grad_enabled(*components):
+            self.data: Any = dr.concat(components)
+            dr.make_opaque(self.data)
+        else:
+            # By way of the host: the kernel of a long concatenation takes seconds to compile.
+            kind = type(components[0])
+            self.data = opaque(kind([c[0] for c in components]))
 
     def at(self, index: UInt32) -> Any:
         """The rows at `index`."""
