@@ -65,6 +65,8 @@ def parse(text: str | bytes, name: str) -> Element:
         raise SceneError(f"{name}:{line}: not well-formed XML: {problem} (column {column + 1})") from None
     except DefusedXmlException:
         raise SceneError(f"{builder.place}: document types and entities aren't allowed in scene files") from None
+    except SceneError:
+        raise
     except (LookupError, UnicodeError, ValueError) as error:
         raise SceneError(f"{builder.place}: can't read the text: {error}") from None
     assert isinstance(root, Element)
