@@ -30,7 +30,7 @@ from djpt.types import Bool, Color3f, Float, UInt32, UInt64
 __all__ = ["run"]
 
 NOTED = 64
-"""Vertices whose visibility is noted; beyond them the second walk traces shadow rays again."""
+"""Vertices whose visibility is noted, a power of two; beyond them the second walk traces shadow rays again."""
 
 
 @dataclass
