@@ -83,10 +83,11 @@ class AxisPool:
     ) -> tuple[SignedAxis, ...]:
         """The axes for a shape's directions.
 
-        Without `previous`, existing axes of those directions or new ones. With `previous` (the shape
+        Without `previous`, or if those belong to another pool (the shape is a copy of another, or was
+        part of another scene), existing axes of those directions or new ones. With `previous` (the shape
         was edited), the same axes where they still fit or can move along, else axes of its own.
         """
-        if previous is None:
+        if previous is None or any(signed.axis not in self.axes for signed in previous):
             return tuple(self._join(direction) for direction in directions)
         self._move_private(directions, previous)
         kept = [self._keep(d, p) for d, p in zip(directions, previous, strict=True)]
