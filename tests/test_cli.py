@@ -66,6 +66,58 @@ def test_render_has_defaults() -> None:
     assert Path("cornell_box.exr").exists()
 
 
+# ---------------------------------------------------------------- scene files
+
+FILE = """<scene version="3.0.0">
+<default name="size" value="16"/><integrator type="path"/>
+<sensor type="perspective">
+<film type="hdrfilm"><integer name="width" value="$size"/><integer name="height" value="8"/><rfilter type="box"/></film>
+<sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+</sensor>
+<shape type="sphere"><point name="center" x="0" y="0" z="3"/></shape>
+<emitter type="constant"/>
+</scene>"""
+
+
+def test_a_scene_file_with_parameters() -> None:
+    Path("ball.xml").write_text(FILE)
+    code, out, err = run("render", "ball.xml", "-D", "spp=4", "-D", "size=12")
+    assert code == ExitCode.DONE, err
+    assert out.startswith("ball.exr: 12 x 8, 4 spp, ")
+    image = djpt.render(djpt.load_file("ball.xml", spp=4, size=12))
+    np.testing.assert_array_equal(read_pixels("ball.exr"), image.numpy())
+    assert run("info", "ball.xml", "-D", "spp=4")[0] == ExitCode.DONE
+
+
+def test_compare_takes_scene_files() -> None:
+    pytest.importorskip("mitsuba")
+    Path("ball.xml").write_text(FILE)
+    code, out, err = run("compare", "ball.xml", "-D", "spp=4", "--spp", "16")
+    assert code == ExitCode.DONE, out + err
+    assert out.startswith("ball, 16 x 8: djpt at 16 spp")
+    assert Path("ball_comparison.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ball.xml"], "ball.xml:5: <integer>: 'value': unknown parameter '$spp'"),
+        (["ball.xml", "-D", "spp=x"], "ball.xml:5: <integer>: must be a whole number, found 'x'"),
+        (["ball.xml", "-D", "spp=0"], "ball.xml:5: scene.sensor.sampler: 'sample_count' must be at least 1, found 0"),
+        (["ball.xml", "-D", "spp=1", "-D", "sise=2"], "the parameter 'sise' isn't used; did you mean 'size'?"),
+        (["ball.xml", "-D", "spp"], "-D takes NAME=VALUE, found 'spp'"),
+        (["cornell_box", "-D", "spp=1"], "only scene files (XML) have parameters, found spp for 'cornell_box'"),
+        (["ball"], "unknown scene 'ball'; the file would be 'ball.xml'"),
+    ],
+)
+@pytest.mark.parametrize("command", ["render", "compare", "info"])
+def test_wrong_scene_files(command: str, arguments: list[str], message: str) -> None:
+    Path("ball.xml").write_text(FILE)
+    code, out, err = run(command, *arguments)
+    assert (code, out) == (ExitCode.BAD_INPUT, "")
+    assert message in err
+
+
 def test_quiet_prints_nothing() -> None:
     assert run("render", *SMALL, "-o", "a.png", "--quiet") == (ExitCode.DONE, "", "")
     assert Path("a.png").exists()

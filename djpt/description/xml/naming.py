@@ -61,9 +61,10 @@ class Naming:
         keys = [self._own_key(entry, node.tag == "scene") for entry in node.entries]
         # At the top, keys and ids share one space of names.
         used = {"type", "id", *keys, *(self.ids if at_top else ())}
+        counts: dict[str, int] = {}
         for i, entry in enumerate(node.entries):
             if not keys[i]:
-                keys[i] = _unused(self._default_key(entry, node.tag == "scene"), used)
+                keys[i] = _unused(self._default_key(entry, node.tag == "scene"), used, counts)
                 used.add(keys[i])
         return keys
 
@@ -92,11 +93,10 @@ class Naming:
             raise SceneError(f"{node.place}: <{node.tag}>: '{node.type}' is a {kind}; write <{tag} type=...>")
 
 
-def _unused(key: str, used: Collection[str]) -> str:
-    """`key`, or the first of ``key_1``, ``key_2``, ... that is free."""
-    if key not in used:
-        return key
-    count = 1
-    while f"{key}_{count}" in used:
-        count += 1
-    return f"{key}_{count}"
+def _unused(key: str, used: Collection[str], counts: dict[str, int]) -> str:
+    """`key`, or the first of ``key_1``, ``key_2``, ... that is free; `counts` has the number reached so far."""
+    found = key
+    while found in used:
+        counts[key] = counts.get(key, 0) + 1
+        found = f"{key}_{counts[key]}"
+    return found

@@ -36,6 +36,8 @@ class Node:
     id: str
     place: str
     entries: list[Entry] = field(default_factory=list)
+    places: dict[str, str] = field(default_factory=dict)
+    """Where each name was given."""
 
     def find(self, name: str) -> Entry | None:
         """The entry of that name."""
@@ -55,7 +57,6 @@ class Node:
 
     def append(self, entry: Entry) -> None:
         """Append an entry; raise `SceneError` if its name is taken."""
-        before = self.find(entry.name) if entry.name else None
-        if before is not None:
-            raise SceneError(f"{entry.place}: '{entry.name}' was given already ({before.place})")
+        if entry.name and self.places.setdefault(entry.name, entry.place) is not entry.place:
+            raise SceneError(f"{entry.place}: '{entry.name}' was given already ({self.places[entry.name]})")
         self.entries.append(entry)
