@@ -76,7 +76,9 @@ class Contents:
         for instance, original, copied in self._copied:
             if instance in changed or original in changed:
                 original.place(AxisPool())
-                copied.__dict__.update(placed(instance, original).__dict__)
+                # Its axes stay: they are those of the set that it stands in.
+                own = {key: getattr(copied, key) for key in ("_axes",) if hasattr(copied, key)}
+                copied.__dict__.update(placed(instance, original).__dict__ | own)
                 result.append(copied)
         return result
 
