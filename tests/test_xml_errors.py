@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
 import re
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from machines import ROOT
 
 import djpt
 from djpt.description.xml.parameters import LONGEST
@@ -313,3 +315,21 @@ def test_a_document_keeps_its_lines_through_changes() -> None:
         djpt.load_dict(document)
     with pytest.raises(djpt.SceneError, match=r"^<string>:4: scene\.a: 'radius'"):
         djpt.load_dict(document.copy())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_damaged_file_is_read_or_refused_with_a_message(seed: int) -> None:
+    pieces = re.findall(r"\w+|\W", (ROOT / "scenes" / "cornell_box.xml").read_text())
+    odd = ["$", '"', "<", ">", "&", "nan", ".", "\\", "a.b", "type", "id", "\x00", "1e39", "$res", *pieces]
+    choose = random.Random(seed)
+    refused = 0
+    for _ in range(60):
+        damaged = list(pieces)
+        for _ in range(choose.randint(1, 3)):
+            damaged[choose.randrange(len(damaged))] = choose.choice(odd)
+        try:
+            read_string("".join(damaged))
+        except djpt.DjptError as error:
+            refused += 1
+            assert re.match(r"<string>:\d+: ", str(error)), error
+    assert 20 < refused < 60
