@@ -60,11 +60,12 @@ class Geometry:
 
     def move(self, shapes: Sequence[Shape]) -> None:
         """Some shapes' parameters have changed."""
-        for shape in self.contents.renewed(shapes):
+        renewed = self.contents.renewed(shapes)
+        for shape in renewed:
             self.unrolled.move(shape)
         if self.triangles is not None:
             meshes = self.contents.moved_meshes(shapes)
-            if self.contents.moved_instances(shapes) or meshes:
+            if self.contents.moved_instances(shapes) or self.contents.moved_solids(renewed) or meshes:
                 self.triangles.move(meshes)
         self._number()
 

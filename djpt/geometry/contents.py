@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 
+import numpy as np
+
 from djpt.geometry.axes import AxisPool
 from djpt.geometry.forest import Forest, Placement
 from djpt.geometry.mesh_set import MeshSet
@@ -15,6 +17,12 @@ from djpt.shapes.mesh import Mesh
 from djpt.shapes.shapegroup import ShapeGroup
 
 __all__ = ["Contents"]
+
+MAX_UNROLLED = 24
+"""More analytic shapes than that stand in the BVH (docs/performance.md, "Many analytic shapes")."""
+
+LARGE, MAX_LARGE = 0.5, 6
+"""A few shapes at least half as large as the largest are unrolled all the same."""
 
 
 class Contents:
@@ -39,23 +47,45 @@ class Contents:
             original.place(AxisPool())
         self._copied = [(instance, original, placed(instance, original)) for instance, original in copies]
         self.shapes: list[Shape] = [*shapes, *inner, *(copied for _, _, copied in self._copied)]
-        self.analytic = [i for i, s in enumerate(self.shapes) if not unseen(s) and not s.of_triangles]
+        analytic = [i for i, s in enumerate(self.shapes) if not unseen(s) and not s.of_triangles]
+        self._solids = self._for_tree(analytic)
+        self.analytic = [i for i in analytic if i not in set(self._solids)]
+        """The shapes to be unrolled."""
         self._meshes = [i for i, s in enumerate(self.shapes) if s.of_triangles]
         self._placed = [i for i in self._instances if i.group in self._groups]
-        self.bounding = [s for s in shapes if s.of_triangles or isinstance(s, Instance)]
+        solids = [self.shapes[i] for i in self._solids]
+        self.bounding = [*(s for s in shapes if s.of_triangles or isinstance(s, Instance)), *solids]
         """Shapes whose extent counts beside that of the analytic ones."""
 
     def triangles(self) -> Triangles | None:
         """All meshes, and the instances of those in groups; None if there are none."""
         meshes = [s for s in self.shapes if isinstance(s, Mesh)]
-        if not meshes:
+        solids = [self.shapes[i] for i in self._solids]
+        if not meshes and not solids:
             return None
         mesh_set = MeshSet(meshes)
         world = sum(s.of_triangles for s in self._own)
         parts = [world, *(sum(s.of_triangles for s in group.shapes) for group in self._groups)]
         placements = [Placement(self._groups.index(i.group) + 1, i.to_world.matrix) for i in self._placed]
-        self._forest = Forest(mesh_set, parts, placements)
-        return Triangles(mesh_set, self._meshes, self._forest)
+        self._forest = Forest(mesh_set, parts, solids, placements)
+        return Triangles(mesh_set, [*self._meshes, *self._solids], self._forest)
+
+    def _for_tree(self, analytic: Sequence[int]) -> list[int]:
+        """Which of the analytic shapes stand in the BVH: none of a few, most of many.
+
+        Large ones are left out: they are hit by most rays, and often share axes.
+        """
+        if len(analytic) <= MAX_UNROLLED:
+            return []
+        sizes = {i: size(self.shapes[i]) for i in analytic}
+        largest = max(sizes.values())
+        large = sorted((i for i in analytic if sizes[i] > LARGE * largest), key=lambda i: -sizes[i])[:MAX_LARGE]
+        return [i for i in analytic if i not in large and self.shapes[i].canonical is not None]
+
+    def moved_solids(self, changed: Sequence[Shape]) -> bool:
+        """Has an analytic shape in the BVH moved?"""
+        solids = [self.shapes[i] for i in self._solids]
+        return any(shape in solids for shape in changed)
 
     # ---- edits -----------------------------------------------------------------------
 
@@ -81,6 +111,15 @@ class Contents:
                 copied.__dict__.update(placed(instance, original).__dict__ | own)
                 result.append(copied)
         return result
+
+
+def size(shape: Shape) -> float:
+    """The diagonal of a shape's bounding box."""
+    # A copy: where a shape has been placed first decides which axes it shares.
+    copied = copy.copy(shape)
+    copied.place(AxisPool())
+    intervals = np.array([copied.interval(unit) for unit in np.eye(3)])
+    return float(np.linalg.norm(intervals[:, 1] - intervals[:, 0]))
 
 
 def unseen(shape: Shape) -> bool:

@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.bvh.build import build
-from djpt.geometry.bvh.leaves import InstanceLeaves, TriangleLeaves
-from djpt.geometry.bvh.records import EMITS, Extent, Leaves, Records, pack, roots
+from djpt.geometry.bvh.leaves import PlacedLeaves, TriangleLeaves
+from djpt.geometry.bvh.records import EMITS, LEAF, PORTAL, SOLID, Extent, Leaves, Records, pack, roots
 from djpt.geometry.bvh.refit import REBUILD, grown, refit
 from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.wide import WideTree, collapse
+from djpt.geometry.canonical import KINDS
 from djpt.geometry.face_frames import face_frames
 from djpt.geometry.mesh_set import MeshSet
+from djpt.shapes.base import Shape
 
 __all__ = ["Forest", "Placement"]
 
@@ -41,9 +43,14 @@ class Tree:
 class Forest:
     """Builds the records of a scene's triangles, and renews them after an edit."""
 
-    def __init__(self, meshes: MeshSet, parts: Sequence[int], placements: Sequence[Placement]) -> None:
-        """`parts`: how many meshes of the set belong to the world, and then to each group, in this order."""
-        self._meshes, self._placements = meshes, list(placements)
+    def __init__(
+        self, meshes: MeshSet, parts: Sequence[int], solids: Sequence[Shape], placements: Sequence[Placement]
+    ) -> None:
+        """`parts`: how many meshes of the set belong to the world, and then to each group, in this order.
+
+        `solids` are analytic shapes of the world, numbered after the meshes.
+        """
+        self._meshes, self._solids, self._placements = meshes, list(solids), list(placements)
         self._parts = [int(n) for n in np.cumsum([0, *parts])]
         self._trees: list[Tree] = []
         self._depth = 0
@@ -54,7 +61,8 @@ class Forest:
         normals, directions = face_frames(self._meshes, corners)
         mesh_of_face = self._meshes.mesh_of_face()
         emits = np.array([mesh.emitter is not None for mesh in self._meshes.meshes])
-        mesh_of_face |= np.where(emits, EMITS, 0).astype(np.uint32)[mesh_of_face]
+        if emits.any():
+            mesh_of_face |= np.where(emits, EMITS, 0).astype(np.uint32)[mesh_of_face]
         bounds = [*self._meshes.first_face, self._meshes.face_count]
         triangles = []
         for first, last in zip(self._parts, self._parts[1:], strict=False):
@@ -64,17 +72,19 @@ class Forest:
             )
         groups = [self._tree(i, *boxes(leaves)) for i, leaves in enumerate(triangles) if i > 0]
         low, high = boxes(triangles[0])
-        if self._placements:
-            placed = [placed_box(groups[p.group - 1].wide, p.to_world) for p in self._placements]
+        placed = [solid_box(shape) for shape in self._solids]
+        placed += [placed_box(groups[p.group - 1].wide, p.to_world) for p in self._placements]
+        if placed:
             low = np.concatenate([low, [box[0] for box in placed]]).astype(np.float32)
             high = np.concatenate([high, [box[1] for box in placed]]).astype(np.float32)
         trees = [self._tree(0, low, high), *groups]
         self._trees = trees
         wide = [tree.wide for tree in trees]
         leaves: list[Leaves] = [*triangles]
-        if self._placements:
-            leaves[0] = InstanceLeaves(triangles[0], *self._transforms(wide))
-        records = pack(wide, leaves, self._depth)
+        if placed:
+            leaves[0] = self._placed_leaves(triangles[0], wide)
+        kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
+        records = pack(wide, leaves, self._depth, kinds)
         self._depth = records.depth
         return records
 
@@ -88,14 +98,34 @@ class Forest:
         wide = collapse(build(low, high))
         return Tree(wide, sah_cost(wide))
 
-    def _transforms(self, trees: Sequence[WideTree]) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
-        """Per instance the way into its group's space, as seen from the group's centre, and the group's root."""
-        starts = roots(trees)
-        inverse = np.empty((len(self._placements), 3, 4))
+    def _placed_leaves(self, triangles: TriangleLeaves, trees: Sequence[WideTree]) -> PlacedLeaves:
+        """The leaves of the world's tree, with the ways into the spaces of shapes and groups."""
+        starts, first = roots(trees), len(self._meshes.meshes)
+        inverse, label, detail, side = [], [], [], []
+        for i, shape in enumerate(self._solids):
+            inverse.append(np.linalg.inv(shape.to_world.matrix)[:3])
+            label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter is None else EMITS) | (first + i))
+            detail.append(kind_of(shape))
+            side.append(-1.0 if shape.flip_normals else 1.0)
         for i, placement in enumerate(self._placements):
-            inverse[i] = np.linalg.inv(placement.to_world)[:3]
-            inverse[i, :, 3] -= Extent.of(trees[placement.group]).center
-        return inverse, np.array([starts[p.group] for p in self._placements], np.uint32)
+            into = np.linalg.inv(placement.to_world)[:3]
+            into[:, 3] -= Extent.of(trees[placement.group]).center
+            inverse.append(into)
+            label.append(LEAF | PORTAL | i)
+            detail.append(starts[placement.group])
+            side.append(1.0)
+        return PlacedLeaves(
+            triangles,
+            np.array(inverse),
+            np.array(label, np.uint32),
+            np.array(detail, np.uint32),
+            np.array(side, np.float32),
+        )
+
+    @property
+    def emits(self) -> bool:
+        """Is any of its shapes a light?"""
+        return any(shape.emitter is not None for shape in (*self._meshes.meshes, *self._solids))
 
     def place(self, number: int, to_world: NDArray[np.float64]) -> None:
         """Move an instance; takes effect with the next `records`."""
@@ -110,6 +140,19 @@ class Forest:
 def boxes(leaves: TriangleLeaves) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The bounding boxes of triangles."""
     return leaves.corners.min(axis=1), leaves.corners.max(axis=1)
+
+
+def kind_of(shape: Shape) -> int:
+    """The number of a shape's kind."""
+    assert shape.canonical is not None
+    return KINDS.index(shape.canonical)
+
+
+def solid_box(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box about an analytic shape."""
+    intervals = np.array([shape.interval(unit) for unit in np.eye(3)])
+    margin = 1e-6 * (np.abs(intervals).max() + 1e-30)
+    return intervals[:, 0] - margin, intervals[:, 1] + margin
 
 
 def placed_box(tree: WideTree, to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -58,7 +58,8 @@ class MeshSet:
         self._has_texcoords = Presence([mesh.texcoords is not None for mesh in self.meshes], HAS_TEXCOORDS)
         self._flips = Presence([mesh.flip_normals for mesh in self.meshes], FLIPS)
         self._positions = self._table([mesh.positions for mesh in self.meshes], 4)
-        self._faces = own_copy(self._face_rows())
+        # A scene's BVH may hold analytic shapes alone: then nobody asks.
+        self._faces = own_copy(self._face_rows() if self.meshes else np.zeros((1, 4), np.uint32))
         self._attributes = {name: Attribute(self.meshes, name) for mesh in self.meshes for name in mesh.attributes}
         self.areas = AreaTable(self.meshes)
         for mesh, first in zip(self.meshes, self.first_face, strict=True):

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.bvh.records import LEAF, NUMBER, WORDS
+from djpt.geometry.bvh.records import LEAF, NUMBER, SOLID, WORDS
 from djpt.geometry.bvh.search import Found, search
 from djpt.geometry.bvh.traversal import NONE, as_float, enter, into_group, load, load_second, triangle_corners
+from djpt.geometry.canonical import FLAT_KINDS
+from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
 from djpt.geometry.query import Near
@@ -34,11 +36,12 @@ class Triangles:
     """Ray queries against the meshes of a scene. Faces are named by their record in the BVH."""
 
     def __init__(self, meshes: MeshSet, shapes: Sequence[int], forest: Forest) -> None:
-        """`shapes[i]` is the scene's number of the i-th mesh; `forest` builds the trees over them."""
+        """`shapes`: the scene's numbers of the meshes, then of the analytic shapes that `forest` holds."""
         self.meshes, self.forest = meshes, forest
         self._shapes = list(shapes)
         self._shape_of_mesh = Numbers(self._shapes)
         self._first_face = Numbers(meshes.first_face)
+        self._mesh_count = len(meshes.meshes)
         start = time.perf_counter()
         self.records = forest.records()
         self.build_seconds = time.perf_counter() - start
@@ -66,8 +69,8 @@ class Triangles:
 
     @property
     def emit(self) -> bool:
-        """Is any mesh a light?"""
-        return any(mesh.emitter is not None for mesh in self.meshes.meshes)
+        """Is any shape here a light?"""
+        return self.forest.emits
 
     def search(self, ray: Ray3f, through_lights: Bool | None) -> Found:
         """The first hit with 0 < t < maxt. Lanes with `through_lights` ignore meshes that emit."""
@@ -92,9 +95,10 @@ class Triangles:
         return Numbers([of_shape[shape] for shape in self._shapes])
 
     def face_within_mesh(self, record: UInt32) -> UInt32:
-        """The number of a triangle in its mesh."""
+        """The number of a triangle in its mesh; 0 on analytic shapes."""
         face = dr.gather(UInt32, self.records.words, record * WORDS + 13, record != NONE)
-        return face - self._first_face.at(self.mesh_of(record))
+        mesh = self.mesh_of(record)
+        return dr.select(mesh < self._mesh_count, face - self._first_face.at(mesh), 0)
 
     def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
         """The point where a ray hits a triangle; `t` counts from `near.origin`.
@@ -102,6 +106,15 @@ class Triangles:
         Unless `full`, uv and the lengths of dp/du and dp/dv aren't needed: that takes half a record,
         and no corners.
         """
+        if self.records.kinds:
+            solid = self._solid(near, d, t, record)
+            if not self.meshes.meshes:
+                return solid
+            is_solid = dr.gather(UInt32, self.records.words, record * WORDS + 12, record != NONE) & SOLID
+            return dr.select(is_solid != 0, solid, self._on_triangle(near, d, t, record, full))
+        return self._on_triangle(near, d, t, record, full)
+
+    def _on_triangle(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
         if near.inside is not None:
             return self._instanced(near, near.inside, d, t, record)
         if full or (self.meshes.smooth and near.b is None):
@@ -118,6 +131,23 @@ class Triangles:
             weights = near.b
             frame = self.meshes.smooth_frame(dr.select(half[4] >= LEAF, half[5], 0), weights, n, dp_du)
         return Surface(p, n, frame, weights, dp_du, frame.t, weights)
+
+    def _solid(self, near: Near, d: Vector3f, t: Float, record: UInt32) -> Surface:
+        """The point on an analytic shape."""
+        words = load(self.records.words, record)
+        o, local_d = into_group(words, near.origin, d)
+        local = canonical_surface(self.records.kinds, words[13], dr.fma(local_d, t, o))
+        zero = Vector3f(0)
+        point = Surface(zero, local.n, Frame3f(zero, zero, local.n), local.uv, local.dp_du, local.dp_dv, Point2f(0))
+        placed = to_world(words, point)
+        side, mirrored = as_float(words[14]), orientation(words)
+        shading = placed.sh_frame.n * side
+        placed.sh_frame = Frame3f(placed.sh_frame.s, dr.cross(shading, placed.sh_frame.s), shading)
+        # As in Mitsuba, reflections turn the geometric normal of what is flat there, and no other.
+        flat = words[13] < FLAT_KINDS
+        placed.n = placed.n * dr.select(flat, side * mirrored, side)
+        placed.p = dr.fma(d, t, near.origin) + self.records.center
+        return placed
 
     def _by_corners(self, origin: Point3f, d: Vector3f, record: UInt32) -> Surface:
         """The point with all that belongs to it, as seen from the centre of the triangle's tree."""
@@ -140,10 +170,21 @@ class Triangles:
         return surface
 
 
+def rows_of(words: list[UInt32]) -> list[Vector3f]:
+    """The linear part of the map that a record holds."""
+    m = [as_float(word) for word in words[:12]]
+    return [Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]) for i in range(3)]
+
+
+def orientation(words: list[UInt32]) -> Float:
+    """-1 where the map of a record is a reflection, else 1."""
+    rows = rows_of(words)
+    return dr.select(dr.dot(rows[0], dr.cross(rows[1], rows[2])) < 0, Float(-1), 1)
+
+
 def to_world(words: list[UInt32], surface: Surface) -> Surface:
     """A surface point of a group in the space of an instance, whose record is given; all but `p`."""
-    m = [as_float(word) for word in words[:12]]
-    rows = [Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]) for i in range(3)]
+    rows = rows_of(words)
     # The columns of the inverse: the way back into the world.
     adjugate = [dr.cross(rows[1], rows[2]), dr.cross(rows[2], rows[0]), dr.cross(rows[0], rows[1])]
     inv = dr.rcp(dr.dot(rows[0], adjugate[0]))

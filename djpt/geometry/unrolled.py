@@ -50,12 +50,16 @@ class Unrolled:
         self.occludes = [False] * len(shapes)
         for shape in shapes:
             shape.place(self.pool)
+        # What lights sample of shapes that stand in the BVH.
+        for shape in others:
+            shape.place(AxisPool())
         self._number_faces()
         self._find_occluders()
 
     def move(self, shape: Shape) -> None:
         """A shape's parameters have changed."""
         if shape not in self.shapes:
+            shape.place(AxisPool())
             self._find_occluders()
             return
         before = [self._face_key(f) for f in shape.faces()]

@@ -58,6 +58,8 @@ class Shape(Plugin):
     """Does it have an inside, that every path to the outside leaves through the surface?"""
     has_area: ClassVar[bool] = True
     """Is its area known, so that points can be drawn uniformly? Else `sample_direction` draws directions instead."""
+    canonical: ClassVar[str | None] = None
+    """Its name in `djpt.geometry.canonical`, if `to_world` maps one of the shapes there to it."""
     of_triangles: ClassVar[bool] = False
     """Is it a mesh, whose triangles stand in the scene's BVH?"""
 

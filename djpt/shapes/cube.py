@@ -60,6 +60,7 @@ class Cube(Shape):
 
     face_count = 6
     closed = True
+    canonical = "cube"
     values = dict.fromkeys(("center", "edge_x", "edge_y", "edge_z", "dual_x", "dual_y", "dual_z", "areas"), HIDDEN)
     statics = ("flip_normals", "mirrored")
 

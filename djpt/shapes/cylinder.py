@@ -34,6 +34,7 @@ class Cylinder(Revolution):
     also those of sampled points: Mitsuba 3.9.1 samples a reflected cylinder with normals that point inwards.
     """
 
+    canonical = "cylinder"
     values = dict.fromkeys(("center", "axis_x", "axis_y", "axis_z", "radius", "length", "side", "area"), HIDDEN)
 
     def __init__(self, props: Properties) -> None:

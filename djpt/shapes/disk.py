@@ -30,6 +30,7 @@ class Disk(Shape):
     It shines and shades on the side of the transformed +z axis; dp/du points away from the centre.
     """
 
+    canonical = "disk"
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
     statics = ()
 

@@ -28,6 +28,7 @@ class Rectangle(Shape):
     It shines and shades on the side of the transformed +z axis.
     """
 
+    canonical = "rectangle"
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
     statics = ("flip_normals",)
 

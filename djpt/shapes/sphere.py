@@ -35,6 +35,7 @@ class Sphere(Shape):
     """
 
     closed = True
+    canonical = "sphere"
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
 

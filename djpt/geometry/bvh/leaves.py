@@ -1,4 +1,4 @@
-"""What the leaves of a BVH hold: triangles, or whole groups of them seen through a transform."""
+"""What the leaves of a BVH hold: triangles, and what is seen through a transform."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.records import LEAF, PORTAL
+from djpt.geometry.bvh.records import LEAF
 
-__all__ = ["InstanceLeaves", "TriangleLeaves"]
+__all__ = ["PlacedLeaves", "TriangleLeaves"]
 
 
 @dataclass
@@ -37,14 +37,18 @@ class TriangleLeaves:
 
 
 @dataclass
-class InstanceLeaves:
-    """Triangles first, instances after them."""
+class PlacedLeaves:
+    """Triangles first, then what is seen through a transform: analytic shapes and instances."""
 
     triangles: TriangleLeaves
     inverse: NDArray[np.float64]
-    """(I, 3, 4): from world space to coordinates seen from the centre of the instance's group."""
-    root: NDArray[np.uint32]
-    """(I,): the root of the group's tree."""
+    """(I, 3, 4): from world space to that of the shape, or to that of the group as seen from its centre."""
+    label: NDArray[np.uint32]
+    """(I,): word 12."""
+    detail: NDArray[np.uint32]
+    """(I,): the kind of a shape, or the root of the group's tree."""
+    side: NDArray[np.float32]
+    """(I,): -1 for shapes with flipped normals."""
 
     def write(
         self, words: NDArray[np.uint32], at: NDArray[np.uint32], of: NDArray[np.int32], center: NDArray[np.float32]
@@ -52,10 +56,11 @@ class InstanceLeaves:
         count = len(self.triangles.corners)
         plain = of < count
         self.triangles.write(words, at[plain], of[plain], center)
-        at, instance = at[~plain], of[~plain] - count
-        matrix = self.inverse[instance].copy()
+        at, placed = at[~plain], of[~plain] - count
+        matrix = self.inverse[placed].copy()
         # Kernels see points from the tree's centre.
         matrix[:, :, 3] += matrix[:, :, :3] @ center.astype(np.float64)
         words[at, :12] = matrix.reshape(-1, 12).astype(np.float32).view(np.uint32)
-        words[at, 12] = instance.astype(np.uint32) | np.uint32(LEAF | PORTAL)
-        words[at, 13] = self.root[instance]
+        words[at, 12] = self.label[placed]
+        words[at, 13] = self.detail[placed]
+        words[at, 14] = self.side[placed].view(np.uint32)

@@ -47,6 +47,7 @@ __all__ = [
     "NUMBER",
     "PORTAL",
     "ROOT",
+    "SOLID",
     "WORDS",
     "Extent",
     "Leaves",
@@ -60,8 +61,11 @@ WORDS = 16
 CHILD, CELL = 0x007FFFFF, 0x7F800000
 """The parts of word 12 of nodes."""
 
-LEAF, PORTAL, EMITS, NUMBER = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
-"""The parts of word 12 of triangles and instances; EMITS: the triangle's mesh is a light."""
+LEAF, PORTAL, EMITS, SOLID, NUMBER = 0x80000000, 0x40000000, 0x20000000, 0x10000000, 0x0FFFFFFF
+"""The parts of word 12 of leaves.
+
+PORTAL: an instance, the way out of one, or, with SOLID, an analytic shape. EMITS: it is part of a light.
+"""
 
 EMPTY, EXIT, ROOT = 0, 1, 2
 """Records of their own: no node, the way out of an instance, the root."""
@@ -108,6 +112,8 @@ class Records:
     """The diagonal of the bounding box."""
     instanced: bool
     """Are there instances?"""
+    kinds: tuple[int, ...]
+    """The analytic shapes among the leaves: numbers into `canonical.KINDS`."""
 
 
 @dataclass
@@ -132,7 +138,9 @@ def roots(trees: Sequence[WideTree]) -> list[int]:
     return [ROOT + int(n) for n in np.cumsum([0, *sizes])]
 
 
-def pack(trees: Sequence[WideTree], leaves: Sequence[Leaves], least_depth: int = 0) -> Records:
+def pack(
+    trees: Sequence[WideTree], leaves: Sequence[Leaves], least_depth: int = 0, kinds: tuple[int, ...] = ()
+) -> Records:
     """Lay out some trees, each over the primitives of its `leaves`; rays start in the first.
 
     The others are reached by instances. `least_depth` keeps kernels that are compiled already usable.
@@ -157,6 +165,7 @@ def pack(trees: Sequence[WideTree], leaves: Sequence[Leaves], least_depth: int =
         as_float(0.50001 * first.diagonal),
         first.diagonal,
         len(trees) > 1,
+        kinds,
     )
 
 

@@ -18,7 +18,8 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, Records
+from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, SOLID, Records
+from djpt.geometry.canonical import intersect
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f
@@ -65,8 +66,6 @@ class Passage:
     """The record of the instance that the lane is in, or NONE."""
     hit_inside: UInt32
     """The same of the hit."""
-    waiting: Bool
-    """Has the lane come to the record of an instance, or to the way out of one?"""
 
 
 @dataclass
@@ -83,6 +82,8 @@ class Cursor:
     """The record of the triangle at `t`, or NONE."""
     b: Point2f | None = None
     """Barycentric weights there of the second and third corner; None if nobody will ask."""
+    waiting: Bool | None = None
+    """Has the lane come to a portal? None in scenes without."""
     passage: Passage | None = None
     """In scenes with instances: where the lane is among them."""
 
@@ -105,8 +106,9 @@ def start(
     usable = (reach < 1e18) & dr.isfinite(d.x + d.y + d.z) & active
     root: Any = dr.select(usable, UInt32(ROOT), UInt32(EMPTY))
     stack = [UInt32(0) for _ in range(records.depth)]
-    passage = Passage(Point3f(o), Vector3f(d), UInt32(NONE), UInt32(NONE), Bool(False)) if records.instanced else None
-    return Cursor(root, stack, Float(maxt), UInt32(hit), Point2f(0) if weights else None, passage)
+    passage = Passage(Point3f(o), Vector3f(d), UInt32(NONE), UInt32(NONE)) if records.instanced else None
+    waiting = Bool(False) if records.instanced or records.kinds else None
+    return Cursor(root, stack, Float(maxt), UInt32(hit), Point2f(0) if weights else None, waiting, passage)
 
 
 def visit(
@@ -119,7 +121,7 @@ def visit(
     """
     passage = cursor.passage
     stepper = Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
-    return crossed(records, stepper.step(cursor, any_hit, through_lights), o, d)
+    return crossed(records, stepper.step(cursor, any_hit, through_lights), o, d, any_hit, through_lights)
 
 
 def turn(
@@ -137,49 +139,92 @@ def turn(
     # A loop, though the number of rounds is known: unrolled, the code outgrows the processor's caches.
     cursor, _, _ = dr.while_loop(
         (cursor, UInt32(0), any_hit),
-        lambda cursor, i, any_hit: (i < ROUNDS) & (cursor.current != EMPTY),
+        lambda cursor, i, any_hit: (i < ROUNDS) & going(cursor),
         lambda cursor, i, any_hit: (steps(cursor, any_hit), i + 1, any_hit),
         label="steps",
     )
-    return crossed(records, cursor, o, d)
+    return crossed(records, cursor, o, d, any_hit, through_lights)
 
 
-def crossed(records: Records, cursor: Cursor, o: Point3f, d: Vector3f) -> Cursor:
-    """The cursor after the crossing that it may be waiting for."""
-    if cursor.passage is None:
+def going(cursor: Cursor) -> Bool:
+    """Is there a step to take?"""
+    return cursor.current != EMPTY if cursor.waiting is None else (cursor.current != EMPTY) & ~cursor.waiting
+
+
+def crossed(
+    records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None
+) -> Cursor:
+    """The cursor after what it may be waiting for: the test of an analytic shape, or the crossing of a portal."""
+    if cursor.waiting is None:
         return cursor
-    (cursor,) = dr.if_stmt(
-        (cursor,),
-        cursor.passage.waiting,
-        lambda cursor: (cross(records, cursor, o, d),),
-        lambda cursor: (cursor,),
-    )
+
+    def cross(cursor: Cursor) -> tuple[Cursor]:
+        words = load(records.words, cursor.current)
+        placed = into_group(words, o, d)
+        back, popped = advance(cursor, UInt32(0), [UInt32(INFINITY)] * 4, None)
+        after = Cursor(back, popped, cursor.t, cursor.hit, cursor.b, Bool(False), cursor.passage)
+        if records.kinds:
+            after = test_solid(records, after, cursor.current, words, placed, any_hit, through_lights)
+        if cursor.passage is not None:
+            after = dr.select((words[12] & SOLID) != 0, after, pass_portal(cursor, after, words, placed, o, d))
+        return (after,)
+
+    (cursor,) = dr.if_stmt((cursor,), cursor.waiting, cross, lambda cursor: (cursor,))
     return cursor
 
 
-def cross(records: Records, cursor: Cursor, o: Point3f, d: Vector3f) -> Cursor:
-    """Go into the instance at the current record, or out of the one that a lane is in; o, d: the ray in the world."""
+def test_solid(
+    records: Records,
+    cursor: Cursor,
+    record: UInt32,
+    words: list[UInt32],
+    ray: tuple[Point3f, Vector3f],
+    any_hit: Bool,
+    through_lights: Bool | None,
+) -> Cursor:
+    """The cursor, already past `record`, after the test of the analytic shape there; `ray` in the shape's space."""
+    hit, t = intersect(records.kinds, words[13], *ray, cursor.t)
+    hit &= (words[12] & SOLID) != 0
+    if through_lights is not None:
+        hit &= ~(through_lights & ((words[12] & EMITS) != 0))
+    passage = cursor.passage
+    if passage is not None:
+        passage = Passage(passage.o, passage.d, passage.inside, dr.select(hit, NONE, passage.hit_inside))
+    return Cursor(
+        dr.select(hit & any_hit, UInt32(EMPTY), cursor.current),
+        cursor.stack,
+        dr.select(hit, t, cursor.t),
+        dr.select(hit, record, cursor.hit),
+        cursor.b,
+        cursor.waiting,
+        passage,
+    )
+
+
+def pass_portal(
+    cursor: Cursor, after: Cursor, words: list[UInt32], placed: tuple[Point3f, Vector3f], o: Point3f, d: Vector3f
+) -> Cursor:
+    """Go into the instance at the current record, or out of the one that a lane is in.
+
+    `after` is the cursor past the record, `placed` the ray in the space of the instance, o, d in the world.
+    """
     passage = cursor.passage
     assert passage is not None
-    words = load(records.words, cursor.current)
     out = (words[12] & NUMBER) == NUMBER
-    into_o, into_d = into_group(words, o, d)
     # The way out lies under the group's tree on the stack.
-    way_out = UInt32((EXIT << 9) | 4)
-    back, popped = advance(cursor, UInt32(0), [UInt32(INFINITY)] * 4, Bool(False))
-    pushed = [way_out, *cursor.stack[:-1]]
+    pushed = [UInt32((EXIT << 9) | 4), *cursor.stack[:-1]]
     return Cursor(
-        dr.select(out, back, words[13]),
-        [dr.select(out, a, b) for a, b in zip(popped, pushed, strict=True)],
+        dr.select(out, after.current, words[13]),
+        [dr.select(out, a, b) for a, b in zip(after.stack, pushed, strict=True)],
         cursor.t,
         cursor.hit,
         cursor.b,
+        Bool(False),
         Passage(
-            dr.select(out, o, into_o),
-            dr.select(out, d, into_d),
+            dr.select(out, o, placed[0]),
+            dr.select(out, d, placed[1]),
             dr.select(out, UInt32(NONE), cursor.current),
             passage.hit_inside,
-            Bool(False),
         ),
     )
 
@@ -258,8 +303,8 @@ class Stepper:
         order = self._boxes(words, dr.select(leaf, Float(-1), cursor.t))
 
         found = self._triangle(words)
-        portal = False if passage is None else words[12] >= LEAF | PORTAL
-        hit = (leaf if passage is None else leaf & ~portal) & found.hit & (found.t > 0) & (found.t < cursor.t)
+        portal = None if cursor.waiting is None else words[12] >= LEAF | PORTAL
+        hit = (leaf if portal is None else leaf & ~portal) & found.hit & (found.t > 0) & (found.t < cursor.t)
         if through_lights is not None:
             hit &= ~(through_lights & ((words[12] & EMITS) != 0))
         t = dr.select(hit, found.t, cursor.t)
@@ -270,8 +315,8 @@ class Stepper:
         b = None if cursor.b is None else dr.select(hit, Point2f(found.b1, found.b2), cursor.b)
         if passage is not None:
             inside = dr.select(hit, passage.inside, passage.hit_inside)
-            passage = Passage(passage.o, passage.d, passage.inside, inside, Bool(portal))
-        return Cursor(current, stack, t, record, b, passage)
+            passage = Passage(passage.o, passage.d, passage.inside, inside)
+        return Cursor(current, stack, t, record, b, portal, passage)
 
     def _triangle(self, words: list[UInt32]) -> TriangleHit:
         return intersect_triangle(self.plane, *triangle_corners(words))
@@ -308,17 +353,17 @@ def plane_number(word: UInt32, shift: UInt32) -> Float:
     return number
 
 
-def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32], stay: Bool | bool) -> tuple[UInt32, list[UInt32]]:
+def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32], stay: Bool | None) -> tuple[UInt32, list[UInt32]]:
     """The next record and stack: down to the nearest child, or on to what the stack holds; or `stay`."""
     down, several = order[0] < INFINITY, order[1] < INFINITY
     top = cursor.stack[0]
     remaining = (top & 511) >> 3
-    leaving = ~down if stay is False else ~down & ~stay
+    leaving = ~down if stay is None else ~down & ~stay
     popped = leaving & (remaining == 0)
     # The lower two bits of a tag are the child's number.
     from_stack = dr.select(cursor.current == EMPTY, UInt32(EMPTY), (top >> 9) + (top & 3))
     current = dr.select(down, first_child + (order[0] & 3), from_stack)
-    if stay is not False:
+    if stay is not None:
         current = dr.select(stay, cursor.current, current)
 
     entry = (first_child << 9) | (order[1] & 7) | ((order[2] & 7) << 3) | ((order[3] & 7) << 6)

@@ -1,0 +1,179 @@
+"""Analytic shapes in their own space, where each is the same for all its instances.
+
+A scene of few shapes unrolls them, with all that they share. A scene of many keeps them in the BVH:
+the record of a shape holds the map to its canonical space, and lanes that come to one take the ray
+there. Affine maps keep distances along a ray, so `t` means the same in both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+
+from djpt.minmax import maximum, minimum
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["FLAT_KINDS", "KINDS", "LocalSurface", "intersect", "surface"]
+
+KINDS = ("rectangle", "disk", "cube", "sphere", "cylinder")
+"""The square [-1, 1]^2, the unit disk, the cube [-1, 1]^3, the unit sphere, the unit cylinder 0 <= z <= 1."""
+
+
+@dataclass
+class LocalSurface:
+    """A surface point in canonical space; the normal points outwards, or along +z."""
+
+    n: Vector3f
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    triangle: UInt32
+    """The primitive as Mitsuba counts it."""
+
+
+FLAT_KINDS = 3
+"""The first of them are meshes in Mitsuba, or flat."""
+
+Hit = tuple[Bool, Float]
+
+
+def intersect(kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt: Float) -> Hit:
+    """The first hit with 0 < t < maxt of a shape whose `kind` is among `kinds`, numbers into KINDS."""
+    hit, t = HITS[KINDS[kinds[0]]](o, d)
+    for k in kinds[1:]:
+        other_hit, other_t = HITS[KINDS[k]](o, d)
+        here = kind == k
+        hit, t = dr.select(here, other_hit, hit), dr.select(here, other_t, t)
+    return hit & (t > 0) & (t < maxt), t
+
+
+def surface(kinds: Sequence[int], kind: UInt32, p: Point3f) -> LocalSurface:
+    """What belongs to a point on the surface."""
+    result = SURFACES[KINDS[kinds[0]]](p)
+    for k in kinds[1:]:
+        result = dr.select(kind == k, SURFACES[KINDS[k]](p), result)
+    return result
+
+
+# ---- intersection ------------------------------------------------------------------------
+
+
+def hit_rectangle(o: Point3f, d: Vector3f) -> Hit:
+    t = -o.z * dr.rcp(d.z)
+    x, y = dr.fma(d.x, t, o.x), dr.fma(d.y, t, o.y)
+    return (dr.abs(x) <= 1) & (dr.abs(y) <= 1), t
+
+
+def hit_disk(o: Point3f, d: Vector3f) -> Hit:
+    t = -o.z * dr.rcp(d.z)
+    x, y = dr.fma(d.x, t, o.x), dr.fma(d.y, t, o.y)
+    return dr.fma(x, x, y * y) <= 1, t
+
+
+def hit_cube(o: Point3f, d: Vector3f) -> Hit:
+    near, far = -Float(dr.inf), Float(dr.inf)
+    for axis in range(3):
+        inv = dr.rcp(d[axis])
+        middle, half = -o[axis] * inv, dr.abs(inv)
+        near, far = maximum(middle - half, near), minimum(middle + half, far)
+    return near <= far, dr.select(near > 0, near, far)
+
+
+def hit_sphere(o: Point3f, d: Vector3f) -> Hit:
+    # From the point closest to the centre: see `djpt.shapes.sphere`.
+    inv = dr.rcp(dr.squared_norm(d))
+    middle = -dr.dot(o, d) * inv
+    discriminant = (1 - dr.squared_norm(dr.fma(d, middle, o))) * inv
+    reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
+    near = middle - reach
+    return discriminant >= 0, dr.select(near > 0, near, middle + reach)
+
+
+def hit_cylinder(o: Point3f, d: Vector3f) -> Hit:
+    inv = dr.rcp(dr.fma(d.x, d.x, d.y * d.y))
+    middle = -dr.fma(o.x, d.x, o.y * d.y) * inv
+    x, y = dr.fma(d.x, middle, o.x), dr.fma(d.y, middle, o.y)
+    discriminant = (1 - dr.fma(x, x, y * y)) * inv
+    reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
+    near, far = middle - reach, middle + reach
+    z_near, z_far = dr.fma(d.z, near, o.z), dr.fma(d.z, far, o.z)
+    first = (near > 0) & (z_near >= 0) & (z_near <= 1)
+    second = (z_far >= 0) & (z_far <= 1)
+    return (discriminant >= 0) & (first | second), dr.select(first, near, far)
+
+
+# ---- surface -----------------------------------------------------------------------------
+
+UP = (0.0, 0.0, 1.0)
+
+
+def on_rectangle(p: Point3f) -> LocalSurface:
+    uv = Point2f(dr.fma(p.x, 0.5, 0.5), dr.fma(p.y, 0.5, 0.5))
+    triangle = dr.select(uv.x + uv.y > 1, UInt32(1), UInt32(0))
+    return LocalSurface(Vector3f(*UP), uv, Vector3f(2, 0, 0), Vector3f(0, 2, 0), triangle)
+
+
+def on_disk(p: Point3f) -> LocalSurface:
+    radius = dr.sqrt(dr.fma(p.x, p.x, p.y * p.y))
+    inv = dr.select(radius > 0, dr.rcp(radius), 0)
+    outward = Vector3f(dr.select(radius > 0, p.x * inv, 1), p.y * inv, 0)
+    around = 2 * math.pi * Vector3f(-p.y, p.x, 0)
+    return LocalSurface(Vector3f(*UP), Point2f(radius, turn(p)), outward, around, UInt32(0))
+
+
+def on_cube(p: Point3f) -> LocalSurface:
+    from djpt.shapes.cube import FACES, face_axis
+
+    x, y, z = dr.abs(p.x), dr.abs(p.y), dr.abs(p.z)
+    axis = dr.select((x >= y) & (x >= z), UInt32(0), dr.select(y >= z, UInt32(1), UInt32(2)))
+    along: Float = dr.select(axis == 0, p.x, dr.select(axis == 1, p.y, p.z))
+    result: LocalSurface | None = None
+    for face, ((a, sign), (u, u_sign), (v, v_sign)) in enumerate(FACES):
+        n, du, dv = (Vector3f(*(float(x) for x in face_axis(spec))) for spec in FACES[face])
+        uv = Point2f(dr.fma(p[u], 0.5 * u_sign, 0.5), dr.fma(p[v], 0.5 * v_sign, 0.5))
+        triangle = 2 * face + dr.select(uv.x + uv.y < 1, UInt32(1), UInt32(0))
+        here = LocalSurface(n, uv, 2 * du, 2 * dv, triangle)
+        chosen = (axis == a) & ((along > 0) == (sign > 0))
+        result = here if result is None else dr.select(chosen, here, result)
+    assert result is not None
+    return result
+
+
+def on_sphere(p: Point3f) -> LocalSurface:
+    n = dr.normalize(p)
+    rim = dr.sqrt(dr.fma(n.x, n.x, n.y * n.y))
+    inv = dr.select(rim > 0, dr.rcp(rim), 0)
+    cos_phi, sin_phi = dr.select(rim > 0, n.x * inv, 1), n.y * inv
+    uv = Point2f(turn(n), dr.safe_acos(n.z) * dr.inv_pi)
+    du = 2 * math.pi * Vector3f(-n.y, n.x, 0)
+    return LocalSurface(n, uv, du, math.pi * Vector3f(n.z * cos_phi, n.z * sin_phi, -rim), UInt32(0))
+
+
+def on_cylinder(p: Point3f) -> LocalSurface:
+    around = 2 * math.pi * Vector3f(-p.y, p.x, 0)
+    return LocalSurface(Vector3f(p.x, p.y, 0), Point2f(turn(p), p.z), around, Vector3f(*UP), UInt32(0))
+
+
+def turn(p: Point3f) -> Float:
+    """The angle about z as a share of the full turn, from the x axis."""
+    phi = dr.atan2(p.y, p.x)
+    return dr.select(phi < 0, phi + 2 * math.pi, phi) * (1 / (2 * math.pi))
+
+
+HITS: dict[str, Callable[[Point3f, Vector3f], Hit]] = {
+    "rectangle": hit_rectangle,
+    "disk": hit_disk,
+    "cube": hit_cube,
+    "sphere": hit_sphere,
+    "cylinder": hit_cylinder,
+}
+SURFACES: dict[str, Callable[[Point3f], LocalSurface]] = {
+    "rectangle": on_rectangle,
+    "disk": on_disk,
+    "cube": on_cube,
+    "sphere": on_sphere,
+    "cylinder": on_cylinder,
+}
