@@ -7,6 +7,7 @@ from djpt.shapes.cube import Cube
 from djpt.shapes.cuboid import Cuboid
 from djpt.shapes.cylinder import Cylinder
 from djpt.shapes.disk import Disk
+from djpt.shapes.implicit import Implicit, Metaballs, Torus
 from djpt.shapes.instance import Instance
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.obj import Obj
@@ -25,8 +26,10 @@ __all__ = [
     "Disk",
     "Face",
     "Hit",
+    "Implicit",
     "Instance",
     "Mesh",
+    "Metaballs",
     "Obj",
     "Plane",
     "Ply",
@@ -35,6 +38,7 @@ __all__ = [
     "Shape",
     "ShapeGroup",
     "Sphere",
+    "Torus",
 ]
 
 register_shape("rectangle", Rectangle)
@@ -45,6 +49,9 @@ register_shape("cylinder", Cylinder)
 register_shape("cone", Cone)
 register_shape("plane", Plane)
 register_shape("cuboid", Cuboid)
+register_shape("implicit", Implicit)
+register_shape("torus", Torus)
+register_shape("metaballs", Metaballs)
 register_shape("obj", Obj)
 register_shape("ply", Ply)
 register_shape("serialized", Serialized)
