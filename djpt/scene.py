@@ -183,6 +183,7 @@ class Scene(Plugin):
         surface = self.geometry.surface(ray, pi, self.lookup, full=True)
         pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, self.lookup)
         pi.prim_uv = surface.prim_uv
+        pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
         return pi
 
     def ray_intersect(self, ray: Ray3f, active: Bool | bool = True) -> SurfaceInteraction3f:
@@ -217,7 +218,7 @@ class Scene(Plugin):
             dp_du=surface.dp_du,
             dp_dv=surface.dp_dv,
             wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
-            shape_index=pi.shape_index,
+            shape_index=dr.select(valid, pi.shape_index, 0),
             face=pi.face,
             valid=valid,
             scene=self,

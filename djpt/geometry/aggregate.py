@@ -15,7 +15,7 @@ import numpy as np
 
 from djpt.dispatch import Ensemble, Lookup
 from djpt.frame import Frame3f
-from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
+from djpt.geometry.bvh.traversal import NONE, Cursor, enter, start, turn
 from djpt.geometry.contents import Contents
 from djpt.geometry.query import ANALYTIC, FACE, Near, Query
 from djpt.geometry.surface import Surface
@@ -87,7 +87,8 @@ class Geometry:
         found = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(dr.isfinite(t), t, ray.maxt)), through_lights)
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
-        near = None if found.inside is None else Near(*self.triangles.enter(ray), None, found.inside)
+        # As the search has moved the origin, whether that is structure or not: nothing is computed twice.
+        near = Near(*enter(self.triangles.records, ray), None, found.inside)
         return PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
