@@ -48,6 +48,7 @@ check: lint
 
 bench: $(READY)
 	$(PY) benchmarks/versus_mitsuba.py
+	$(PY) benchmarks/meshes.py
 
 docs: $(READY)
 	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

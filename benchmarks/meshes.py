@@ -1,0 +1,187 @@
+"""How fast are meshes and many shapes, compared with Mitsuba 3 on the same machine?
+
+    python benchmarks/meshes.py [--quick] [--pairs N] [--json FILE]
+
+Path tracing of bumpy spheres of 10^4 to 10^6 triangles, of twenty meshes with several materials and of
+64 analytic shapes; ray queries; building the BVH; the first image of a process. As in
+`versus_mitsuba.py` the renderers take turns. Exit code 1: a required number was missed.
+"""
+
+from __future__ import annotations
+
+import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from mesh_scenes import bumpy_sphere, many_shapes, over_floor, twenty_meshes, write_bumpy_sphere
+from pairs import Row, in_pairs, report
+
+SPP = 32
+
+
+def image_row(what: str, description: Any, pairs: int, required: float | None, aim: float | None) -> Row:
+    """An image, warm; ``description(module)`` gives the scene as djpt or mitsuba describes it."""
+    ours, theirs = djpt.load_dict(description(djpt)), mi.load_dict(description(mi))
+    ratios, times = in_pairs(
+        lambda seed: djpt.render(ours, spp=SPP, seed=seed), lambda seed: mi.render(theirs, spp=SPP, seed=seed), pairs
+    )
+    return Row(what, required, aim, ratios, times)
+
+
+def image_rows(folder: Path, pairs: int, quick: bool) -> Iterator[Row]:
+    """Path tracing."""
+    for count in (10_000, 100_000) if quick else (10_000, 100_000, 1_000_000):
+        file = write_bumpy_sphere(folder, count)
+        for normals in ("face", "vertex"):
+            yield image_row(
+                f"bumpy sphere, {count} triangles, {normals} normals",
+                lambda m, file=file, normals=normals: over_floor(m, bumpy_sphere(file, normals == "face")),
+                pairs,
+                1.3,
+                1.8,
+            )
+    files = [write_bumpy_sphere(folder, 5000, seed) for seed in range(20)]
+    yield image_row("twenty meshes of 5000, 8 materials", lambda m: twenty_meshes(m, files), pairs, 1.4, None)
+    yield image_row("64 analytic shapes", many_shapes, pairs, 4, None)
+
+
+def gradient_row(folder: Path, pairs: int) -> Row:
+    """An image and the gradient by an albedo, for information."""
+    file = write_bumpy_sphere(folder, 100_000)
+
+    def gradient(module: Any) -> Any:
+        description = over_floor(module, bumpy_sphere(file, True))
+        description["integrator"] = {"type": "prb", "max_depth": 8}
+        scene = module.load_dict(description)
+        params = module.traverse(scene)
+        key = "ball.bsdf.reflectance.value"
+        dr.enable_grad(params[key])
+        params.update()
+
+        def work(seed: int) -> Any:
+            dr.clear_grad(params[key])
+            dr.backward(dr.mean(module.render(scene, params, spp=16, seed=seed), axis=None))
+            return dr.grad(params[key])
+
+        return work
+
+    ratios, times = in_pairs(gradient(djpt), gradient(mi), pairs)
+    return Row("image and gradient, 100000 triangles, 16 spp", None, None, ratios, times)
+
+
+def query_rows(folder: Path, pairs: int) -> Iterator[Row]:
+    """`ray_intersect` and `ray_test` on incoherent rays: diffuse bounces off the bumpy sphere."""
+    file = write_bumpy_sphere(folder, 100_000)
+    ours, theirs = (m.load_dict({"type": "scene", "ball": bumpy_sphere(file, True)}) for m in (djpt, mi))
+    o, d = bounces(ours, 2**20)
+    rays = [m.Ray3f(m.Point3f(o), m.Vector3f(d), m.Float(np.inf)) for m in (djpt, mi)]
+    dr.eval(rays)
+    for what, query, required in (
+        ("ray_intersect", "ray_intersect", 0.8),
+        ("ray_intersect_preliminary", "ray_intersect_preliminary", None),
+        ("ray_test", "ray_test", 0.6),
+    ):
+        ratios, times = in_pairs(
+            lambda seed, query=query: getattr(ours, query)(rays[0]),
+            lambda seed, query=query: (
+                getattr(theirs, query)(rays[1], coherent=False)
+                if query != "ray_intersect"
+                else theirs.ray_intersect(rays[1], mi.RayFlags.All, coherent=False)
+            ),
+            pairs,
+        )
+        yield Row(f"{what}, {o.shape[1]} incoherent rays", required, None, ratios, times)
+
+
+def bounces(scene: djpt.Scene, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions (3, N) of rays that leave the surface cosine-distributed."""
+    rng = np.random.default_rng(0)
+    o = rng.normal(size=(3, count))
+    o *= 3 / np.linalg.norm(o, axis=0)
+    d = rng.uniform(-1, 1, (3, count)) - o
+    d /= np.linalg.norm(d, axis=0)
+    si = scene.ray_intersect(djpt.Ray3f(djpt.Point3f(o), djpt.Vector3f(d), djpt.Float(np.inf)))
+    hit = np.array(si.is_valid())
+    p, n, d = (np.array(x)[:, hit] for x in (si.p, si.n, d))
+    n *= -np.sign((n * d).sum(axis=0))
+    s = rng.normal(size=n.shape)
+    out = n + s / np.linalg.norm(s, axis=0)
+    return p + 1e-4 * n, out / np.linalg.norm(out, axis=0)
+
+
+def build_rows(folder: Path) -> Iterator[Row]:
+    """Seconds and memory for the BVH of 10^6 triangles, each in a process of its own."""
+    file = write_bumpy_sphere(folder, 1_000_000)
+    numbers = [float(x) for x in in_process("build", file).split()]
+    yield Row("BVH over 10^6 triangles, seconds", 3, None, [numbers[0]], "triangles' frames and records included", True)
+    yield Row("  memory beyond the mesh, MiB", 300, None, [numbers[1]], "at its peak", True)
+
+
+def first_image_row(folder: Path) -> Row:
+    """The first image of a process that finds no compiled kernels, loading included."""
+    file = write_bumpy_sphere(folder, 100_000)
+    times = [float(in_process("first", file)) for _ in range(3)]
+    return Row(
+        "first image, 100000 triangles, seconds", 3, None, [statistics.median(times)], "empty kernel cache", True
+    )
+
+
+def in_process(what: str, file: Path) -> str:
+    """What this script prints when it is called as ``meshes.py what file``, with an empty kernel cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "DRJIT_CACHE_DIR": cache}
+        command = [sys.executable, __file__, what, str(file)]
+        return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+def build_alone(file: Path) -> None:
+    """Print the seconds that the BVH of a mesh takes, and how many MiB more than before were in use."""
+    from djpt.geometry.forest import Forest
+    from djpt.geometry.mesh_set import MeshSet
+
+    meshes = MeshSet([djpt.load_dict(bumpy_sphere(file, True))])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.perf_counter()
+    Forest(meshes, [1], [], []).records()
+    dr.sync_thread()
+    elapsed = time.perf_counter() - start
+    print(elapsed, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+
+
+def first_alone(file: Path) -> None:
+    """Print the seconds from the end of the imports to the first image."""
+    _ = djpt.load_dict, djpt.render, djpt.integrators
+    start = time.perf_counter()
+    image = djpt.render(djpt.load_dict(over_floor(djpt, bumpy_sphere(file, True))), spp=16)
+    dr.eval(image)
+    dr.sync_thread()
+    print(time.perf_counter() - start)
+
+
+def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
+    """The whole table."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        yield from image_rows(folder, pairs, quick)
+        yield gradient_row(folder, pairs)
+        yield from query_rows(folder, pairs)
+        yield from build_rows(folder)
+        yield first_image_row(folder)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 3 and sys.argv[1] in ("build", "first"):
+        {"build": build_alone, "first": first_alone}[sys.argv[1]](Path(sys.argv[2]))
+    else:
+        sys.exit(report(__doc__.split("\n")[0], f"256x256, depth 8, {SPP} spp", all_rows))
