@@ -21,6 +21,7 @@ else:
 __all__ = [
     "PCG32",
     "Array3f",
+    "ArrayXf",
     "ArrayXu",
     "Bool",
     "Color3f",
@@ -53,6 +54,7 @@ Bool = backend.Bool
 Mask = backend.Bool
 
 Array3f = backend.Array3f
+ArrayXf = backend.ArrayXf
 ArrayXu = backend.ArrayXu
 Point2f = backend.Array2f
 Vector2f = backend.Array2f

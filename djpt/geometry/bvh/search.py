@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 
@@ -10,7 +11,7 @@ from djpt.geometry.bvh.records import EMPTY, Records
 from djpt.geometry.bvh.traversal import Cursor, enter, start, turn, visit
 from djpt.lanewide import wide
 from djpt.records import Ray3f
-from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+from djpt.types import ArrayXf, Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Found", "search"]
 
@@ -46,6 +47,18 @@ def search(
     return Found(end.t + entry, end.hit, end.passage and end.passage.hit_inside)
 
 
+def packed(records: Records, ray: Ray3f, active: Bool | bool, lanes: int) -> Float:
+    """Rays in memory, 8 numbers each: origin near the triangles, direction, maxt, and how far the origin moved."""
+    o, entry = enter(records, ray)
+    # Inactive rays become such as `start` refuses.
+    x = dr.select(active, o.x, dr.nan)
+    rays = dr.empty(Float, 8 * lanes)
+    values = wide([x, o.y, o.z, ray.d.x, ray.d.y, ray.d.z, ray.maxt - entry, entry], lanes)
+    dr.scatter(rays, ArrayXf(values), dr.arange(UInt32, lanes))
+    dr.eval(rays)
+    return rays
+
+
 @dataclass
 class Flight:
     """Loop state of `batched`."""
@@ -62,22 +75,16 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
 
     Traversals differ in length; with one ray per lane a packet would wait for its longest.
     """
-    o, d, maxt, live = wide([ray.o, ray.d, ray.maxt, Bool(active)], lanes)
-    dr.eval(o, d, maxt, live)
+    rays = packed(records, ray, active, lanes)
     count, stride = dr.opaque(UInt32, lanes), dr.opaque(UInt32, BATCH)
     t, record = dr.empty(Float, lanes), dr.empty(UInt32, lanes)
     inside = dr.empty(UInt32, lanes) if records.instanced else None
 
     def fetch(index: UInt32) -> Flight:
         exists = index < count
-        ray = Ray3f(
-            Point3f(*(dr.gather(Float, x, index, exists) for x in o)),
-            Vector3f(*(dr.gather(Float, x, index, exists) for x in d)),
-            dr.gather(Float, maxt, index, exists),
-        )
-        origin, entry = enter(records, ray)
-        usable = exists & dr.gather(Bool, live, index, exists)
-        return Flight(index, origin, ray.d, entry, start(records, origin, ray.d, ray.maxt - entry, usable))
+        x: Any = dr.gather(ArrayXf, rays, index, exists, shape=(8, 1))
+        o, d = Point3f(x[0], x[1], x[2]), Vector3f(x[3], x[4], x[5])
+        return Flight(index, o, d, x[7], start(records, o, d, x[6], exists))
 
     def land(flight: Flight) -> Flight:
         dr.scatter(t, flight.cursor.t + flight.entry, flight.index)
