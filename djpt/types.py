@@ -21,6 +21,7 @@ else:
 __all__ = [
     "PCG32",
     "Array3f",
+    "Array4f",
     "ArrayXf",
     "ArrayXu",
     "Bool",
@@ -54,6 +55,7 @@ Bool = backend.Bool
 Mask = backend.Bool
 
 Array3f = backend.Array3f
+Array4f = backend.Array4f
 ArrayXf = backend.ArrayXf
 ArrayXu = backend.ArrayXu
 Point2f = backend.Array2f
