@@ -20,12 +20,13 @@ from djpt.description import registry
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, SurfaceInteraction3f, has_flag
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 
 COUNT = 2**18
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}}
 SHEARED = T([[1, 0.5, 0, 0.2], [0, 0.8, 0.3, 0], [0.1, 0, 0.6, 2], [0, 0, 0, 1]])
+BLOB = np.linalg.norm(np.indices((8, 8, 8)) - 3.4, axis=0)[..., None] - 2.5
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "diffuse": [{}, {"reflectance": 1.0}, DIFFUSE],
@@ -50,6 +51,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
                  {"function": lambda p: dr.norm(p) - 0.9, "flip_normals": True}],
     "torus": [{"to_world": T().translate([0.5, 0.2, 1.8]).rotate([1, 0, 0], 50)}],
     "metaballs": [{"balls": [[-0.5, 0, 2, 0.8], [0.3, 0.2, 2.2, 0.7]]}],
+    "sdfgrid": [{"grid": TensorXf(BLOB.astype(np.float32)), "to_world": T().translate([-0.3, -0.4, 1.2])}],
     "gaussian": [{}, {"stddev": 0.8}],
     "tent": [{}, {"radius": 2.0}],
     "mitchell": [{}, {"B": 0.1, "C": 0.6}],

@@ -14,6 +14,7 @@ from djpt.shapes.obj import Obj
 from djpt.shapes.plane import Plane
 from djpt.shapes.ply import Ply
 from djpt.shapes.rectangle import Rectangle
+from djpt.shapes.sdfgrid import SDFGrid
 from djpt.shapes.serialized import Serialized
 from djpt.shapes.shapegroup import ShapeGroup
 from djpt.shapes.sphere import Sphere
@@ -34,6 +35,7 @@ __all__ = [
     "Plane",
     "Ply",
     "Rectangle",
+    "SDFGrid",
     "Serialized",
     "Shape",
     "ShapeGroup",
@@ -52,6 +54,7 @@ register_shape("cuboid", Cuboid)
 register_shape("implicit", Implicit)
 register_shape("torus", Torus)
 register_shape("metaballs", Metaballs)
+register_shape("sdfgrid", SDFGrid)
 register_shape("obj", Obj)
 register_shape("ply", Ply)
 register_shape("serialized", Serialized)

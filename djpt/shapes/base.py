@@ -14,6 +14,7 @@ from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
+from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.records import DirectionSample3f, PositionSample3f
 from djpt.transforms import as_transform
@@ -126,6 +127,11 @@ class Shape(Plugin):
     def tangent_at(self, p: Point3f) -> Vector3f:
         """Curved shapes: the unit direction of dp/du at a surface point, across the normal."""
         raise NotImplementedError
+
+    def frame_at(self, p: Point3f) -> tuple[Vector3f, Frame3f]:
+        """Curved shapes: the geometric normal and the shading frame at a surface point."""
+        n, s = self.normal_at(p), self.tangent_at(p)
+        return n, Frame3f(s, dr.cross(n, s), n)
 
     def surface_area(self) -> Float:
         """Total area in world space."""

@@ -71,7 +71,7 @@ class LevelSet(Shape):
         self.center = as_vector(matrix[:3, 3])
         self.dual_x, self.dual_y, self.dual_z = (as_vector(row) for row in inverse)
         self.low, self.high = as_vector(low), as_vector(high)
-        corners = self._corners()
+        corners = self._box_corners()
         middle = corners.mean(axis=0)
         self.ball_center = as_vector(middle)
         stretch = float(np.linalg.norm(matrix[:3, :3], 2))
@@ -79,13 +79,13 @@ class LevelSet(Shape):
         self.inverse_slope = as_float(1 / self.slope if self.slope > 0 else 0.0)
         self.least = as_float(float(np.linalg.norm(high - low)) / self.steps)
 
-    def _corners(self) -> NDArray[np.float64]:
+    def _box_corners(self) -> NDArray[np.float64]:
         low, high = self.box
         local = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
         return local @ self.to_world.matrix[:3, :3].T + self.to_world.matrix[:3, 3]
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
-        along = self._corners() @ direction
+        along = self._box_corners() @ direction
         return float(along.min()), float(along.max())
 
     # ---- in kernels ----------------------------------------------------------------
@@ -119,7 +119,7 @@ class LevelSet(Shape):
             return first_zero(along, start, end, self.inverse_slope * inv_length, self.least * inv_length, start < end)
 
     def normal_at(self, p: Point3f) -> Vector3f:
-        n = dr.normalize(self.normal_to_world(gradient(self.field, self._local_point(p))))
+        n = dr.normalize(self.normal_to_world(gradient(self.field, self.local_point(p))))
         return -n if self.flip_normals else n
 
     def tangent_at(self, p: Point3f) -> Vector3f:
@@ -128,7 +128,8 @@ class LevelSet(Shape):
         length = dr.squared_norm(s)
         return dr.select(length > 0, s * dr.rsqrt(length), coordinate_system(n)[0])
 
-    def _local_point(self, p: Point3f) -> Point3f:
+    def local_point(self, p: Point3f) -> Point3f:
+        """A world point in local coordinates."""
         return Point3f(self.to_local(p - self.center))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
