@@ -14,7 +14,7 @@ from djpt.textures import Texture
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Color3f
 
-__all__ = ["PATH", "ball", "ball_file", "gallery", "kernels", "sheet_file", "uv_texture"]
+__all__ = ["PATH", "ball", "ball_file", "diffuse", "gallery", "kernels", "sheet_file", "uv_texture"]
 
 PATH = {"type": "path", "max_depth": 6, "rr_depth": 3}
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import SceneError
+from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.shapegroup import ShapeGroup
@@ -38,6 +38,21 @@ class Instance(Shape):
             )
         self.group: ShapeGroup = nested[0][1]
         self.to_world: ScalarTransform4f = props.transform("to_world")
+        try:
+            self._check_shapes(self.to_world)
+        except ParameterError as error:
+            raise SceneError(f"{props.node}: {error}") from None
+
+    def _check_shapes(self, to_world: ScalarTransform4f) -> None:
+        """Can all shapes of the group be placed so? Those with a formula of their own become copies."""
+        for shape in self.group.shapes:
+            if not shape.of_triangles:
+                shape.check_parameter("to_world", to_world @ shape.to_world)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        value = super().check_parameter(name, value)
+        self._check_shapes(value)
+        return value
 
     def traverse(self, callback: TraversalCallback) -> None:
         # As in Mitsuba: the group's parameters belong to the group, which stands in the scene.
