@@ -121,7 +121,6 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         (lane,) = dr.if_stmt(
             (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
         )
-        lane.frame.write(lane.entry, lane.entry & 1)
         return (lane,)
 
     (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
