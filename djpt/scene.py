@@ -15,6 +15,7 @@ from djpt.dispatch import Detached, Ensemble, Lookup
 from djpt.emitters import Area, Emitter, PointLight
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
+from djpt.geometry.contents import unseen
 from djpt.materials import BSDF, Diffuse
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
@@ -84,6 +85,10 @@ class Scene(Plugin):
         none = len(self._emitters)
         # Those of groups included.
         for shape in self.geometry.contents.shapes:
+            if unseen(shape):
+                self._bsdf_of_shape.append(0)
+                self._light_of_shape.append(none)
+                continue
             if shape.bsdf is None:
                 shape.bsdf = default_bsdf(shape)
             if shape.bsdf not in bsdfs:

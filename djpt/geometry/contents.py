@@ -16,7 +16,7 @@ from djpt.shapes.instance import Instance
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.shapegroup import ShapeGroup
 
-__all__ = ["Contents"]
+__all__ = ["Contents", "unseen"]
 
 MAX_UNROLLED = 24
 """More analytic shapes than that stand in the BVH (docs/performance.md, "Many analytic shapes")."""
