@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from djpt.errors import RenderError as RenderError
     from djpt.errors import SceneError as SceneError
     from djpt.frame import Frame3f as Frame3f
+    from djpt.geometry.bounding_box import BoundingBox3f as BoundingBox3f
     from djpt.image import Image as Image
     from djpt.image import read as read
     from djpt.image import write as write
@@ -119,6 +120,7 @@ _EXPORTS = {
     "djpt.errors": "BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f",
+    "djpt.geometry.bounding_box": "BoundingBox3f",
     "djpt.image": "Image read write",
     "djpt.integrators": "Integrator",
     "djpt.materials": "BSDF",

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
-import numpy as np
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
@@ -15,7 +14,9 @@ from djpt.dispatch import Detached, Ensemble, Lookup
 from djpt.emitters import Area, Emitter, PointLight
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
+from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.geometry.contents import unseen
+from djpt.geometry.parity import is_inside
 from djpt.materials import BSDF, Diffuse
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
@@ -154,9 +155,9 @@ class Scene(Plugin):
         """The emitter that surrounds the scene, or None."""
         return None if self._environment is None else self._emitters[self._environment]
 
-    def bbox(self) -> tuple[np.ndarray, np.ndarray]:
-        """Smallest and largest corner, each (3,) float64, world space."""
-        return self.geometry.bounding_box()
+    def bbox(self) -> BoundingBox3f:
+        """The box about all shapes, world space; ``low, high = scene.bbox()`` gives its corners."""
+        return BoundingBox3f(*self.geometry.bounding_box())
 
     @property
     def refracts(self) -> bool:
@@ -198,6 +199,10 @@ class Scene(Plugin):
     def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Is anything hit with 0 < t < maxt?"""
         return self.geometry.any_hit(ray, active)
+
+    def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
+        """Is a point within an odd number of closed surfaces? Open shapes don't count; see `djpt.geometry.parity`."""
+        return is_inside(self, p, active)
 
     def unoccluded(self, ray: Ray3f) -> Bool:
         """Is a `shadow_ray` free? Faster than `ray_test`: shapes that can't shadow anything are left out."""

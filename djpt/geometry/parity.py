@@ -1,0 +1,65 @@
+"""Inside or outside, by counting crossings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.lanewide import wide
+from djpt.lookup import Members
+from djpt.records import RAY_EPSILON, Ray3f
+from djpt.types import Bool, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["closed_shapes", "is_inside"]
+
+DIRECTION = (0.3651484, 0.5477226, 0.7527727)
+"""Any direction does; one along an axis would run within the faces of boxes."""
+
+
+@dataclass
+class Walk:
+    """Loop state."""
+
+    o: Point3f
+    crossings: UInt32
+    active: Bool
+
+
+def closed_shapes(scene: Scene) -> list[int]:
+    """The indices of shapes that have an inside: meshes whose edges all pair up, and the closed analytic ones."""
+    from djpt.shapes.mesh import Mesh
+
+    shapes = scene.geometry.contents.shapes
+    return [i for i, s in enumerate(shapes) if (s.is_closed() if isinstance(s, Mesh) else s.closed)]
+
+
+def is_inside(scene: Scene, p: Point3f, active: Bool | bool = True) -> Bool:
+    """Is a point within an odd number of closed surfaces?
+
+    A ray from an inner point crosses a closed surface an odd number of times (the Jordan-Brouwer theorem);
+    crossings of open shapes don't count. After each the ray goes on RAY_EPSILON (1 + max abs(p)) further,
+    so walls thinner than that may be missed.
+    """
+    inner = closed_shapes(scene)
+    count = len(scene.geometry.contents.shapes)
+    if not inner:
+        return Bool(active) & Bool(False)
+    closed, direction = Members(inner, count), Vector3f(*DIRECTION)
+
+    def step(walk: Walk) -> tuple[Walk]:
+        ray = Ray3f(walk.o, direction)
+        hit = scene.closest_hit(ray, walk.active)
+        found = hit.is_valid() & walk.active
+        crossings = walk.crossings + dr.select(found & closed.contain(hit.shape_index), UInt32(1), 0)
+        there = ray(dr.select(found, hit.t, 0))
+        on = dr.fma(direction, RAY_EPSILON * (1 + dr.max(dr.abs(there))), there)
+        return (Walk(on, crossings, found),)
+
+    start = wide(Walk(Point3f(p), UInt32(0), Bool(active)), dr.width(p, active))
+    (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="inside")
+    return (end.crossings & 1) == 1
