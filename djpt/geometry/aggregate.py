@@ -15,7 +15,7 @@ import numpy as np
 
 from djpt.dispatch import Ensemble, Lookup
 from djpt.frame import Frame3f
-from djpt.geometry.bvh.traversal import NONE, Cursor, enter, start, turn
+from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
 from djpt.geometry.contents import Contents
 from djpt.geometry.query import ANALYTIC, FACE, Near, Query
 from djpt.geometry.surface import Surface
@@ -88,7 +88,7 @@ class Geometry:
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
         # As the search has moved the origin, whether that is structure or not: nothing is computed twice.
-        near = Near(*enter(self.triangles.records, ray), None, found.inside)
+        near = Near(found.origin, found.near_t, found.entry, None, found.inside)
         return PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
@@ -141,7 +141,9 @@ class Geometry:
             t, origin = t + query.entry, dr.fma(query.d, -query.entry, origin)
         t = dr.select(number != NONE, t, dr.inf)
         passage = query.cursor.passage
-        near = Near(query.o, query.entry, query.cursor.b, None if passage is None else passage.hit_inside)
+        near = Near(
+            query.o, query.cursor.t, query.entry, query.cursor.b, None if passage is None else passage.hit_inside
+        )
         face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
         face = dr.select(number != NONE, face, 0)
         hit = PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
@@ -174,13 +176,18 @@ class Geometry:
         """The surface point of a hit; uv and dp/du, dp/dv of analytic shapes only if `full`."""
         if self.triangles is None:
             return self._analytic_surface(ray, hit.t, hit.face, lookup, full)
-        near = hit.near or Near(*self.triangles.enter(ray), None, None)
-        t = hit.t if near.entry is None else hit.t - near.entry
-        mesh = self.triangles.surface(near, ray.d, t, self.record_of(hit.face), full)
+        near = hit.near or self._near(ray, hit.t)
+        mesh = self.triangles.surface(near, ray.d, near.t, self.record_of(hit.face), full)
         if not self.analytic_shapes:
             return mesh
         analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, full)
         return dr.select(self.on_mesh(hit.face), mesh, analytic)
+
+    def _near(self, ray: Ray3f, t: Float) -> Near:
+        """A hit that comes from elsewhere, as a search for triangles would have seen it."""
+        assert self.triangles is not None
+        origin, entry = self.triangles.enter(ray)
+        return Near(origin, t if entry is None else t - entry, entry, None, None)
 
     def _analytic_surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
         p = ray(t)

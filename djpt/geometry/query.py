@@ -22,6 +22,8 @@ class Near:
 
     origin: Point3f
     """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.traversal.enter`."""
+    t: Float
+    """The distance from there: exact where the ray's own origin is so far off that its distance isn't."""
     entry: Float | None
     """How far it was moved, in units of the ray's `d`; None: not at all."""
     b: Point2f | None

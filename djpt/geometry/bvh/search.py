@@ -23,11 +23,21 @@ BATCH = 2**17
 class Found:
     """The result of a search."""
 
-    t: Float
+    origin: Point3f
+    """The ray's origin, moved near the triangles: see `enter`."""
+    entry: Float
+    """How far it was moved, in units of the ray's `d`."""
+    near_t: Float
+    """The distance from there."""
     record: UInt32
     """The record of the triangle, or NONE."""
     inside: UInt32 | None
     """The record of the instance that it belongs to, or NONE; None in scenes without instances."""
+
+    @property
+    def t(self) -> Float:
+        """The distance from the ray's own origin."""
+        return self.near_t + self.entry
 
 
 def search(
@@ -44,7 +54,7 @@ def search(
         lambda cursor: (visit(records, cursor, origin, ray.d, Bool(any_hit), through_lights),),
         label="any hit" if any_hit else "closest hit",
     )
-    return Found(end.t + entry, end.hit, end.passage and end.passage.hit_inside)
+    return Found(origin, entry, end.t, end.hit, end.passage and end.passage.hit_inside)
 
 
 def packed(records: Records, ray: Ray3f, active: Bool | bool, lanes: int) -> Float:
@@ -87,7 +97,7 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
         return Flight(index, o, d, x[7], start(records, o, d, x[6], exists))
 
     def land(flight: Flight) -> Flight:
-        dr.scatter(t, flight.cursor.t + flight.entry, flight.index)
+        dr.scatter(t, flight.cursor.t, flight.index)
         dr.scatter(record, flight.cursor.hit, flight.index)
         if inside is not None:
             dr.scatter(inside, flight.cursor.passage.hit_inside, flight.index)
@@ -102,4 +112,4 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
     first = wide(fetch(dr.arange(UInt32, BATCH)), BATCH)
     (end,) = dr.while_loop((first,), lambda flight: flight.index < count, body, label="ray batch")
     dr.eval(end.index, t, record, inside)
-    return Found(t, record, inside)
+    return Found(*enter(records, ray), t, record, inside)
