@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["ORACLES", "closest", "in_local"]
+__all__ = ["GRID", "ORACLES", "closest", "in_local"]
 
 Array = np.ndarray
 Oracle = Callable[[Array, Array], Array]
@@ -74,6 +74,88 @@ def cone(o: Array, d: Array) -> Array:
     return np.where((z >= 0) & (z <= 1), t, np.nan)
 
 
+def bracketed(f: Callable[[Array], Array], low: Array, high: Array) -> Array:
+    """The zero of a function per ray between two places of different sign, by bisection; NaN elsewhere."""
+    f_low, there = f(low), f(low) * f(high) <= 0
+    for _ in range(70):
+        middle = (low + high) / 2
+        same = f(middle) * f_low > 0
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return np.where(there, (low + high) / 2, np.nan)
+
+
+def torus(o: Array, d: Array) -> Array:
+    """(|p|^2 + R^2 - r^2)^2 = 4 R^2 (x^2 + y^2), R = 1, r = 1/4: real roots of the quartic, as eigenvalues."""
+    a, b, c = (d * d).sum(1), (o * d).sum(1), (o * o).sum(1)
+    # From the point closest to the middle, where b = 0.
+    shift = -b / a
+    o = o + shift[:, None] * d
+    c = (o * o).sum(1)
+    k = c + 1 - 1 / 16
+    e2, e1, e0 = ((u[:, :2] * v[:, :2]).sum(1) for u, v in ((d, d), (o, d), (o, o)))
+    quartic = [a * a, 0 * a, 2 * a * k - 4 * e2, -8 * e1, k * k - 4 * e0]
+    companion = np.zeros((len(a), 4, 4))
+    companion[:, 0] = -np.stack(quartic[1:], axis=1) / quartic[0][:, None]
+    companion[:, [1, 2, 3], [0, 1, 2]] = 1
+    roots = np.linalg.eigvals(companion)
+    # Double roots come out as pairs with imaginary parts of the square root of rounding.
+    return np.where(np.abs(roots.imag) <= 1e-7 * (1 + np.abs(roots.real)), roots.real + shift[:, None], np.nan)
+
+
+def ball(o: Array, d: Array) -> Array:
+    """|p| = 0.8."""
+    return sphere(o / 0.8, d / 0.8)
+
+
+GRID = np.random.default_rng(4).normal(size=(4, 4, 4)).astype(np.float32)
+"""Samples (Z, Y, X) of a distance grid: not a smooth surface at all."""
+
+
+def interpolated(p: Array) -> Array:
+    """The trilinear interpolant of GRID at points (.., 3) of [0, 1]^3."""
+    last = np.array(GRID.shape[::-1]) - 1
+    scaled = p * last
+    cell = np.clip(np.floor(scaled).astype(int), 0, last - 1)
+    (x, y, z), (u, v, w) = np.moveaxis(cell, -1, 0), np.moveaxis(scaled - cell, -1, 0)
+    value = np.zeros(p.shape[:-1])
+    for i, a in ((0, 1 - u), (1, u)):
+        for j, b in ((0, 1 - v), (1, v)):
+            for k, c in ((0, 1 - w), (1, w)):
+                value += a * b * c * GRID[z + k, y + j, x + i]
+    return value
+
+
+def grid(o: Array, d: Array) -> Array:
+    """Per cell a cubic along the ray; between its extrema it has one zero at most."""
+    planes = np.linspace(0, 1, len(GRID))
+    crossings = ((planes[None, None] - o[:, :, None]) / d[:, :, None]).reshape(len(o), -1)
+    box = ((np.array([0, 1])[None, None] - o[:, :, None]) / d[:, :, None]).reshape(len(o), 3, 2)
+    enter, leave = np.maximum(box.min(axis=2).max(axis=1), 0), box.max(axis=2).min(axis=1)
+    leave = np.maximum(enter, leave)
+    cuts = np.sort(np.clip(crossings, enter[:, None], leave[:, None]), axis=1)
+    cuts = np.concatenate([enter[:, None], cuts, leave[:, None]], axis=1)
+
+    def f(t: Array) -> Array:
+        return interpolated(np.clip(at(o, d, t), 0, 1))
+
+    first, width = cuts[:, :-1], np.diff(cuts, axis=1)
+    # The cubic in s = (t - first) / width from four values, and where its derivative vanishes.
+    f0, f1, f2, f3 = (f(first + width * s) for s in (1e-9, 1 / 3, 2 / 3, 1 - 1e-9))
+    c1 = (-11 * f0 + 18 * f1 - 9 * f2 + 2 * f3) / 2
+    c2 = (18 * f0 - 45 * f1 + 36 * f2 - 9 * f3) / 2
+    c3 = (-9 * f0 + 27 * f1 - 27 * f2 + 9 * f3) / 2
+    extrema = quadratic((3 * c3).ravel(), c2.ravel(), c1.ravel()).reshape(*first.shape, 2)
+    extrema = np.sort(np.where((extrema > 0) & (extrema < 1), extrema, 1.0), axis=2)
+    ends = np.concatenate([0 * first[..., None], extrema, 1 + 0 * first[..., None]], axis=2)
+    places = (first[..., None] + width[..., None] * ends).reshape(len(o), -1)
+    low, high = places[:, :-1], places[:, 1:]
+    value = f(places)
+    there = (value[:, :-1] * value[:, 1:] <= 0) & (high > low)
+    first_of = np.argmax(there, axis=1)[:, None]
+    low, high = (np.take_along_axis(x, first_of, axis=1) for x in (low, high))
+    return np.where(there.any(axis=1)[:, None], bracketed(f, low, high), np.nan)
+
+
 ORACLES: dict[str, Oracle] = {
     "rectangle": rectangle,
     "cube": cube,
@@ -83,6 +165,10 @@ ORACLES: dict[str, Oracle] = {
     "cone": cone,
     "plane": plane,
     "cuboid": cube,
+    "torus": torus,
+    "implicit": ball,
+    "metaballs": ball,
+    "sdfgrid": grid,
 }
 """All roots in local coordinates, where `to_world` of the plugin starts from: (N, K) with NaNs."""
 

@@ -28,7 +28,8 @@ class Implicit(LevelSet):
     Parameters: `function` (takes a `Point3f` in local coordinates, returns a `Float`; written with Dr.Jit's
     operations), `min` and `max` (corners of a box around the surface, local; default (-1, -1, -1) and (1, 1, 1)),
     `lipschitz` (a bound of the length of its gradient in the box: 1 for a distance; default 0: unknown), `steps` (the
-    diagonal of the box divided by the shortest step; default 512), `to_world` (affine), `flip_normals`.
+    diagonal of the box by the shortest step; default 4096, or 512 without `lipschitz`), `to_world` (affine),
+    `flip_normals`.
 
     With a bound, rays take steps of abs(f) / `lipschitz` and find every part of the surface that is thicker than a
     step. Without one they take `steps` equal steps: slower. Normals are the gradient, by automatic
@@ -49,7 +50,7 @@ class Implicit(LevelSet):
             raise props.error("max", f"must be greater than 'min' in every coordinate, found {found}")
         self.box = (low, high)
         self.slope = props.float("lipschitz", 0.0, low=0.0)
-        self.steps = props.integer("steps", 512, low=2, high=1_000_000)
+        self.steps = props.integer("steps", 4096 if self.slope > 0 else 512, low=2, high=1_000_000)
         self._try(props)
 
     def _try(self, props: Properties) -> None:

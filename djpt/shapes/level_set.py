@@ -41,8 +41,9 @@ class LevelSet(Shape):
     """Nothing of the surface is further from the middle of the box, in local coordinates."""
     slope = 0.0
     """A bound of the length of the gradient of `field` in the box; 0 if none is known."""
-    steps = 512
-    """A ray looks at least this often along the diagonal of the box if need be; always if no slope is known."""
+    steps = 4096
+    """The diagonal of the box by the shortest step. Chords shorter than a step may be missed, so that a curve of
+    radius r may seem flatter by step^2 / (8 r)."""
 
     center: Vector3f
     dual_x: Vector3f

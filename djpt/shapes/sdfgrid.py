@@ -93,7 +93,7 @@ class SDFGrid(LevelSet):
         steep = [np.abs(np.diff(values.astype(np.float64), axis=2 - axis)) * counts[axis] for axis in range(3)]
         per_cell = [np.maximum.reduce(list(around(s, 2 - axis))) ** 2 for axis, s in enumerate(steep)]
         self.slope = 1.0001 * float(np.sqrt(sum(per_cell).max()))
-        self.steps = int(32 * np.linalg.norm(counts)) + 1
+        self.steps = int(256 * np.linalg.norm(counts)) + 1
 
         flat = np.stack(corners, axis=-1).astype(np.float32)
         # An own, aligned buffer: packet gathers need it.
