@@ -69,7 +69,10 @@ KINDS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", KINDS)
+SLOW = ("gaussian", "odd, box", "crop", "one bounce", "lamp", "point")
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in KINDS])
 def test_schedules_agree(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **KINDS[kind]))
     machine, flat, wave = images(scene, 8)

@@ -106,7 +106,10 @@ SCENES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", SCENES)
+SLOW = ("gaussian", "crop")
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in SCENES])
 def test_reverse_forward_and_differences(folder: Path, kind: str) -> None:
     scene = djpt.load_dict(gallery(folder, **{"size": (24, 19), "integrator": PRB, **SCENES[kind]}))
     machine, flat = Loss(scene, NAMES, "machine"), Loss(scene, NAMES, "flat")
@@ -161,7 +164,7 @@ def bright_room(folder: Path, **keys: Any) -> dict[str, Any]:
     return scene
 
 
-@pytest.mark.parametrize("depth", [-1, 64, 65, 90])
+@pytest.mark.parametrize("depth", [-1, 65, *(pytest.param(n, marks=pytest.mark.slow) for n in (64, 90))])
 def test_paths_longer_than_what_is_noted(folder: Path, depth: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond `NOTED` vertices the second walk asks for the visibility of lights again."""
     white, light = "white.reflectance.value", "light.emitter.radiance.value"
