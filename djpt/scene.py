@@ -187,7 +187,7 @@ class Scene(Plugin):
         """The first hit with 0 < t < maxt, with Mitsuba's fields."""
         pi = self.closest_hit(ray, active)
         surface = self.geometry.surface(ray, pi, self.lookup, full=True)
-        pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, self.lookup)
+        pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
         pi.prim_uv = surface.prim_uv
         pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
         return pi
@@ -236,7 +236,7 @@ class Scene(Plugin):
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
-        return self.geometry.primitive_index(si.face, si.uv, self.lookup)
+        return self.geometry.primitive_index(si.face, si.uv, si.p, self.lookup)
 
     # ---- BSDFs and emitters of surface points -----------------------------------------------
 

@@ -135,6 +135,7 @@ class Geometry:
 
         The ray starts where the BVH began, that is `entry` before; `t` counts from its own origin.
         """
+        assert self.triangles is not None
         number = query.cursor.hit
         t, origin = query.cursor.t, query.o + self.triangles.records.center
         if query.entry is not None:
@@ -214,7 +215,7 @@ class Geometry:
         up = Vector3f(0, 0, 1)
         return result or (up, Frame3f.from_normal(up))
 
-    def primitive_index(self, face: UInt32, uv: Point2f, lookup: Lookup) -> UInt32:
+    def primitive_index(self, face: UInt32, uv: Point2f, p: Point3f, lookup: Lookup) -> UInt32:
         """The primitive of its shape, numbered as in Mitsuba: triangles of meshes, boxes and rectangles."""
         index = UInt32(0)
         if self.analytic_shapes:
@@ -223,7 +224,7 @@ class Geometry:
             index = self.surfaces.call(own, lookup, lambda shape: shape.triangle(local, uv), None)
         if self.triangles is None:
             return index
-        return dr.select(self.on_mesh(face), self.triangles.face_within_mesh(self.record_of(face)), index)
+        return dr.select(self.on_mesh(face), self.triangles.primitive_index(self.record_of(face), p), index)
 
 
 class FaceNumbers:

@@ -94,11 +94,17 @@ class Triangles:
         """A table of numbers by shape as one by mesh."""
         return Numbers([of_shape[shape] for shape in self._shapes])
 
-    def face_within_mesh(self, record: UInt32) -> UInt32:
-        """The number of a triangle in its mesh; 0 on analytic shapes."""
+    def primitive_index(self, record: UInt32, p: Point3f) -> UInt32:
+        """The number of a triangle in its mesh, or of that which an analytic shape would be made of at `p`."""
         face = dr.gather(UInt32, self.records.words, record * WORDS + 13, record != NONE)
         mesh = self.mesh_of(record)
-        return dr.select(mesh < self._mesh_count, face - self._first_face.at(mesh), 0)
+        index: UInt32 = face - self._first_face.at(mesh)
+        if self.records.kinds:
+            words = load(self.records.words, record)
+            local, _ = into_group(words, p - self.records.center, Vector3f(0))
+            solid = canonical_surface(self.records.kinds, words[13], local).triangle
+            index = dr.select(mesh < self._mesh_count, index, solid)
+        return index
 
     def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
         """The point where a ray hits a triangle; `t` counts from `near.origin`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 
@@ -124,8 +125,9 @@ class TiledLanes:
     def next(self, entry: UInt32, finished: Bool) -> UInt32:
         """The entry that a lane does next: that of its list which nobody has taken, where it has `finished`."""
         # The lanes of a packet run in step, on one thread: who gets which entry is always the same.
-        taken = dr.scatter_inc(self._taken, self._packet, finished)
-        return dr.select(finished, taken, entry)
+        taken: Any = dr.scatter_inc(self._taken, self._packet, finished)
+        result: UInt32 = dr.select(finished, taken, entry)
+        return result
 
     def at(self, entry: UInt32) -> TiledSample:
         """The sample at an entry of a packet's list."""

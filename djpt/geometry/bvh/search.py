@@ -99,8 +99,9 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
     def land(flight: Flight) -> Flight:
         dr.scatter(t, flight.cursor.t, flight.index)
         dr.scatter(record, flight.cursor.hit, flight.index)
-        if inside is not None:
-            dr.scatter(inside, flight.cursor.passage.hit_inside, flight.index)
+        passage = flight.cursor.passage
+        if inside is not None and passage is not None:
+            dr.scatter(inside, passage.hit_inside, flight.index)
         return fetch(flight.index + stride)
 
     def body(flight: Flight) -> tuple[Flight]:

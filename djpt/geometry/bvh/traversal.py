@@ -340,7 +340,8 @@ class Stepper:
                 far.append(dr.fma(plane_number(planes, self.far_shift[axis]), scale[axis], offset[axis]))
             entry = maximum(maximum(near[0], near[1]), maximum(near[2], Float(0)))
             leave = minimum(minimum(far[0], far[1]), minimum(far[2], reach))
-            tag: Any = (dr.reinterpret_array(UInt32, entry) & 0xFFFFFFF8) | (4 + child)
+            bits: Any = dr.reinterpret_array(UInt32, entry)
+            tag = (bits & 0xFFFFFFF8) | (4 + child)
             order.append(dr.select(entry <= leave, tag, UInt32(INFINITY)))
         for i, j in ((0, 1), (2, 3), (0, 2), (1, 3), (1, 2)):
             order[i], order[j] = dr.minimum(order[i], order[j]), dr.maximum(order[i], order[j])
@@ -356,7 +357,7 @@ def plane_number(word: UInt32, shift: UInt32) -> Float:
 def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32], stay: Bool | None) -> tuple[UInt32, list[UInt32]]:
     """The next record and stack: down to the nearest child, or on to what the stack holds; or `stay`."""
     down, several = order[0] < INFINITY, order[1] < INFINITY
-    top = cursor.stack[0]
+    top: Any = cursor.stack[0]
     remaining = (top & 511) >> 3
     leaving = ~down if stay is None else ~down & ~stay
     popped = leaving & (remaining == 0)
