@@ -6,7 +6,11 @@ If it needs parameters, or has interesting ones, add a line to EXAMPLES.
 
 from __future__ import annotations
 
+import atexit
 import inspect
+import shutil
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -27,6 +31,17 @@ COUNT = 2**18
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}}
 SHEARED = T([[1, 0.5, 0, 0.2], [0, 0.8, 0.3, 0], [0.1, 0, 0.6, 2], [0, 0, 0, 1]])
 BLOB = np.linalg.norm(np.indices((8, 8, 8)) - 3.4, axis=0)[..., None] - 2.5
+
+
+def mesh_file() -> str:
+    """A PLY file: a tetrahedron over the origin, with vertex normals."""
+    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "tetrahedron.ply"
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+    corners = np.array([[0.0, 0, 1], [1, 0.2, 1.3], [0.1, 0.8, 1.2], [0.2, 0.3, 2]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    djpt.Mesh("tetrahedron", vertex_positions=corners, faces=faces).write_ply(path)
+    return str(path)
+
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "diffuse": [{}, {"reflectance": 1.0}, DIFFUSE],
@@ -52,6 +67,10 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "torus": [{"to_world": T().translate([0.5, 0.2, 1.8]).rotate([1, 0, 0], 50)}],
     "metaballs": [{"balls": [[-0.5, 0, 2, 0.8], [0.3, 0.2, 2.2, 0.7]]}],
     "sdfgrid": [{"grid": TensorXf(BLOB.astype(np.float32)), "to_world": T().translate([-0.3, -0.4, 1.2])}],
+    "ply": [{"filename": mesh_file(), "face_normals": True}],
+    # Meshes of other files are sampled by the same code, and these two are no lights.
+    "obj": [], "serialized": [], "shapegroup": [], "instance": [],
+    "spectrum": [{"value": 0.4}],
     "gaussian": [{}, {"stddev": 0.8}],
     "tent": [{}, {"radius": 2.0}],
     "mitchell": [{}, {"B": 0.1, "C": 0.6}],

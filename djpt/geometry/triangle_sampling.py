@@ -17,14 +17,13 @@ __all__ = ["AreaTable", "square_to_triangle"]
 
 
 class AreaTable:
-    """For each mesh that emits the running sum of its faces' areas, one mesh after the other."""
+    """For each mesh the running sum of its faces' areas, one mesh after the other."""
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         """Tells each mesh where its part begins, its attribute `first_area`."""
-        lights = [mesh for mesh in meshes if mesh.emitter is not None]
-        sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in lights]
+        sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in meshes]
         starts = np.cumsum([0, *(len(part) for part in sums)])
-        for mesh, start in zip(lights, starts[:-1], strict=True):
+        for mesh, start in zip(meshes, starts[:-1], strict=True):
             mesh.first_area = dr.opaque(UInt32, int(start))
         self._sums = Float(np.concatenate(sums)) if sums else Float(1)
         # Unevaluated arithmetic would drag its inputs into kernels.
