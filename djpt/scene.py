@@ -185,8 +185,10 @@ class Scene(Plugin):
 
     def ray_intersect_preliminary(self, ray: Ray3f, active: Bool | bool = True) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt, with Mitsuba's fields."""
-        pi = self.closest_hit(ray, active)
-        surface = self.geometry.surface(ray, pi, self.lookup, full=True)
+        near, entry = self.geometry.approach(ray)
+        pi = self.closest_hit(near, active)
+        surface = self.geometry.surface(near, pi, self.lookup, full=True)
+        pi.t = pi.t + entry
         pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
         pi.prim_uv = surface.prim_uv
         pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
@@ -194,11 +196,14 @@ class Scene(Plugin):
 
     def ray_intersect(self, ray: Ray3f, active: Bool | bool = True) -> SurfaceInteraction3f:
         """The first surface point with 0 < t < maxt, with all its fields."""
-        return self.surface_interaction(ray, self.closest_hit(ray, active))
+        near, entry = self.geometry.approach(ray)
+        si = self.surface_interaction(near, self.closest_hit(near, active))
+        si.t = si.t + entry
+        return si
 
     def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Is anything hit with 0 < t < maxt?"""
-        return self.geometry.any_hit(ray, active)
+        return self.geometry.any_hit(self.geometry.approach(ray)[0], active)
 
     def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
         """Is a point within an odd number of closed surfaces? Open shapes don't count; see `djpt.geometry.parity`."""

@@ -18,9 +18,10 @@ from djpt.frame import Frame3f
 from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
 from djpt.geometry.contents import Contents
 from djpt.geometry.query import ANALYTIC, FACE, Near, Query
+from djpt.geometry.recentre import recentre
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
-from djpt.lookup import Numbers, is_one_of
+from djpt.lookup import Numbers, as_vector, is_one_of
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -44,9 +45,18 @@ class Geometry:
         self._curved = [group for group in self.surfaces.groups if not group.plugins[0].faces()]
         self._emits = [s.emitter is not None for s in analytic]
         self._number()
+        self._measure()
+
+    def _measure(self) -> None:
+        """Find out how far the shapes reach."""
         low, high = self.bounding_box()
         self.seen_from(low)
         self.seen_from(high)
+        self._low, self._high = as_vector(low), as_vector(high)
+
+    def approach(self, ray: Ray3f) -> tuple[Ray3f, Float]:
+        """The ray from where it comes near the shapes, and how far that is: for queries from anywhere."""
+        return recentre(ray, self._low, self._high)
 
     def seen_from(self, p: np.ndarray) -> None:
         """Rays may start at `p`."""
@@ -68,6 +78,7 @@ class Geometry:
             if self.contents.moved_instances(shapes) or self.contents.moved_solids(renewed) or meshes:
                 self.triangles.move(meshes)
         self._number()
+        self._measure()
 
     def move_points(self, points: Sequence[Point3f]) -> None:
         """The positions of point lights have changed."""

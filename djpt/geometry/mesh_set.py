@@ -40,6 +40,7 @@ class MeshSet:
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         self.meshes = tuple(meshes)
+        self.areas: AreaTable | None = None
         self._tabulate()
 
     def refresh(self, mesh: Mesh) -> None:
@@ -61,7 +62,7 @@ class MeshSet:
         # A scene's BVH may hold analytic shapes alone: then nobody asks.
         self._faces = own_copy(self._face_rows() if self.meshes else np.zeros((1, 4), np.uint32))
         self._attributes = {name: Attribute(self.meshes, name) for mesh in self.meshes for name in mesh.attributes}
-        self.areas = AreaTable(self.meshes)
+        self.areas = AreaTable(self.meshes, 0 if self.areas is None else self.areas.steps)
         for mesh, first in zip(self.meshes, self.first_face, strict=True):
             mesh.join(self, first)
 

@@ -19,8 +19,11 @@ __all__ = ["AreaTable", "square_to_triangle"]
 class AreaTable:
     """For each mesh the running sum of its faces' areas, one mesh after the other."""
 
-    def __init__(self, meshes: Sequence[Mesh]) -> None:
-        """Tells each mesh where its part begins, its attribute `first_area`."""
+    def __init__(self, meshes: Sequence[Mesh], least_steps: int = 0) -> None:
+        """Tells each mesh where its part begins, its attribute `first_area`.
+
+        `least_steps`: those of the table before an edit, so that fewer faces don't mean a new kernel.
+        """
         sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in meshes]
         starts = np.cumsum([0, *(len(part) for part in sums)])
         for mesh, start in zip(meshes, starts[:-1], strict=True):
@@ -28,7 +31,7 @@ class AreaTable:
         self._sums = Float(np.concatenate(sums)) if sums else Float(1)
         # Unevaluated arithmetic would drag its inputs into kernels.
         dr.make_opaque(self._sums)
-        self._steps = max((len(part) for part in sums), default=1).bit_length()
+        self.steps = max(least_steps, max((len(part) for part in sums), default=1).bit_length())
 
     def sample(self, first: UInt32, count: UInt32, total: Float, sample: Float) -> tuple[UInt32, Float]:
         """Choose a face by area; the sample's remainder is uniform again, as in Mitsuba.
@@ -45,7 +48,7 @@ class AreaTable:
         wanted = sample * total
         # The number of faces whose sum lies below, by halving steps; a face without area is never chosen.
         below = UInt32(0)
-        for k in reversed(range(self._steps)):
+        for k in reversed(range(self.steps)):
             probe = below + (1 << k)
             inside = probe < count
             value = dr.gather(Float, self._sums, first + probe - 1, inside)

@@ -236,6 +236,7 @@ class Mesh(Shape):
     def sample_position(self, sample: Point2f) -> PositionSample3f:
         # As in Mitsuba: y chooses the triangle by its area and is stretched for use within it.
         assert self.set is not None
+        assert self.set.areas is not None
         index, y = self.set.areas.sample(self.first_area, self.own_faces, self.area, sample.y)
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
