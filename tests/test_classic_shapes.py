@@ -171,6 +171,17 @@ def test_a_plane_between_shapes_casts_shadows() -> None:
     assert not np.array(weight).any()
 
 
+@pytest.mark.parametrize("name", ["implicit", "torus", "metaballs", "sdfgrid"])
+def test_searches_end(name: str) -> None:
+    """From so far away that the shortest step is below the distance of two numbers; and for rays that aren't any."""
+    distance = np.array([1e5, 1e7, 1e12, 1e30, np.nan, np.inf])
+    o = np.stack([np.full(6, 0.3), np.full(6, 0.3), distance])
+    scene, d = load(SHAPES[name]), np.tile([[0.0], [0.0], [-1.0]], 6)
+    assert not np.array(shot(scene, o, d).is_valid())[4:].any()
+    assert not np.array(shot(scene, np.full((3, 6), np.nan), d).is_valid()).any()
+    assert not np.array(shot(scene, o, np.full((3, 6), np.nan)).is_valid()).any()
+
+
 # ---------------------------------------------------------------- edits and errors
 
 

@@ -14,6 +14,9 @@ __all__ = ["Zero", "first_zero"]
 REFINEMENTS = 40
 """Most evaluations after a zero was bracketed; about 6 are needed."""
 
+MOST_STEPS = 1 << 17
+"""Whatever a function returns, the search ends."""
+
 NARROW = 2.0**-22
 """A bracket of this relative width is as good as float32 can tell."""
 
@@ -38,6 +41,8 @@ class Search:
     f_high: Float
     count: UInt32
     """How many times the bracket was narrowed."""
+    tries: UInt32
+    """How many times the function was called."""
     bracketed: Bool
     crossed: Bool
     """Was the last point beyond the zero?"""
@@ -58,7 +63,8 @@ def first_zero(f: Callable[[Float], Float], start: Float, end: Float, reach: Flo
     width = max(dr.width(first), dr.width(end), dr.width(active))
 
     def onward(low: Float, f_low: Float) -> Float:
-        t = low + dr.maximum(f_low * reach, least)
+        # Far from the origin `least` may be less than the distance to the next number.
+        t = low + dr.maximum(dr.maximum(f_low * reach, least), NARROW * low)
         return dr.select(t < end, t, end)
 
     def step(s: Search) -> Search:
@@ -75,10 +81,11 @@ def first_zero(f: Callable[[Float], Float], start: Float, end: Float, reach: Flo
         bisect = ~((secant > low) & (secant < high)) | ((s.count & 3) == 3)
         narrower = dr.select(bisect, middle, secant)
         settled = bracketed & ((value == 0) | (high - low <= NARROW * high) | (s.count > REFINEMENTS))
-        over = ~bracketed & (s.t >= end)
+        over = (~bracketed & (s.t >= end)) | (s.tries > MOST_STEPS)
         t = dr.select(bracketed, dr.select(settled, s.t, narrower), onward(low, f_low))
         count = dr.select(bracketed, s.count + 1, s.count)
-        return Search(t, low, f_low, high, f_high, count, bracketed, crossed, s.active & ~settled & ~over)
+        tries = s.tries + 1
+        return Search(t, low, f_low, high, f_high, count, tries, bracketed, crossed, s.active & ~settled & ~over)
 
     zero, no = dr.zeros(Float, width), dr.full(Bool, False, width)
     distance = dr.abs(first)
@@ -88,6 +95,7 @@ def first_zero(f: Callable[[Float], Float], start: Float, end: Float, reach: Flo
         distance + zero,
         end + zero,
         Float(zero),
+        dr.zeros(UInt32, width),
         dr.zeros(UInt32, width),
         no,
         Bool(no),

@@ -116,8 +116,10 @@ class LevelSet(Shape):
         def along(t: Float) -> Float:
             return self.field(Point3f(dr.fma(d, t, o)))
 
+        # Lanes that have left the scene bring rays that start nowhere: no box ends their search.
+        somewhere = dr.isfinite(o.x + o.y + o.z) & dr.isfinite(end) & (start < end)
         with dr.suspend_grad():
-            return first_zero(along, start, end, self.inverse_slope * inv_length, self.least * inv_length, start < end)
+            return first_zero(along, start, end, self.inverse_slope * inv_length, self.least * inv_length, somewhere)
 
     def normal_at(self, p: Point3f) -> Vector3f:
         n = dr.normalize(self.normal_to_world(gradient(self.field, self.local_point(p))))
