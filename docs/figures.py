@@ -7,7 +7,12 @@ import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
+
+import numpy as np
+
+from djpt import ScalarTransform4f as T
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -34,7 +39,48 @@ def albedo() -> None:
         runpy.run_path(str(DOCS.parent / "examples" / "albedo.py"), run_name="__main__")
 
 
-FIGURES: dict[str, Callable[[], None]] = {f.__name__: f for f in (cornell_box, spheres, albedo)}
+def shapes() -> None:
+    """One of each analytic shape on an infinite plane."""
+    grid = np.indices((24, 24, 24)) / 11.5 - 1
+    lump = np.linalg.norm(grid, axis=0) - 0.65 - 0.1 * np.sin(9 * grid).prod(axis=0)
+    palette = [[0.8, 0.3, 0.2], [0.2, 0.5, 0.8], [0.85, 0.7, 0.2], [0.3, 0.7, 0.4], [0.7, 0.4, 0.7]]
+    forms: list[dict[str, Any]] = [
+        {"type": "sphere", "center": [0, 0, 0.8], "radius": 0.8},
+        {"type": "cylinder", "p1": [0, 0, 1.5], "radius": 0.6},
+        {"type": "cone", "apex": [0, 0, 1.7], "length": 1.7, "angle": 25},
+        {"type": "cuboid", "min": [-0.6, -0.6, 0], "max": [0.6, 0.6, 1.2]},
+        {"type": "disk", "to_world": T().translate([0, 0, 0.8]).rotate([1, 0, 0], 65).scale(0.8)},
+        {"type": "torus", "major": 0.6, "minor": 0.25, "to_world": T().translate([0, 0, 0.85]).rotate([1, 0, 0], 75)},
+        {"type": "metaballs", "balls": [[-0.3, 0, 0.6, 0.8], [0.4, 0.2, 0.8, 0.7], [0, -0.3, 1.3, 0.6]]},
+        {"type": "sdfgrid", "grid": djpt.TensorXf(lump[..., None].astype(np.float32)),
+         "to_world": T().translate([-1, -1, -0.2]).scale(2)},
+    ]  # fmt: skip
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "fov": 42,
+            "to_world": T().look_at([0, -11, 6.5], [0, 0.2, 0.5], [0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": 720, "height": 360},
+        },
+        "integrator": {"type": "path", "max_depth": 6},
+        "sky": {"type": "constant", "radiance": 0.6},
+        "floor": {"type": "plane", "bsdf": {"type": "diffuse", "reflectance": 0.6}},
+        "lamp": {
+            "type": "disk",
+            "to_world": T().look_at([-5, -4, 8], [0, 0, 0], [0, 0, 1]).scale(1.5),
+            "emitter": {"type": "area", "radiance": 25.0},
+        },
+    }
+    for i, form in enumerate(forms):
+        place = T().translate([2.1 * (i % 4) - 3.15, 2.4 * (i // 4) - 1.2, 0])
+        color = {"type": "rgb", "value": palette[i % len(palette)]}
+        bsdf = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": color}}
+        scene[form["type"]] = {**form, "to_world": place @ form.get("to_world", T()), "bsdf": bsdf}
+    djpt.write(IMAGES / "shapes.png", djpt.render(djpt.load_dict(scene), spp=512))
+
+
+FIGURES: dict[str, Callable[[], None]] = {f.__name__: f for f in (cornell_box, spheres, albedo, shapes)}
 
 
 def main() -> None:
