@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ def test_the_commands_run(command: str, tmp_path: Path) -> None:
     arguments = shlex.split(command, comments=True)[1:]
     if arguments[0] == "compare":
         pytest.importorskip("mitsuba")
+    shutil.copy(ROOT / "scenes" / "cornell_box.xml", tmp_path / "scene.xml")
     done = run_python("-m", "djpt", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     if "-o" in arguments:
@@ -69,5 +71,5 @@ def test_the_plugins_named_in_the_readme_exist() -> None:
     from djpt.description.registry import registered
 
     text = (ROOT / "README.md").read_text()
-    paragraph = text[text.index("* Plugins:") : text.index("* Gradients")]
+    paragraph = text[text.index("* Shapes:") : text.index("* Gradients")]
     assert set(re.findall(r"`(\w+)`", paragraph)) <= set(registered())
