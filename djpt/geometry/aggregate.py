@@ -52,6 +52,9 @@ class Geometry:
         low, high = self.bounding_box()
         self.seen_from(low)
         self.seen_from(high)
+        # An infinite plane may be hit before a ray comes near the box about everything else.
+        if any(np.isinf(shape.interval(unit)).any() for shape in self.contents.seen for unit in np.eye(3)):
+            low, high = np.full(3, -np.inf), np.full(3, np.inf)
         self._low, self._high = as_vector(low), as_vector(high)
 
     def approach(self, ray: Ray3f) -> tuple[Ray3f, Float]:
@@ -218,8 +221,7 @@ class Geometry:
         result: Any = self.unrolled.frame(face) if flat else None
         for group in self._curved:
             shape = group.at(self.surfaces.slots(group, self.unrolled.shape_of(face)), lookup)
-            n, s = shape.normal_at(p), shape.tangent_at(p)
-            curved = (n, Frame3f(s, dr.cross(n, s), n))
+            curved = shape.frame_at(p)
             # Curved faces are numbered first, so this is one range test.
             here = is_one_of(face, self.unrolled.faces_of(group.indices))
             result = curved if result is None else dr.select(here, curved, result)
