@@ -58,12 +58,12 @@ def search(
 
 
 def packed(records: Records, ray: Ray3f, active: Bool | bool, lanes: int) -> Float:
-    """Rays in memory, 8 numbers each: origin near the triangles, direction, maxt, and how far the origin moved."""
+    """Rays in memory, each one packet load of 8 numbers: origin near the triangles, direction, maxt, 0."""
     o, entry = enter(records, ray)
     # Inactive rays become such as `start` refuses.
     x = dr.select(active, o.x, dr.nan)
     rays = dr.empty(Float, 8 * lanes)
-    values = wide([x, o.y, o.z, ray.d.x, ray.d.y, ray.d.z, ray.maxt - entry, entry], lanes)
+    values = wide([x, o.y, o.z, ray.d.x, ray.d.y, ray.d.z, ray.maxt - entry, Float(0)], lanes)
     dr.scatter(rays, ArrayXf(values), dr.arange(UInt32, lanes))
     dr.eval(rays)
     return rays
@@ -76,7 +76,6 @@ class Flight:
     index: UInt32
     origin: Point3f
     d: Vector3f
-    entry: Float
     cursor: Cursor
 
 
@@ -94,7 +93,7 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
         exists = index < count
         x: Any = dr.gather(ArrayXf, rays, index, exists, shape=(8, 1))
         o, d = Point3f(x[0], x[1], x[2]), Vector3f(x[3], x[4], x[5])
-        return Flight(index, o, d, x[7], start(records, o, d, x[6], exists))
+        return Flight(index, o, d, start(records, o, d, x[6], exists))
 
     def land(flight: Flight) -> Flight:
         dr.scatter(t, flight.cursor.t, flight.index)
