@@ -223,7 +223,7 @@ def test_moved_vertices_get_new_normals_as_in_mitsuba(mi: Any, tmp_path: Path) -
     np.testing.assert_allclose(np.array(ours["vertex_normals"]), np.array(theirs["vertex_normals"]), atol=1e-5)
     np.testing.assert_array_equal(mesh.positions, moved)
     assert mesh.interval(np.array([0.0, 0.0, 1.0])) == pytest.approx((moved[:, 2].min(), moved[:, 2].max()))
-    meshes.refresh(mesh)
+    meshes.refresh()
     np.testing.assert_array_equal(meshes.corners(), moved[mesh.indices])
 
 

@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.traversal import enter
+from djpt.geometry.bvh.traversal import enter, reciprocal
 from djpt.geometry.sharing import aligned
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.lanewide import wide
@@ -82,9 +82,7 @@ class Approach:
         self.d, self.maxt = ray.d, ray.maxt - self.entry
         self.lanes = dr.width(ray, self.o)
         self.plane = RayPlane(self.o, self.d)
-        # As in the BVH: a component of zero would give inf * 0 where the origin lies in a plane.
-        tiny = Float(1e-18)
-        self.inv = Vector3f(*(dr.rcp(dr.select(dr.abs(x) < tiny, dr.copysign(tiny, x), x)) for x in self.d))
+        self.inv = reciprocal(self.d)
 
     def nothing_yet(self) -> Found:
         """The state before the first triangle."""

@@ -120,7 +120,7 @@ class Geometry:
     def begin(
         self, ray: Ray3f, active: Bool | bool = True, shadow: Bool | None = None, through_lights: Bool | None = None
     ) -> Query:
-        """Start a query where `active`: the unrolled shapes are tested at once, the BVH by steps of `stepper`.
+        """Start a query where `active`: the unrolled shapes are tested at once, the BVH by `turn`.
 
         Where `shadow`, any hit ends it. There must be meshes.
         """

@@ -83,11 +83,6 @@ class Contents:
         large = sorted((i for i in analytic if sizes[i] > LARGE * largest), key=lambda i: -sizes[i])[:MAX_LARGE]
         return [i for i in analytic if i not in large and self.shapes[i].canonical is not None]
 
-    def moved_solids(self, changed: Sequence[Shape]) -> bool:
-        """Has an analytic shape in the BVH moved?"""
-        solids = [self.shapes[i] for i in self._solids]
-        return any(shape in solids for shape in changed)
-
     # ---- edits -----------------------------------------------------------------------
 
     def moved_meshes(self, changed: Sequence[Shape]) -> list[Mesh]:
@@ -100,6 +95,11 @@ class Contents:
         for instance in moved:
             self._forest.place(self._placed.index(instance), instance.to_world.matrix)
         return bool(moved)
+
+    def moved_solids(self, changed: Sequence[Shape]) -> bool:
+        """Has an analytic shape in the BVH moved?"""
+        solids = [self.shapes[i] for i in self._solids]
+        return any(shape in solids for shape in changed)
 
     def renewed(self, changed: Sequence[Shape]) -> list[Shape]:
         """The shapes that the unrolled set must look at again: changed ones, and copies of what has changed."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 from djpt.frame import Frame3f, coordinate_system
+from djpt.geometry.sharing import float_in
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle_sampling import AreaTable
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -43,8 +44,8 @@ class MeshSet:
         self.areas: AreaTable | None = None
         self._tabulate()
 
-    def refresh(self, mesh: Mesh) -> None:
-        """A mesh was edited: build the tables again. They keep their sizes unless its topology changed."""
+    def refresh(self) -> None:
+        """Meshes were edited: build the tables again. They keep their sizes unless its topology changed."""
         self._tabulate()
 
     # ---- on the host -----------------------------------------------------------------
@@ -130,7 +131,7 @@ class MeshSet:
         """The corners' texture coordinates; for a set that has some."""
         assert self._texcoords is not None
         words = [load(self._texcoords, row[k], 2) for k in range(3)]
-        uv0, uv1, uv2 = (Point2f(as_float(u), as_float(v)) for u, v in words)
+        uv0, uv1, uv2 = (Point2f(float_in(u), float_in(v)) for u, v in words)
         return uv0, uv1, uv2
 
     def point(self, face: UInt32, b1: Float, b2: Float) -> tuple[Point3f, Vector3f, Point2f]:
@@ -261,7 +262,7 @@ class Attribute:
     def at(self, row: UInt32) -> Any:
         """The value of a vertex or face."""
         if self.channels == [1]:
-            return as_float(dr.gather(UInt32, self._table, row))
+            return float_in(dr.gather(UInt32, self._table, row))
         if self.channels != [3]:
             found = " and ".join(str(n) for n in self.channels)
             raise SceneError(f"the mesh attribute '{self.name}' has {found} channels; 1 or 3 are possible")
@@ -283,13 +284,7 @@ def load(table: UInt32, row: UInt32, width: int, active: Bool | bool = True) -> 
 def load_vector(table: UInt32, row: UInt32, active: Bool | bool = True) -> Vector3f:
     """The first three of a row's four floats."""
     x, y, z, _ = load(table, row, 4, active)
-    return Vector3f(as_float(x), as_float(y), as_float(z))
-
-
-def as_float(word: UInt32) -> Float:
-    """The float with the bits of `word`."""
-    result: Any = dr.reinterpret_array(Float, word)
-    return result
+    return Vector3f(float_in(x), float_in(y), float_in(z))
 
 
 def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
@@ -303,6 +298,6 @@ def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
 
 def own_floats(values: NDArray[np.float32]) -> Float:
     """An array's own copy as floats."""
-    copy: Float = as_float(own_copy(values))
+    copy: Float = float_in(own_copy(values))
     dr.eval(copy)
     return copy

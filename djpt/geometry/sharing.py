@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.types import UInt32
+from djpt.types import Float, UInt32
 
-__all__ = ["aligned", "shared"]
+__all__ = ["aligned", "float_in", "shared"]
 
 
 def aligned(shape: tuple[int, ...]) -> NDArray[np.uint32]:
@@ -29,3 +31,9 @@ def shared(values: NDArray[np.uint32]) -> UInt32:
     copy = aligned(values.shape)
     copy[...] = values
     return UInt32(copy.ravel())
+
+
+def float_in(word: UInt32) -> Float:
+    """The float whose bits a word holds."""
+    number: Any = dr.reinterpret_array(Float, word)
+    return number

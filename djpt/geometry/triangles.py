@@ -11,12 +11,13 @@ import drjit as dr
 from djpt.frame import Frame3f, coordinate_system
 from djpt.geometry.bvh.records import LEAF, NUMBER, SOLID, WORDS
 from djpt.geometry.bvh.search import Found, search
-from djpt.geometry.bvh.traversal import NONE, as_float, enter, into_group, load, load_second, triangle_corners
+from djpt.geometry.bvh.traversal import NONE, enter, into_group, load, load_second, triangle_corners
 from djpt.geometry.canonical import FLAT_KINDS
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
 from djpt.geometry.query import Near
+from djpt.geometry.sharing import float_in
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.lookup import Numbers
@@ -49,8 +50,8 @@ class Triangles:
 
     def move(self, meshes: Sequence[Mesh]) -> None:
         """Some meshes have new vertices or faces, or instances have moved."""
-        for mesh in meshes:
-            self.meshes.refresh(mesh)
+        if meshes:
+            self.meshes.refresh()
         self._first_face = Numbers(self.meshes.first_face)
         self.records = self.forest.records()
 
@@ -128,9 +129,9 @@ class Triangles:
             surface.p = surface.p + self.records.center
             return surface
         half = load_second(self.records.words, record)
-        n = Vector3f(*(as_float(word) for word in half[1:4]))
+        n = Vector3f(*(float_in(word) for word in half[1:4]))
         tangents = coordinate_system(n)
-        dp_du = dr.fma(tangents[0], as_float(half[6]), tangents[1] * as_float(half[7]))
+        dp_du = dr.fma(tangents[0], float_in(half[6]), tangents[1] * float_in(half[7]))
         p = dr.fma(d, t, near.origin) + self.records.center
         frame, weights = Frame3f(dp_du, dr.cross(n, dp_du), n), Point2f(0)
         if near.b is not None:
@@ -146,7 +147,7 @@ class Triangles:
         zero = Vector3f(0)
         point = Surface(zero, local.n, Frame3f(zero, zero, local.n), local.uv, local.dp_du, local.dp_dv, Point2f(0))
         placed = to_world(words, point)
-        side, mirrored = as_float(words[14]), orientation(words)
+        side, mirrored = float_in(words[14]), orientation(words)
         shading = placed.sh_frame.n * side
         placed.sh_frame = Frame3f(placed.sh_frame.s, dr.cross(shading, placed.sh_frame.s), shading)
         # As in Mitsuba, reflections turn the geometric normal of what is flat there, and no other.
@@ -178,7 +179,7 @@ class Triangles:
 
 def rows_of(words: list[UInt32]) -> list[Vector3f]:
     """The linear part of the map that a record holds."""
-    m = [as_float(word) for word in words[:12]]
+    m = [float_in(word) for word in words[:12]]
     return [Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]) for i in range(3)]
 
 

@@ -9,8 +9,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.splits import MIDDLE, WORDS, Nodes, as_float, center, load, no_split
-from djpt.geometry.sharing import aligned, shared
+from djpt.geometry.bvh.splits import MIDDLE, WORDS, Nodes, center, load, no_split
+from djpt.geometry.sharing import aligned, float_in, shared
 from djpt.types import ArrayXu, UInt32
 
 __all__ = ["Level", "Ranges"]
@@ -107,7 +107,7 @@ class Ranges:
         words: Any = dr.gather(ArrayXu, splits, self.segment, shape=(4, 1))
         axis, limit = words[0], words[3]
         c = dr.select(axis == 0, center(box, 0), dr.select(axis == 1, center(box, 1), center(box, 2)))
-        goes_left = (c - as_float(words[1])) * as_float(words[2]) < as_float(limit)
+        goes_left = (c - float_in(words[1])) * float_in(words[2]) < float_in(limit)
         goes_left = dr.select(axis == MIDDLE, lane < limit, goes_left)
         return dr.cumsum(dr.select(goes_left, UInt32(1), UInt32(0)))
 

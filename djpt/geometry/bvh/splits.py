@@ -16,6 +16,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.geometry.sharing import float_in
 from djpt.lanewide import wide
 from djpt.minmax import maximum, minimum
 from djpt.types import ArrayXu, Float, UInt32
@@ -24,7 +25,6 @@ __all__ = [
     "MIDDLE",
     "WORDS",
     "Nodes",
-    "as_float",
     "binned_split",
     "center",
     "exact_split",
@@ -86,13 +86,7 @@ def better(a: Split, b: Split) -> Split:
 def load(records: UInt32, index: UInt32) -> Bounds:
     """The bounds of a primitive."""
     words: Any = dr.gather(ArrayXu, records, index, shape=(WORDS, 1))
-    return [as_float(words[k]) for k in range(6)]
-
-
-def as_float(word: UInt32) -> Float:
-    """The float with the bits of `word`."""
-    result: Any = dr.reinterpret_array(Float, word)
-    return result
+    return [float_in(words[k]) for k in range(6)]
 
 
 def unite(a: Bounds, b: Bounds) -> Bounds:

@@ -3,7 +3,7 @@
 A step is the same for every lane, whatever it does: load the current record, test four boxes and one
 triangle, move on. A lane at a node ignores the triangle's result, a lane at a triangle the boxes', and
 a lane that has finished spins on the empty record. There are no branches and no masks, so a step can
-be unrolled and repeated, in a loop of its own (`closest`, `occluded`) or in a larger one
+be unrolled and repeated, in a loop of its own (`djpt.geometry.bvh.search`) or in a larger one
 (`djpt.schedules.machine`).
 
 The stack lives in registers: one word per level of the tree, shifted by selects.
@@ -20,6 +20,7 @@ import drjit as dr
 
 from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, SOLID, Records
 from djpt.geometry.canonical import intersect
+from djpt.geometry.sharing import float_in
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f
@@ -28,11 +29,11 @@ from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 __all__ = [
     "NONE",
     "Cursor",
-    "as_float",
     "enter",
     "into_group",
     "load",
     "load_second",
+    "reciprocal",
     "start",
     "triangle_corners",
     "turn",
@@ -119,8 +120,7 @@ def visit(
     Where `any_hit`, the first triangle hit ends the search; where `through_lights`, triangles that emit
     aren't hit.
     """
-    passage = cursor.passage
-    stepper = Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
+    stepper = stepper_for(records, cursor, o, d)
     return crossed(records, stepper.step(cursor, any_hit, through_lights), o, d, any_hit, through_lights)
 
 
@@ -128,8 +128,7 @@ def turn(
     records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None = None
 ) -> Cursor:
     """Some steps; otherwise as `visit`."""
-    passage = cursor.passage
-    stepper = Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
+    stepper = stepper_for(records, cursor, o, d)
 
     def steps(cursor: Cursor, any_hit: Bool) -> Cursor:
         for _ in range(UNROLLED):
@@ -144,6 +143,12 @@ def turn(
         label="steps",
     )
     return crossed(records, cursor, o, d, any_hit, through_lights)
+
+
+def stepper_for(records: Records, cursor: Cursor, o: Point3f, d: Vector3f) -> Stepper:
+    """Steps along the ray o, d of the world, in the space that the lane is in."""
+    passage = cursor.passage
+    return Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
 
 
 def going(cursor: Cursor) -> Bool:
@@ -231,7 +236,7 @@ def pass_portal(
 
 def into_group(words: list[UInt32], o: Point3f, d: Vector3f) -> tuple[Point3f, Vector3f]:
     """A ray in the space of the group that an instance's record names; distances stay as they are."""
-    m = [as_float(word) for word in words[:12]]
+    m = [float_in(word) for word in words[:12]]
     rows = [(Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]), m[4 * i + 3]) for i in range(3)]
     return Point3f(*(dr.dot(row, o) + shift for row, shift in rows)), Vector3f(*(dr.dot(row, d) for row, _ in rows))
 
@@ -250,14 +255,8 @@ def load_second(words: UInt32, record: UInt32) -> list[UInt32]:
 
 def triangle_corners(words: list[UInt32]) -> tuple[Point3f, Point3f, Point3f]:
     """The corners in a triangle's record."""
-    x = [as_float(w) for w in words[:9]]
+    x = [float_in(w) for w in words[:9]]
     return Point3f(x[0:3]), Point3f(x[3:6]), Point3f(x[6:9])
-
-
-def as_float(bits: UInt32) -> Float:
-    """The float with these bits."""
-    number: Any = dr.reinterpret_array(Float, bits)
-    return number
 
 
 def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
@@ -283,6 +282,11 @@ def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
     return total, (a - (total - part)) + (b - part)
 
 
+def reciprocal(d: Vector3f) -> Vector3f:
+    """1 / d; a direction along an axis would give inf * 0 where the origin lies in a plane, so zeros are made tiny."""
+    return Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-18, dr.copysign(Float(1e-18), x), x)) for x in d))
+
+
 class Stepper:
     """Takes steps along a ray; holds what doesn't change from step to step."""
 
@@ -290,8 +294,7 @@ class Stepper:
         """`o` as seen from the records' centre: see `enter`."""
         self.records, self.o = records, o
         self.plane = RayPlane(o, d)
-        # A direction along an axis would give inf * 0 where the origin lies in a plane.
-        self.inv = Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-18, dr.copysign(Float(1e-18), x), x)) for x in d))
+        self.inv = reciprocal(d)
         # Which half of a word holds the near plane.
         self.near_shift = [dr.select(x < 0, UInt32(16), UInt32(0)) for x in self.inv]
         self.far_shift = [16 - shift for shift in self.near_shift]
