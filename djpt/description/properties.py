@@ -17,6 +17,7 @@ from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f, as_transform
 
 if TYPE_CHECKING:
+    from djpt.textures.allowed import Allowed
     from djpt.textures.base import Texture
 
 __all__ = ["REQUIRED", "Properties", "bounds"]
@@ -187,9 +188,31 @@ class Properties:
         low: builtins.float | None = None,
         high: builtins.float | None = None,
     ) -> Texture:
-        """A texture; a number gives a constant grey. Its values must lie between `low` and `high`."""
+        """A coloured texture; a number gives a constant grey. Its values must lie between `low` and `high`."""
+        from djpt.textures.allowed import Allowed
         from djpt.textures.rgb import ConstantTexture
 
+        return self._texture(key, default, ConstantTexture, Allowed(low, high))
+
+    def texture_1(
+        self,
+        key: str,
+        default: builtins.float = REQUIRED,
+        *,
+        low: builtins.float | None = None,
+        high: builtins.float | None = None,
+        low_open: bool = False,
+    ) -> Texture:
+        """A scalar texture, to be read with `eval_1`; a number gives a constant one.
+
+        Its values must lie between `low` (unless open: included) and `high`.
+        """
+        from djpt.textures.allowed import Allowed
+        from djpt.textures.uniform import UniformTexture
+
+        return self._texture(key, default, UniformTexture, Allowed(low, high, low_open))
+
+    def _texture(self, key: str, default: builtins.float, constant: type[Texture], allowed: Allowed) -> Texture:
         value = self._take(key, default)
         if not isinstance(value, Plugin):
             if isinstance(value, (list, tuple, np.ndarray)):
@@ -204,12 +227,12 @@ class Properties:
                     problem = str(error).replace("a float", "a number or a texture")
                     raise self.error(key, problem) from None
             path = f"{self.id}.{key}"
-            value = ConstantTexture(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
+            value = constant(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
         elif value.kind != "texture":
             raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
         texture: Texture = value
         texture.used_by(kind_of(self.plugin_name) or "")
-        texture.restrict(low, high, f"{self._place(key)}: '{key}'")
+        texture.restrict(allowed, f"{self._place(key)}: '{key}'")
         return texture
 
     def plugin(self, key: str, kind: str, default: Any = REQUIRED) -> Any:

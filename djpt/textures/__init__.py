@@ -4,8 +4,10 @@ from djpt.description.registry import register_texture
 from djpt.textures.base import Texture
 from djpt.textures.rgb import ConstantTexture
 from djpt.textures.spectrum import SpectrumTexture
+from djpt.textures.uniform import UniformTexture
 
-__all__ = ["ConstantTexture", "SpectrumTexture", "Texture"]
+__all__ = ["ConstantTexture", "SpectrumTexture", "Texture", "UniformTexture"]
 
 register_texture("rgb", ConstantTexture)
 register_texture("spectrum", SpectrumTexture)
+register_texture("uniform", UniformTexture)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from djpt.description.plugin import Plugin
-from djpt.types import Bool, Color3f, Float
+from djpt.textures.allowed import Allowed
+from djpt.types import Bool, Color3f, Float, Vector2f
 
 __all__ = ["Texture"]
 
@@ -30,6 +31,12 @@ class Texture(Plugin):
         """The scalar at `si`; the luminance of a coloured texture."""
         raise NotImplementedError
 
+    def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
+        """The change of `eval_1` per unit of u and of v; 0 for textures that don't vary."""
+        if self.is_constant:
+            return Vector2f(0)
+        raise NotImplementedError
+
     def mean(self) -> Float:
         """The average over the texture's domain and channels."""
         raise NotImplementedError
@@ -37,8 +44,8 @@ class Texture(Plugin):
     def used_by(self, kind: str) -> None:
         """Learn the kind of the plugin that uses the texture, before `restrict`: light and paint differ in colour."""
 
-    def restrict(self, low: float | None, high: float | None, where: str) -> None:
-        """All values must lie in [low, high] (None: no bound), now and after each edit.
+    def restrict(self, allowed: Allowed, where: str) -> None:
+        """All values must be `allowed`, now and after each edit.
 
         Called by the plugin that uses the texture; `where` starts the message. A texture with
         several users must satisfy all of them.

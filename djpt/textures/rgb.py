@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from djpt.color import LUMINANCE
 from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
-from djpt.description.properties import Properties, bounds
+from djpt.description.properties import Properties
 from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float
 
@@ -37,8 +38,7 @@ class ConstantTexture(Texture):
             self.value = self._convert(value)
         except DjptError as error:
             raise props.error("value", str(error)) from None
-        self._low: float | None = None
-        self._high: float | None = None
+        self._allowed = Allowed()
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
         return self.value
@@ -65,17 +65,15 @@ class ConstantTexture(Texture):
             return Color3f(value)
         return Color3f(*(float(x) for x in np.broadcast_to(numbers, 3)))
 
-    def restrict(self, low: float | None, high: float | None, where: str) -> None:
-        self._require(self._numbers(self.value), low, high, where)
-        lows = [x for x in (low, self._low) if x is not None]
-        highs = [x for x in (high, self._high) if x is not None]
-        self._low, self._high = max(lows, default=None), min(highs, default=None)
+    def restrict(self, allowed: Allowed, where: str) -> None:
+        allowed.require(self._numbers(self.value), where)
+        self._allowed = self._allowed.within(allowed)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         try:
             color = self._convert(value)
             if is_readable():
-                self._require(self._numbers(color), self._low, self._high)
+                self._allowed.require(self._numbers(color))
         except SceneError as error:
             raise ParameterError(str(error)) from None
         return color
@@ -83,12 +81,3 @@ class ConstantTexture(Texture):
     @staticmethod
     def _numbers(color: Color3f) -> NDArray[np.float64]:
         return as_array(dr.detach(color))
-
-    @staticmethod
-    def _require(numbers: NDArray[np.float64], low: float | None, high: float | None, where: str = "") -> None:
-        # float32 rounds 0.1 up: compare what the user wrote, as float32.
-        smallest = -np.inf if low is None else np.float32(low)
-        largest = np.inf if high is None else np.float32(high)
-        outside = numbers[(numbers < smallest) | (numbers > largest)]
-        if outside.size:
-            raise SceneError(f"{where} must {bounds(low, high)}, found {outside[0]:.6g}".lstrip())

@@ -10,6 +10,7 @@ from djpt.colorimetry import spectrum_to_rgb
 from djpt.description.numeric import as_array, describe
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
+from djpt.textures.allowed import Allowed
 from djpt.textures.rgb import ConstantTexture
 from djpt.types import Color3f
 
@@ -52,7 +53,7 @@ class SpectrumTexture(ConstantTexture):
         if kind == "emitter" and self._pairs is not None:
             self.value = Color3f(*spectrum_to_rgb(*self._pairs, under_d65=False).tolist())
 
-    def restrict(self, low: float | None, high: float | None, where: str) -> None:
-        if self._pairs is not None and high is not None:
-            self.value = Color3f(*np.minimum(self._numbers(self.value), high).tolist())
-        super().restrict(low, high, where)
+    def restrict(self, allowed: Allowed, where: str) -> None:
+        if self._pairs is not None and allowed.high is not None:
+            self.value = Color3f(*np.minimum(self._numbers(self.value), allowed.high).tolist())
+        super().restrict(allowed, where)

@@ -1,0 +1,68 @@
+"""The same number everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.numeric import as_array, as_number, describe, is_readable
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.lookup import as_float
+from djpt.textures.allowed import Allowed
+from djpt.textures.base import Texture
+from djpt.types import Bool, Color3f, Float
+
+__all__ = ["UniformTexture"]
+
+
+class UniformTexture(Texture):
+    """One number; what numbers become where a plugin asks for a scalar, such as a roughness.
+
+    Parameters: `value` (required).
+    """
+
+    is_constant = True
+    values: ClassVar[Mapping[str, ParamFlags]] = {"value": ParamFlags.Differentiable}
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        value = props.raw("value")
+        try:
+            self.value = as_float(as_number(value))
+        except SceneError as error:
+            raise props.error("value", str(error)) from None
+        self._allowed = Allowed()
+
+    def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
+        return Color3f(self.value)
+
+    def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
+        return self.value
+
+    def mean(self) -> Float:
+        return self.value
+
+    def restrict(self, allowed: Allowed, where: str) -> None:
+        allowed.require(as_array(dr.detach(self.value)), where)
+        self._allowed = self._allowed.within(allowed)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if dr.is_array_v(value) and dr.is_jit_v(value) and dr.depth_v(value) == 1 and not dr.is_tensor_v(value):
+            number = Float(value)
+            if dr.width(number) != 1:
+                raise ParameterError(f"must be one number, found {describe(value)}")
+        else:
+            try:
+                number = Float(as_number(value))
+            except SceneError as error:
+                raise ParameterError(str(error)) from None
+        if is_readable():
+            try:
+                self._allowed.require(as_array(dr.detach(number)))
+            except SceneError as error:
+                raise ParameterError(str(error)) from None
+        return number
