@@ -1,0 +1,221 @@
+"""Distributions of microfacet normals: Beckmann and GGX."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.errors import SceneError, near_miss
+from djpt.minmax import maximum, minimum
+from djpt.textures.base import Texture
+from djpt.types import Float, Normal3f, Point2f, Vector2f, Vector3f
+from djpt.warp import square_to_uniform_disk_concentric
+
+__all__ = ["DISTRIBUTIONS", "MicrofacetDistribution", "alpha_textures", "distribution_name"]
+
+DISTRIBUTIONS: Final = ("beckmann", "ggx")
+
+MIN_ALPHA = 1e-4
+"""Smoother surfaces than this are beyond single precision (Mitsuba's bound)."""
+
+INV_PI = 1 / math.pi
+INV_SQRT_PI = 1 / math.sqrt(math.pi)
+BELOW_ONE = 1 - 2.0**-24
+"""The largest float below 1."""
+
+
+class MicrofacetDistribution:
+    """How the normals m of microfacets are distributed about +z, and which of them a direction sees.
+
+    With s = (m.x / alpha_u)^2 + (m.y / alpha_v)^2 over the upper hemisphere:
+
+    * `beckmann`: D = exp(-s / m.z^2) / (pi alpha_u alpha_v m.z^4): Gaussian slopes;
+    * `ggx` (Trowbridge-Reitz): D = 1 / (pi alpha_u alpha_v (s + m.z^2)^2): longer tails.
+
+    The integral of D m.z over the hemisphere is 1. Shadowing is Smith's, separable in wi and wo;
+    that of `beckmann` is a rational fit with a relative error below 0.35 %.
+
+    Args:
+        distribution: `"beckmann"` or `"ggx"`.
+        alpha_u, alpha_v: roughness along x and y, at least 1e-4. One object given twice means
+            an isotropic surface, for which less is computed.
+        sample_visible: sample only the normals that `wi` sees, with the density
+            D_wi(m) = D(m) G1(wi, m) dot(wi, m) / cos theta_i; otherwise all, with D(m) m.z.
+
+    Sources: Walter et al., "Microfacet Models for Refraction through Rough Surfaces" (EGSR 2007), for D,
+    G1 and the sampling of all normals; Heitz and d'Eon, "Importance Sampling Microfacet-Based BSDFs using the
+    Distribution of Visible Normals" (EGSR 2014), for the stretching; Jakob, "An Improved Visible Normal
+    Sampling Routine for the Beckmann Distribution" (2014); Heitz, "Sampling the GGX Distribution of Visible
+    Normals" (JCGT 7(4), 2018).
+    """
+
+    def __init__(self, distribution: str, alpha_u: Float, alpha_v: Float, sample_visible: bool = True) -> None:
+        self.distribution = distribution
+        self.sample_visible = sample_visible
+        self.isotropic = alpha_u is alpha_v
+        self.alpha_u = maximum(alpha_u, MIN_ALPHA)
+        self.alpha_v = self.alpha_u if self.isotropic else maximum(alpha_v, MIN_ALPHA)
+
+    def scaled(self, factor: Float) -> MicrofacetDistribution:
+        """The same with both roughnesses multiplied."""
+        alpha_u = self.alpha_u * factor
+        alpha_v = alpha_u if self.isotropic else self.alpha_v * factor
+        return MicrofacetDistribution(self.distribution, alpha_u, alpha_v, self.sample_visible)
+
+    # ---- density ----------------------------------------------------------------------
+
+    def eval(self, m: Vector3f) -> Float:
+        """D(m), per unit solid angle; 0 below the horizon and where D m.z is below 1e-20."""
+        # Fractions are expanded so that one reciprocal is left: nothing overflows where D isn't 0.
+        z2 = dr.square(m.z)
+        if self.isotropic:
+            a2 = dr.square(self.alpha_u)
+            xy = dr.fma(m.x, m.x, dr.square(m.y))
+            if self.distribution == "beckmann":
+                t = dr.rcp(a2 * z2)
+                result = dr.exp(-xy * t) * dr.square(t) * (a2 * INV_PI)
+            else:
+                result = a2 * INV_PI * dr.square(dr.rcp(dr.fma(a2, z2, xy)))
+        else:
+            uv = self.alpha_u * self.alpha_v
+            uv2 = dr.square(uv)
+            xy = dr.square(m.x * self.alpha_v) + dr.square(m.y * self.alpha_u)
+            if self.distribution == "beckmann":
+                t = dr.rcp(uv2 * z2)
+                result = dr.exp(-xy * t) * dr.square(t) * (uv2 * uv * INV_PI)
+            else:
+                result = uv2 * uv * INV_PI * dr.square(dr.rcp(dr.fma(uv2, z2, xy)))
+        return dr.select(result * m.z > 1e-20, result, 0)
+
+    def pdf(self, wi: Vector3f, m: Vector3f) -> Float:
+        """The density of `sample` at `m`, per unit solid angle; `wi` must be above the horizon."""
+        if not self.sample_visible:
+            return self.eval(m) * m.z
+        cos = dr.dot(wi, m)
+        return dr.select(cos * wi.z > 0, self.eval(m) * self.smith_g1_over_cos(wi) * dr.abs(cos), 0)
+
+    # ---- shadowing --------------------------------------------------------------------
+
+    def smith_g1_over_cos(self, v: Vector3f) -> Float:
+        """G1 / abs(v.z) for microfacets that face `v`: finite at the horizon, where both vanish."""
+        z = dr.abs(v.z)
+        if self.isotropic:
+            xy = dr.square(self.alpha_u) * dr.fma(v.x, v.x, dr.square(v.y))
+        else:
+            xy = dr.square(self.alpha_u * v.x) + dr.square(self.alpha_v * v.y)
+        if self.distribution == "ggx":
+            return 2 * dr.rcp(z + dr.sqrt(dr.fma(z, z, xy)))
+        # Walter et al., section 5.2. a = 1 / (alpha tan theta); looking straight down it is infinite.
+        inv = dr.rsqrt(xy)
+        a = z * inv
+        unshadowed = a >= 1.6
+        numerator = dr.select(unshadowed, 1, inv * dr.fma(2.181, a, 3.535))
+        return numerator * dr.rcp(dr.select(unshadowed, z, dr.fma(dr.fma(2.577, a, 2.276), a, 1)))
+
+    def smith_g1(self, v: Vector3f, m: Vector3f) -> Float:
+        """The share of microfacets with normal `m` that is seen from `v`; 0 where `v` sees their back."""
+        g1 = self.smith_g1_over_cos(v) * dr.abs(v.z)
+        return dr.select(dr.dot(v, m) * v.z > 0, g1, 0)
+
+    def G(self, wi: Vector3f, wo: Vector3f, m: Vector3f) -> Float:
+        """G1(wi, m) G1(wo, m)."""
+        return self.smith_g1(wi, m) * self.smith_g1(wo, m)
+
+    # ---- sampling ---------------------------------------------------------------------
+
+    def sample(self, wi: Vector3f, sample: Point2f) -> tuple[Normal3f, Float]:
+        """A normal and its density; `wi` (above the horizon) matters to visible normals only."""
+        m = self.sample_normal(wi, sample)
+        return m, self.pdf(wi, m)
+
+    def sample_normal(self, wi: Vector3f, sample: Point2f) -> Normal3f:
+        """`sample` without the density."""
+        if not self.sample_visible:
+            return self._sample_all(sample)
+        # The surface of roughness 1 that is seen from the stretched direction, in the plane of incidence.
+        stretched = dr.normalize(Vector3f(self.alpha_u * wi.x, self.alpha_v * wi.y, wi.z))
+        sin2 = dr.fma(stretched.x, stretched.x, dr.square(stretched.y))
+        inv_sin = dr.rsqrt(sin2)
+        tilted = sin2 > 4 * 2.0**-24
+        cos_phi = dr.select(tilted, stretched.x * inv_sin, 1)
+        sin_phi = dr.select(tilted, stretched.y * inv_sin, 0)
+        # Directions below the horizon must give numbers, too, even if they mean nothing.
+        cos = maximum(stretched.z, 1e-7)
+        sample_11 = _visible_beckmann if self.distribution == "beckmann" else _visible_ggx
+        n = sample_11(cos, sample)
+        x, y = dr.fma(cos_phi, n.x, -sin_phi * n.y), dr.fma(sin_phi, n.x, cos_phi * n.y)
+        return dr.normalize(Normal3f(self.alpha_u * x, self.alpha_v * y, n.z))
+
+    def _sample_all(self, sample: Point2f) -> Normal3f:
+        """The slope is a radius, by inversion, times an ellipse."""
+        sin, cos = dr.sincos(2 * math.pi * sample.y)
+        rest = 1 - sample.x
+        radius2 = -dr.log(rest) if self.distribution == "beckmann" else sample.x * dr.rcp(rest)
+        radius = dr.sqrt(maximum(radius2, 0))
+        return dr.normalize(Normal3f(self.alpha_u * radius * cos, self.alpha_v * radius * sin, 1))
+
+
+def _visible_ggx(cos: Float, sample: Point2f) -> Vector3f:
+    """A point of the hemisphere of roughness 1 that is visible from (sin, 0, cos): the normal, unit length."""
+    p = square_to_uniform_disk_concentric(sample)
+    # The disk as seen from the side: its far half is the visible part of the equator's disk.
+    edge = dr.sqrt(maximum(dr.fma(-p.x, p.x, 1), 0))
+    y = dr.lerp(edge, p.y, dr.fma(0.5, cos, 0.5))
+    z = dr.sqrt(maximum(1 - dr.fma(p.x, p.x, dr.square(y)), 0))
+    sin = dr.sqrt(maximum(dr.fma(-cos, cos, 1), 0))
+    return Vector3f(dr.fma(sin, z, -cos * y), -p.x, maximum(dr.fma(sin, y, cos * z), 0))
+
+
+def _visible_beckmann(cos: Float, sample: Point2f) -> Vector3f:
+    """A normal of roughness 1 visible from (sin, 0, cos), not normalised.
+
+    The slope along x has the distribution function C (1 + x + tan exp(-erfinv(x)^2) / sqrt(pi)) in terms of
+    x = erf(slope). Three Newton steps invert it, from the solution for grazing incidence.
+    """
+    tan = dr.sqrt(maximum(dr.fma(-cos, cos, 1), 0)) * dr.rcp(cos)
+    cot = dr.rcp(tan)
+    largest = dr.erf(cot)
+    u = minimum(maximum(sample.x, 1e-6), 1 - 1e-6)
+    x = largest - (largest + 1) * dr.erf(dr.sqrt(-dr.log(u)))
+    tan_pi = tan * INV_SQRT_PI
+    target = u * (1 + largest + tan_pi * dr.exp(-dr.square(cot)))
+    for _ in range(3):
+        slope = dr.erfinv(_inside(x))
+        value = 1 + x + tan_pi * dr.exp(-dr.square(slope)) - target
+        x = x - value / (1 - slope * tan)
+    v = minimum(maximum(sample.y, 1e-6), 1 - 1e-6)
+    slopes = dr.erfinv(Vector2f(_inside(x), dr.fma(2, v, -1)))
+    return Vector3f(-slopes.x, -slopes.y, 1)
+
+
+def _inside(x: Float) -> Float:
+    """`x` in the open interval (-1, 1)."""
+    return minimum(maximum(x, -BELOW_ONE), BELOW_ONE)
+
+
+# ---- what rough materials have in common ----------------------------------------------
+
+
+def distribution_name(props: Properties) -> str:
+    """The key `distribution`: `"beckmann"` (default) or `"ggx"`, in any case."""
+    name = props.string("distribution", "beckmann")
+    if name.lower() not in DISTRIBUTIONS:
+        raise props.error("distribution", f"can't be '{name}'{near_miss(name.lower(), DISTRIBUTIONS)}")
+    return name.lower()
+
+
+def alpha_textures(props: Properties) -> tuple[Texture, Texture | None]:
+    """The keys `alpha` (default 0.1), or `alpha_u` and `alpha_v`, in (0, 1]; isotropic: one texture and None."""
+    pair = [key for key in ("alpha_u", "alpha_v") if key in props]
+    if not pair:
+        return props.texture_1("alpha", 0.1, low=0.0, high=1.0, low_open=True), None
+    if "alpha" in props:
+        raise props.error("alpha", f"can't stand beside '{pair[0]}': give either 'alpha' or 'alpha_u' and 'alpha_v'")
+    if len(pair) == 1:
+        other = "alpha_v" if pair == ["alpha_u"] else "alpha_u"
+        raise SceneError(f"{props.node}: '{pair[0]}' needs '{other}' beside it; 'alpha' stands for both")
+    alpha_u, alpha_v = (props.texture_1(key, low=0.0, high=1.0, low_open=True) for key in ("alpha_u", "alpha_v"))
+    return alpha_u, alpha_v
