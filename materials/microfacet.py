@@ -9,7 +9,6 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
-from djpt.minmax import maximum, minimum
 from djpt.textures.base import Texture
 from djpt.types import Float, Normal3f, Point2f, Vector2f, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
@@ -56,8 +55,8 @@ class MicrofacetDistribution:
         self.distribution = distribution
         self.sample_visible = sample_visible
         self.isotropic = alpha_u is alpha_v
-        self.alpha_u = maximum(alpha_u, MIN_ALPHA)
-        self.alpha_v = self.alpha_u if self.isotropic else maximum(alpha_v, MIN_ALPHA)
+        self.alpha_u = dr.select(alpha_u > MIN_ALPHA, alpha_u, MIN_ALPHA)
+        self.alpha_v = self.alpha_u if self.isotropic else dr.select(alpha_v > MIN_ALPHA, alpha_v, MIN_ALPHA)
 
     def scaled(self, factor: Float) -> MicrofacetDistribution:
         """The same with both roughnesses multiplied."""
@@ -143,7 +142,7 @@ class MicrofacetDistribution:
         cos_phi = dr.select(tilted, stretched.x * inv_sin, 1)
         sin_phi = dr.select(tilted, stretched.y * inv_sin, 0)
         # Directions below the horizon must give numbers, too, even if they mean nothing.
-        cos = maximum(stretched.z, 1e-7)
+        cos = dr.select(stretched.z > 1e-7, stretched.z, 1e-7)
         sample_11 = _visible_beckmann if self.distribution == "beckmann" else _visible_ggx
         n = sample_11(cos, sample)
         x, y = dr.fma(cos_phi, n.x, -sin_phi * n.y), dr.fma(sin_phi, n.x, cos_phi * n.y)
@@ -154,7 +153,7 @@ class MicrofacetDistribution:
         sin, cos = dr.sincos(2 * math.pi * sample.y)
         rest = 1 - sample.x
         radius2 = -dr.log(rest) if self.distribution == "beckmann" else sample.x * dr.rcp(rest)
-        radius = dr.sqrt(maximum(radius2, 0))
+        radius = _sqrt(radius2)
         return dr.normalize(Normal3f(self.alpha_u * radius * cos, self.alpha_v * radius * sin, 1))
 
 
@@ -162,11 +161,12 @@ def _visible_ggx(cos: Float, sample: Point2f) -> Vector3f:
     """A point of the hemisphere of roughness 1 that is visible from (sin, 0, cos): the normal, unit length."""
     p = square_to_uniform_disk_concentric(sample)
     # The disk as seen from the side: its far half is the visible part of the equator's disk.
-    edge = dr.sqrt(maximum(dr.fma(-p.x, p.x, 1), 0))
+    edge = _sqrt(dr.fma(-p.x, p.x, 1))
     y = dr.lerp(edge, p.y, dr.fma(0.5, cos, 0.5))
-    z = dr.sqrt(maximum(1 - dr.fma(p.x, p.x, dr.square(y)), 0))
-    sin = dr.sqrt(maximum(dr.fma(-cos, cos, 1), 0))
-    return Vector3f(dr.fma(sin, z, -cos * y), -p.x, maximum(dr.fma(sin, y, cos * z), 0))
+    z = _sqrt(1 - dr.fma(p.x, p.x, dr.square(y)))
+    sin = _sqrt(dr.fma(-cos, cos, 1))
+    height = dr.fma(sin, y, cos * z)
+    return Vector3f(dr.fma(sin, z, -cos * y), -p.x, dr.select(height > 0, height, 0))
 
 
 def _visible_beckmann(cos: Float, sample: Point2f) -> Vector3f:
@@ -175,25 +175,30 @@ def _visible_beckmann(cos: Float, sample: Point2f) -> Vector3f:
     The slope along x has the distribution function C (1 + x + tan exp(-erfinv(x)^2) / sqrt(pi)) in terms of
     x = erf(slope). Three Newton steps invert it, from the solution for grazing incidence.
     """
-    tan = dr.sqrt(maximum(dr.fma(-cos, cos, 1), 0)) * dr.rcp(cos)
+    tan = _sqrt(dr.fma(-cos, cos, 1)) * dr.rcp(cos)
     cot = dr.rcp(tan)
     largest = dr.erf(cot)
-    u = minimum(maximum(sample.x, 1e-6), 1 - 1e-6)
+    u = _clamp(sample.x, 1e-6, 1 - 1e-6)
     x = largest - (largest + 1) * dr.erf(dr.sqrt(-dr.log(u)))
     tan_pi = tan * INV_SQRT_PI
     target = u * (1 + largest + tan_pi * dr.exp(-dr.square(cot)))
     for _ in range(3):
-        slope = dr.erfinv(_inside(x))
+        slope = dr.erfinv(_clamp(x, -BELOW_ONE, BELOW_ONE))
         value = 1 + x + tan_pi * dr.exp(-dr.square(slope)) - target
         x = x - value / (1 - slope * tan)
-    v = minimum(maximum(sample.y, 1e-6), 1 - 1e-6)
-    slopes = dr.erfinv(Vector2f(_inside(x), dr.fma(2, v, -1)))
+    v = _clamp(sample.y, 1e-6, 1 - 1e-6)
+    slopes = dr.erfinv(Vector2f(_clamp(x, -BELOW_ONE, BELOW_ONE), dr.fma(2, v, -1)))
     return Vector3f(-slopes.x, -slopes.y, 1)
 
 
-def _inside(x: Float) -> Float:
-    """`x` in the open interval (-1, 1)."""
-    return minimum(maximum(x, -BELOW_ONE), BELOW_ONE)
+def _sqrt(x: Float) -> Float:
+    """The root; 0, with derivative 0, where rounding made `x` negative."""
+    return dr.sqrt(dr.select(x > 0, x, 0))
+
+
+def _clamp(x: Float, low: float, high: float) -> Float:
+    x = dr.select(x > low, x, low)
+    return dr.select(x < high, x, high)
 
 
 # ---- what rough materials have in common ----------------------------------------------
