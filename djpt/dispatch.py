@@ -24,9 +24,10 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.lookup import Flat, Members, Numbers, Rows, opaque
+from djpt.tables import Buffer, channels_of
 from djpt.types import Bool, UInt32
 
-__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "opaque_copy", "structure"]
+__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "opaque_copy", "structure"]
 
 P = TypeVar("P", bound=Plugin)
 
@@ -39,7 +40,8 @@ def structure(plugin: Plugin) -> Hashable:
         children.append(structure(child) if isinstance(child, Plugin) else child)
     statics = tuple(getattr(plugin, name) for name in plugin.statics)
     value_types = tuple(type(getattr(plugin, name)) for name in plugin.values)
-    return (type(plugin), statics, value_types, tuple(children))
+    channels = tuple(channels_of(getattr(plugin, name)) for name in plugin.tables)
+    return (type(plugin), statics, value_types, channels, tuple(children))
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,30 @@ class Leaf:
         return [id(owner) for owner in self.owners]
 
 
+class TableLeaf(Leaf):
+    """A leaf whose values are tensors: what is looked up is a `Table`."""
+
+
 class Lookup(Protocol):
     """How a group's values are read by a kernel."""
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         """The value of `leaf` for the member number `slot` of its group."""
+
+    def attaches(self, leaf: Leaf) -> bool:
+        """Are looked-up values of `leaf` AD leaves, or depend on some?"""
+
+
+@dataclass
+class BufferTable:
+    """One member's tensor in the buffer of its group."""
+
+    buffer: Buffer
+    slot: UInt32
+
+    def at(self, index: UInt32, active: Bool | bool = True) -> Any:
+        """See `Table`."""
+        return self.buffer.read(self.buffer.address(self.slot, index), active)
 
 
 class Detached:
@@ -71,19 +92,26 @@ class Detached:
 
     def __init__(self) -> None:
         self._copies: dict[tuple[int, str], Any] = {}
-        self._tables: dict[int, tuple[Leaf, Rows]] = {}
+        self._tables: dict[int, tuple[Leaf, Any]] = {}
 
     def prepare(self, leaves: Iterable[Leaf]) -> None:
         """Build the tables of some leaves. Long ones must exist before a kernel's loop asks for them."""
         for leaf in leaves:
             self._table(leaf)
 
-    def _table(self, leaf: Leaf) -> Rows:
+    def _table(self, leaf: Leaf) -> Any:
         if id(leaf) not in self._tables:
-            rows = [self.value(owner, leaf.attribute) for owner in leaf.owners]
+            if isinstance(leaf, TableLeaf):
+                table: Any = Buffer([dr.detach(tensor) for tensor in leaf.rows()], leaf.identity())
+            else:
+                table = Rows([self.value(owner, leaf.attribute) for owner in leaf.owners], leaf.identity())
             # The leaf is kept beside its table so that its id stays taken.
-            self._tables[id(leaf)] = (leaf, Rows(rows, leaf.identity()))
+            self._tables[id(leaf)] = (leaf, table)
         return self._tables[id(leaf)][1]
+
+    def buffer(self, leaf: TableLeaf) -> Buffer:
+        """The tensors of a leaf."""
+        return self._table(leaf)
 
     def value(self, owner: Plugin, attribute: str) -> Any:
         """The opaque copy of one plugin's value."""
@@ -96,7 +124,8 @@ class Detached:
         """A copy that holds the `needed` values as they are now, whatever happens to the plugins."""
         clone = Detached()
         for owner, attribute in needed:
-            self.value(owner, attribute)
+            if attribute in owner.values:  # tables are there already
+                self.value(owner, attribute)
         clone._copies, clone._tables = dict(self._copies), dict(self._tables)
         return clone
 
@@ -106,7 +135,11 @@ class Detached:
         self._tables.clear()
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
-        return self._table(leaf).at(slot)
+        table = self._table(leaf)
+        return BufferTable(table, slot) if isinstance(leaf, TableLeaf) else table.at(slot)
+
+    def attaches(self, leaf: Leaf) -> bool:
+        return False
 
 
 class Attached:
@@ -115,7 +148,10 @@ class Attached:
     def __init__(self, overrides: dict[tuple[int, str], Any]) -> None:
         """`overrides`: (id of a plugin, attribute) -> the attached value; all others are detached."""
         self._overrides = overrides
-        self._flats: dict[int, tuple[Leaf, Flat]] = {}
+        self._flats: dict[int, tuple[Leaf, Any]] = {}
+
+    def attaches(self, leaf: Leaf) -> bool:
+        return any((id(owner), leaf.attribute) in self._overrides for owner in leaf.owners)
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         if id(leaf) not in self._flats:
@@ -124,8 +160,10 @@ class Attached:
                 for owner in leaf.owners
             ]
             # The leaf is kept beside its buffer so that its id stays taken.
-            self._flats[id(leaf)] = (leaf, Flat(rows))
-        return self._flats[id(leaf)][1].at(slot)
+            table = Buffer(rows, leaf.identity()) if isinstance(leaf, TableLeaf) else Flat(rows)
+            self._flats[id(leaf)] = (leaf, table)
+        found = self._flats[id(leaf)][1]
+        return BufferTable(found, slot) if isinstance(leaf, TableLeaf) else found.at(slot)
 
 
 class Group(Generic[P]):
@@ -139,6 +177,7 @@ class Group(Generic[P]):
     @classmethod
     def _collect(cls, owners: Sequence[Plugin]) -> dict[str, Any]:
         tree: dict[str, Any] = {name: Leaf(tuple(owners), name) for name in owners[0].values}
+        tree.update({name: TableLeaf(tuple(owners), name) for name in owners[0].tables})
         for name in owners[0].children:
             if isinstance(getattr(owners[0], name), Plugin):
                 tree[name] = cls._collect([getattr(owner, name) for owner in owners])
@@ -215,19 +254,37 @@ class Ensemble(Generic[P]):
             return index - first if first else index
         return self._slots[id(group)].at(index)
 
-    def call(self, index: UInt32, lookup: Lookup, method: Callable[[P], Any], otherwise: Any) -> Any:
+    def call(
+        self,
+        index: UInt32,
+        lookup: Lookup,
+        method: Callable[[P], Any],
+        otherwise: Any,
+        active: Bool | None = None,
+    ) -> Any:
         """``method(plugin)`` per lane; `otherwise` where `index` is beyond the last plugin.
 
-        Every group's method is evaluated for all lanes and the results are selected. `method`
-        must return a PyTree of the type of `otherwise`.
+        The first group's method is evaluated for all lanes. So are the others', unless `active` lanes are
+        given: they are then branches, which a packet of lanes skips if none of its active lanes needs them.
+        `method` must return a PyTree of the type of `otherwise`.
         """
         result = otherwise
         for number, group in enumerate(self.groups):
-            value = method(group.at(self.slots(group, index), lookup))
+
+            def evaluate(group: Group[P] = group) -> Any:
+                return method(group.at(self.slots(group, index), lookup))
+
             if number == 0 and otherwise is None:
-                result = value
+                result = evaluate()
+                continue
+            mine = self.members(group, index)
+            # The leaves of a branch couldn't be differentiated from outside of it.
+            if active is None or any(lookup.attaches(leaf) for leaf in group.leaves()):
+                result = dr.select(mine, evaluate(), result)
             else:
-                result = dr.select(self.members(group, index), value, result)
+                (result,) = dr.if_stmt(
+                    (result,), mine & active, lambda result: (evaluate(),), lambda result: (result,), label="bsdf"
+                )
         return result
 
     def members(self, group: Group[P], index: UInt32) -> Bool:

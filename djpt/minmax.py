@@ -14,11 +14,11 @@ from djpt.types import Float
 __all__ = ["maximum", "minimum"]
 
 
-def minimum(a: Float, b: Float) -> Float:
+def minimum(a: Float, b: Float | float) -> Float:
     """The smaller of the two; `b` if either is NaN."""
     return dr.select(a < b, a, b)
 
 
-def maximum(a: Float, b: Float) -> Float:
+def maximum(a: Float, b: Float | float) -> Float:
     """The larger of the two; `b` if either is NaN."""
     return dr.select(a > b, a, b)

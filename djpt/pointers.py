@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.lookup import choose
-from djpt.records import BSDFContext, BSDFSample3f, DirectionSample3f, SurfaceInteraction3f
+from djpt.records import (
+    BSDFContext,
+    BSDFFlags,
+    BSDFSample3f,
+    DirectionSample3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
@@ -41,8 +48,14 @@ class BSDFPtr:
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
-        """Sample `wo`; the weight is 0 on inactive lanes."""
-        bs, weight = self._call(lambda bsdf: bsdf.sample(ctx, si, sample1, sample2, active))
+        """Sample `wo`, detached; the weight is 0 on inactive lanes."""
+
+        def method(bsdf: BSDF) -> tuple[BSDFSample3f, Color3f]:
+            bs, weight = bsdf.sample(ctx, si, sample1, sample2, active)
+            bs = dr.detach(bs)
+            return bs, reattached(bsdf, ctx, si, bs, weight, active)
+
+        bs, weight = self._call(method)
         return bs, dr.select(active, weight, 0)
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
@@ -69,17 +82,48 @@ class BSDFPtr:
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        """`eval_pdf` and `sample` in one dispatch. Inactive lanes aren't zeroed: callers mask."""
-        return self._call(lambda bsdf: bsdf.eval_pdf_sample(ctx, si, wo, sample1, sample2, active))
+        """`eval_pdf` and `sample` in one dispatch, all but `value` and `weight` detached.
+
+        Inactive lanes aren't zeroed: callers mask.
+        """
+
+        def method(bsdf: BSDF) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+            value, pdf, bs, weight = bsdf.eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
+            bs = dr.detach(bs)
+            return value, dr.detach(pdf), bs, reattached(bsdf, ctx, si, bs, weight, active)
+
+        return self._call(method, Bool(active))
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """What passes straight through; 0 on inactive lanes."""
+        return dr.select(active, self._call(lambda bsdf: bsdf.eval_null_transmission(si, active)), 0)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The albedo; 0 on inactive lanes."""
         value = self._call(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
         return dr.select(active, value, 0)
 
-    def _call(self, method: Callable[[BSDF], Any]) -> Any:
+    def _call(self, method: Callable[[BSDF], Any], active: Bool | None = None) -> Any:
         # Every surface has a BSDF, so no value is needed for "none".
-        return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None)
+        return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None, active)
+
+
+def reattached(
+    bsdf: BSDF, ctx: BSDFContext, si: SurfaceInteraction3f, bs: BSDFSample3f, weight: Color3f, active: Bool | bool
+) -> Color3f:
+    """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
+
+    What `sample` computes may have cancelled terms of value and density, and differentiates as if the
+    direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
+    """
+    if not dr.grad_enabled(weight):
+        return weight
+    fixed = dr.detach(weight)
+    value = bsdf.eval(ctx, si, bs.wo, active)
+    plain = dr.detach(value)
+    smooth = fixed * value * dr.select(plain != 0, dr.rcp(plain), 0)
+    change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, dr.select(plain != 0, smooth, fixed))
+    return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
 
 
 class EmitterPtr:

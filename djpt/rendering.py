@@ -106,13 +106,13 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
     spp = spp or sensor.sampler.sample_count
+    scene = scene.seen_from(sensor.to_world.translation())
     job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress)
     if job.samples > MAX_SAMPLES:
         raise RenderError(
             f"{job.width} x {job.height} pixels at {spp} spp are more than 2^32 samples; "
             "render fewer spp under several seeds and average the images"
         )
-    scene.geometry.seen_from(sensor.to_world.translation())
     return job
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
+import numpy as np
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
@@ -17,6 +18,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.geometry.contents import unseen
 from djpt.geometry.parity import is_inside
+from djpt.interior import Interior
 from djpt.materials import BSDF, Diffuse
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
@@ -81,31 +83,33 @@ class Scene(Plugin):
         self.geometry = Geometry(self._shapes, points, self._environment is not None)
 
         bsdfs: list[BSDF] = []
-        self._bsdf_of_shape: list[int] = []
+        self.bsdf_of_shape: list[int] = []
         self._light_of_shape: list[int] = []
         none = len(self._emitters)
         # Those of groups included.
         for shape in self.geometry.contents.shapes:
             if unseen(shape):
-                self._bsdf_of_shape.append(0)
+                self.bsdf_of_shape.append(0)
                 self._light_of_shape.append(none)
                 continue
             if shape.bsdf is None:
                 shape.bsdf = default_bsdf(shape)
             if shape.bsdf not in bsdfs:
                 bsdfs.append(shape.bsdf)
-            self._bsdf_of_shape.append(bsdfs.index(shape.bsdf))
+            self.bsdf_of_shape.append(bsdfs.index(shape.bsdf))
             self._light_of_shape.append(none if shape.emitter is None else self._emitters.index(shape.emitter))
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs or [black(f"{self.id}.bsdf")])
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
+        self.interior = Interior(self)
         self._prepare()
         self._light_on_miss = none if self._environment is None else self._environment
+        self.camera_body = UInt32(self.interior.outside)
 
     def _prepare(self) -> None:
         """Build all tables, after the scene was compiled or edited."""
         assert isinstance(self.lookup, Detached)
-        self._bsdf_of_face = self.geometry.per_face(self._bsdf_of_shape)
+        self._bsdf_of_face = self.geometry.per_face(self.bsdf_of_shape)
         self._light_of_face = self.geometry.per_face(self._light_of_shape)
         for ensemble in (self.geometry.surfaces, self.bsdfs, self.lights):
             self.lookup.prepare(ensemble.leaves())
@@ -131,6 +135,15 @@ class Scene(Plugin):
         """A view of this scene that reads values through `lookup`."""
         view = copy.copy(self)
         view.lookup = lookup
+        return view
+
+    def seen_from(self, p: np.ndarray) -> Scene:
+        """A view of this scene for rays that start near the point `p` (3,): a camera's."""
+        self.geometry.seen_from(p)
+        if not self.interior.exists:
+            return self
+        view = copy.copy(self)
+        view.camera_body = dr.opaque(UInt32, self.interior.around(p))
         return view
 
     # ---- contents ----------------------------------------------------------------------
@@ -165,8 +178,13 @@ class Scene(Plugin):
         return any(has_flag(bsdf.flags(), TRANSMITS) for bsdf in self.bsdfs.plugins)
 
     @property
+    def has_null(self) -> bool:
+        """Can a path pass straight through a surface, as if it weren't there?"""
+        return any(has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in self.bsdfs.plugins)
+
+    @property
     def needs_uv(self) -> bool:
-        """Does any texture look at uv?"""
+        """Does anything look at uv or its derivatives?"""
         return any(reads_uv(plugin) for plugin in (*self.bsdfs.plugins, *self.lights.plugins))
 
     # ---- ray queries ---------------------------------------------------------------------

@@ -67,6 +67,10 @@ class PathState:
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
     """Vertices so far."""
+    covered: Bool | None = None
+    """Has a vertex been met that isn't a mere opening (a null interface)? None in scenes without such."""
+    body: UInt32 | None = None
+    """The absorbing body that the ray runs through: see `djpt.interior`; None in scenes without any."""
 
 
 @dataclass

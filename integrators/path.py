@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState, Vertex, mis_weight
 from djpt.minmax import maximum, minimum
-from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
@@ -49,20 +49,31 @@ class Path(PathIntegrator):
         return self.max_depth
 
     def start(self, scene: Scene) -> PathState:
-        eta = Float(1) if scene.refracts else None
-        return PathState(p=Point3f(0), throughput=Color3f(1), bsdf_pdf=Float(0), eta=eta, depth=UInt32(0))
+        return PathState(
+            p=Point3f(0),
+            throughput=Color3f(1),
+            bsdf_pdf=Float(0),
+            eta=Float(1) if scene.refracts else None,
+            depth=UInt32(0),
+            covered=Bool(False) if scene.has_null else None,
+            body=scene.camera_body if scene.interior.exists else None,
+        )
 
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
         max_depth = UNBOUNDED if self.max_depth < 0 else self.max_depth
         first = state.depth == 0
+        throughput, arriving, interior = state.throughput, Color3f(1), scene.interior
+        if state.body is not None:
+            arriving = interior.transmittance(scene.lookup, state.body, si.t)
+            throughput = throughput * arriving
 
         # ---------------------- Emission ----------------------
         ds = DirectionSample3f.between(state.p, ray, si)
         emitter_pdf = scene.pdf_emitter_direction(state.p, ds)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, emitter_pdf), 1)
-        emitted = state.throughput * mis * si.emitter(scene).eval(si)
+        emitted = throughput * mis * si.emitter(scene).eval(si)
         if self.hide_emitters:
             emitted = dr.select(first & ~si.is_valid(), 0, emitted)
         if self.max_depth == 0:
@@ -75,13 +86,19 @@ class Path(PathIntegrator):
         shadow_ray = scene.shadow_ray(si, ds)
 
         # -------------------- BSDF sampling -------------------
+        to_light = si.to_local(ds.d)
         value, pdf, bs, weight = si.bsdf().eval_pdf_sample(
-            BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d()
+            BSDFContext(), si, to_light, sampler.next_1d(), sampler.next_2d(), proceed
         )
+        body = state.body
+        if body is not None:
+            light *= interior.transmittance(scene.lookup, interior.beyond(si, to_light, body), ds.dist)
+            body = interior.beyond(si, bs.wo, body)
         # The power heuristic from 1 / p_e: one division less.
         mis = dr.select(ds.delta, 1, dr.rcp(1 + dr.square(pdf * ds.weight)))
-        reflected = dr.select(proceed, state.throughput * (value * light * mis), 0)
+        reflected = dr.select(proceed, throughput * (value * light * mis), 0)
         next_ray = si.spawn_ray(si.to_world(bs.wo))
+        weight = weight * arriving
         throughput = state.throughput * dr.detach(weight)
         eta = None if state.eta is None else state.eta * bs.eta
 
@@ -94,10 +111,17 @@ class Path(PathIntegrator):
 
         # ---------------------- Next vertex -------------------
         delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
-        next_state = PathState(si.p, throughput, dr.select(delta, 0, bs.pdf), eta, state.depth + 1)
-        covered = (
-            ~first | si.is_valid() | (self.covers_sky and scene.environment() is not None and not self.hide_emitters)
+        covered = self.covered(state, si, bs)
+        next_state = PathState(
+            p=si.p,
+            throughput=throughput,
+            bsdf_pdf=dr.select(delta, 0, bs.pdf),
+            eta=eta,
+            depth=state.depth + 1,
+            covered=None if state.covered is None else covered,
+            body=body,
         )
+        sky = self.covers_sky and scene.environment() is not None and not self.hide_emitters
         return Vertex(
             emitted=emitted,
             reflected=reflected,
@@ -106,8 +130,14 @@ class Path(PathIntegrator):
             ray=next_ray,
             state=next_state,
             active=proceed & (largest > 0) & survives,
-            valid=covered & Bool(self.max_depth != 0),
+            valid=(covered | sky) & Bool(self.max_depth != 0),
         )
+
+    def covered(self, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
+        """Has the path met a surface, this vertex included?"""
+        if state.covered is None:
+            return (state.depth > 0) | si.is_valid()
+        return state.covered | (si.is_valid() & ~has_flag(bs.sampled_type, BSDFFlags.Null))
 
     def roulette_depth(self, depth: UInt32) -> UInt32:
         """The depth that is compared with `rr_depth`: that of the next vertex."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from djpt.integrators.base import PathState
 from djpt.integrators.path import Path
-from djpt.types import UInt32
+from djpt.records import BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, UInt32
 
 __all__ = ["PRB"]
 
@@ -23,3 +25,7 @@ class PRB(Path):
 
     def roulette_depth(self, depth: UInt32) -> UInt32:
         return depth
+
+    def covered(self, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
+        """Openings count as surfaces here."""
+        return (state.depth > 0) | si.is_valid()

@@ -24,11 +24,15 @@ class BSDF(Plugin):
       was sampled.
     * Where `active` is false the results mean nothing: callers mask.
 
-    Sampling decisions are detached: `sample` must not pass gradients from its parameters to `wo`
-    or `pdf`, but its weight may carry them.
+    Sampling decisions are detached. Derivatives of smooth lobes are taken from `eval`, at the sampled
+    direction: `wo`, `pdf` and the weight that `sample` returns are used as if they were constants. The
+    weight of a delta lobe, which `eval` can't see, keeps its derivative: it must be the lobe's value over
+    `dr.detach` of the probability of choosing it.
     """
 
     kind: ClassVar[str] = "bsdf"
+    absorbs: bool = False
+    """Is light attenuated within the body that the surface encloses? See `transmittance`."""
 
     def flags(self) -> int:
         """The `BSDFFlags` of all lobes together."""
@@ -72,6 +76,14 @@ class BSDF(Plugin):
         value, pdf = self.eval_pdf(ctx, si, wo, active)
         sample, weight = self.sample(ctx, si, sample1, sample2, active)
         return value, pdf, sample, weight
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The share of light that passes straight through the surface, by a `Null` lobe."""
+        return Color3f(0)
+
+    def transmittance(self, distance: Float) -> Color3f:
+        """What is left of light after a distance within the body that the surface encloses."""
+        return Color3f(1)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The albedo shown by the `aov` integrator: by default pi f at normal incidence and exitance."""

@@ -133,7 +133,7 @@ def gallery(
 class Stripes(Texture):
     """Colours that follow uv: red by u, green by v, blue in stripes."""
 
-    def restrict(self, low: float | None, high: float | None, where: str) -> None:
+    def restrict(self, allowed: Any, where: str) -> None:
         pass
 
     def eval(self, si: Any, active: Any = True) -> Color3f:

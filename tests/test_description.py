@@ -361,7 +361,7 @@ class Stripes(Texture):
         super().__init__(props)
         self.count = props.integer("count", low=1)
 
-    def restrict(self, low: float | None, high: float | None, where: str) -> None:
+    def restrict(self, allowed: Any, where: str) -> None:
         pass
 
 

@@ -40,14 +40,16 @@ class TraversalCallback(Protocol):
 class Plugin:
     """A node of the scene: built from checked properties, edited through `traverse()`.
 
-    A plugin keeps three sorts of attributes, and says which is which:
+    A plugin keeps four sorts of attributes, and says which is which:
 
     * `values`: Dr.Jit arrays of width 1 that may differ between instances and that edits
       may change. Kernels read them as opaque inputs, so an edit compiles nothing.
+    * `tables`: tensors of any shape, such as the texels of a bitmap. Kernels read single entries, through a
+      `djpt.tables.Table` that stands in the tensor's place.
     * `children`: attributes that hold further plugins (a texture in a BSDF).
     * `statics`: everything else that a kernel depends on (a distribution's name, a flag).
       Instances with equal class, statics and children are traced **once**, with per-lane
-      values: methods called in kernels must therefore read only these three sorts.
+      values: methods called in kernels must therefore read only these four sorts.
 
     Plugins don't know the scene that they are part of.
     """
@@ -56,6 +58,7 @@ class Plugin:
     """`bsdf`, `shape`, `emitter`, `texture`, `sensor`, `film`, `rfilter`, `sampler`, `integrator` or `scene`."""
 
     values: ClassVar[Mapping[str, ParamFlags]] = {}
+    tables: ClassVar[Mapping[str, ParamFlags]] = {}
     children: ClassVar[Sequence[str]] = ()
     statics: ClassVar[Sequence[str]] = ()
 
@@ -72,8 +75,8 @@ class Plugin:
         return f"{type(self).__name__}[\n{body}\n]" if body else f"{type(self).__name__}[]"
 
     def traverse(self, callback: TraversalCallback) -> None:
-        """Report all parameters; by default the `values` and the `children`."""
-        for name, flags in self.values.items():
+        """Report all parameters; by default the `values`, the `tables` and the `children`."""
+        for name, flags in {**self.values, **self.tables}.items():
             callback.put(name, getattr(self, name), flags)
         for name in self.children:
             child = getattr(self, name)

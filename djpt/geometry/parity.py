@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -38,14 +39,14 @@ def closed_shapes(scene: Scene) -> list[int]:
     return [i for i, s in enumerate(shapes) if (s.is_closed() if isinstance(s, Mesh) else s.closed)]
 
 
-def is_inside(scene: Scene, p: Point3f, active: Bool | bool = True) -> Bool:
-    """Is a point within an odd number of closed surfaces?
+def is_inside(scene: Scene, p: Point3f, active: Bool | bool = True, shapes: Sequence[int] | None = None) -> Bool:
+    """Is a point within an odd number of closed surfaces? Of `shapes` alone (indices), if given.
 
     A ray from an inner point crosses a closed surface an odd number of times (the Jordan-Brouwer theorem);
     crossings of open shapes don't count. After each the ray goes on RAY_EPSILON (1 + max abs(p)) further,
     so walls thinner than that may be missed.
     """
-    inner = closed_shapes(scene)
+    inner = closed_shapes(scene) if shapes is None else shapes
     count = len(scene.geometry.contents.shapes)
     if not inner:
         return Bool(active) & Bool(False)

@@ -11,7 +11,7 @@ so many channels that sums per tap would not fit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -114,14 +114,15 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
 
 def restart(ended: Bool, fresh: PathState, state: PathState) -> PathState:
     """The fresh state where a path has ended."""
-    eta = None if state.eta is None else dr.select(ended, fresh.eta, state.eta)
-    return PathState(
-        state.p,
-        dr.select(ended, fresh.throughput, state.throughput),
-        dr.select(ended, fresh.bsdf_pdf, state.bsdf_pdf),
-        eta,
-        dr.select(ended, fresh.depth, state.depth),
-    )
+
+    def either(field: Any) -> Any:
+        mine = getattr(state, field.name)
+        # The previous vertex is never looked at before there is one: its density is 0.
+        if mine is None or field.name == "p":
+            return mine
+        return dr.select(ended, getattr(fresh, field.name), mine)
+
+    return PathState(*map(either, fields(PathState)))
 
 
 def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> list[Float]:

@@ -83,10 +83,13 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         shadow = lane.shadow
         ray, hit = geometry.end(lane.query)
         stream = lane.sampler.clone()
+        blocked = hit.is_valid()
+        # Shadow rays end at no vertex: packets without one skip the code of the BSDFs.
+        hit.t = dr.select(shadow, dr.inf, hit.t)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
         v = integrator.vertex(scene, stream, lane.path, ray, si)
 
-        arrived = dr.select(shadow, dr.select(hit.is_valid(), 0, lane.pending), v.emitted)
+        arrived = dr.select(shadow, dr.select(blocked, 0, lane.pending), v.emitted)
         radiance = lane.radiance + arrived
         lit = ~shadow & (dr.max(v.reflected) > 0)
         active, valid = dr.select(shadow, lane.active, v.active), dr.select(shadow, lane.valid, v.valid)

@@ -128,7 +128,7 @@ def backward_constant(
     """Gradients of the parameters where all samples of a pixel have the same adjoint; in the flat schedule."""
     lanes = interleaved(job, Band(0, job.height), begin, end)
     numbering = numbering_of(job, parameters)
-    accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
+    accumulator = Accumulator(parameters, numbering, values, dr.width(lanes.pixel))
     delta = job.film.color_adjoint([dr.gather(Float, a, lanes.pixel) for a in adjoints])
     sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, delta, None))
     dr.eval(sums, k)
@@ -153,11 +153,11 @@ def backward_samples(
     numbering = numbering_of(job, parameters)
     if machine:
         tiles = TiledLanes(job, band, begin, end)
-        accumulator = Accumulator(parameters, numbering, tiles.count)
+        accumulator = Accumulator(parameters, numbering, values, tiles.count)
         sums, k = machine_replay.run(job, values, numbering, tiles, Reverse(accumulator, None, adjoint))
     else:
         lanes = layered(job, band, begin, end)
-        accumulator = Accumulator(parameters, numbering, dr.width(lanes.pixel))
+        accumulator = Accumulator(parameters, numbering, values, dr.width(lanes.pixel))
         sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, None, adjoint))
     dr.eval(sums, k)
     return accumulator.gradients(sums)
