@@ -1,0 +1,162 @@
+"""Images wrapped around surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+
+from djpt.color import LUMINANCE
+from djpt.description.numeric import is_readable
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.lookup import as_float
+from djpt.minmax import maximum, minimum
+from djpt.textures.allowed import Allowed
+from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
+from djpt.textures.uv import UVTexture
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
+
+__all__ = ["Bitmap"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+
+
+class Bitmap(UVTexture):
+    """An image: texel (i, j) of W x H lies at uv = ((i + 0.5) / W, (j + 0.5) / H), the first row at small v.
+
+    Parameters: one of
+
+    * `filename`: a png, jpg, exr, hdr, pfm or npy file;
+    * `bitmap`: an image in memory (Mitsuba's `Bitmap`, `djpt.Image`, a NumPy array; bytes are sRGB);
+    * `data`: linear numbers, (H, W), (H, W, 1) or (H, W, 3);
+
+    and `raw` (default false; true keeps sRGB numbers as they are: for normal maps and the like),
+    `filter_type` ('bilinear', default, or 'nearest'), `wrap_mode` outside the unit square ('repeat',
+    default, 'mirror' or 'clamp'), `to_uv` (see `djpt.textures.uv.UVTexture`), `format` ('auto' and 'variant'
+    store single precision, 'fp16' rounds to half precision) and `accel` (no effect). Alpha is dropped.
+
+    The parameter `data` is a `TensorXf` (H, W, C) of linear numbers and always differentiable, also
+    for 8-bit images (Mitsuba keeps those as bytes unless told otherwise). An edit may change its size.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "resolution": HIDDEN, "average": HIDDEN}
+    tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
+    statics = ("channels", "filter_type", "wrap_mode")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        raw = props.boolean("raw", False)
+        self.filter_type = props.string("filter_type", "bilinear", choices=("bilinear", "nearest"))
+        self.wrap_mode = props.string("wrap_mode", "repeat", choices=("repeat", "mirror", "clamp"))
+        half = props.string("format", "auto", choices=("auto", "variant", "fp16")) == "fp16"
+        props.boolean("accel", True)
+        self._allowed = Allowed()
+        # In kernels a `djpt.tables.Table` stands in its place.
+        self.data: Any = load_texels(props, raw, half)
+        self._measure()
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def _measure(self) -> None:
+        """What kernels know of the texels beside themselves."""
+        height, width, self.channels = self.data.shape
+        self.resolution = Vector2f(as_float(width), as_float(height))
+        if is_readable():
+            colour = numbers_of(self.data).mean(axis=(0, 1), dtype=np.float64)
+            self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        super().parameters_changed(keys)
+        if "data" in keys:
+            self._measure()
+
+    def restrict(self, allowed: Allowed, where: str) -> None:
+        allowed.require(numbers_of(self.data), where)
+        self._allowed = self._allowed.within(allowed)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name != "data":
+            return super().check_parameter(name, value)
+        try:
+            texels = as_texels(value)
+            if texels.shape[2] != self.channels:
+                raise SceneError(f"must keep its {self.channels} channels, found {texels.shape[2]}")
+            if is_readable():
+                pixels = numbers_of(texels)
+                check_texels(pixels)
+                self._allowed.require(pixels)
+        except SceneError as error:
+            raise ParameterError(f"{self.id}.data: {error}") from None
+        return texels
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
+        return Color3f(self._lookup(si, active))
+
+    def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
+        return self._scalar(self._lookup(si, active))
+
+    def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
+        if self.filter_type == "nearest":
+            return Vector2f(0)
+        (s, t), corners = self._corners(si, active)
+        f00, f10, f01, f11 = (self._scalar(corner) for corner in corners)
+        gradient = Vector2f(lerp(f10 - f00, f11 - f01, t), lerp(f01 - f00, f11 - f10, s))
+        return self.chain(gradient * self.resolution)
+
+    def mean(self) -> Float:
+        """The luminance of the average texel, as in Mitsuba."""
+        return self.average
+
+    def _scalar(self, texel: Any) -> Float:
+        if self.channels == 1:
+            return texel
+        r, g, b = LUMINANCE
+        return texel.x * r + texel.y * g + texel.z * b
+
+    def _lookup(self, si: Any, active: Bool | bool) -> Any:
+        if self.filter_type == "nearest":
+            x, y = self.uv(si) * self.resolution
+            return self._texel(self._wrap(dr.floor(x), 0), self._wrap(dr.floor(y), 1), active)
+        (s, t), (f00, f10, f01, f11) = self._corners(si, active)
+        return lerp(lerp(f00, f10, s), lerp(f01, f11, s), t)
+
+    def _corners(self, si: Any, active: Bool | bool) -> tuple[Point2f, list[Any]]:
+        """The four texels about a point, and where it lies between them: along u (s) and v (t)."""
+        place = dr.fma(self.uv(si), self.resolution, -0.5)
+        first = dr.floor(place)
+        columns = [self._wrap(first.x + k, 0) for k in range(2)]
+        rows = [self._wrap(first.y + k, 1) for k in range(2)]
+        return place - first, [self._texel(x, y, active) for y in rows for x in columns]
+
+    def _wrap(self, i: Float, axis: int) -> UInt32:
+        """The number of a texel along an axis; `i` is whole, but may lie outside."""
+        count = self.resolution[axis]
+        if self.wrap_mode == "repeat":
+            i = remainder(i, count)
+        elif self.wrap_mode == "mirror":
+            i = remainder(i, 2 * count)
+            i = minimum(i, 2 * count - 1 - i)
+        # Also for safety: no uv whatsoever may lead out of memory.
+        return UInt32(minimum(maximum(i, 0), count - 1))
+
+    def _texel(self, x: UInt32, y: UInt32, active: Bool | bool) -> Any:
+        index = y * UInt32(self.resolution.x) + x
+        if dr.is_tensor_v(self.data):  # outside of kernels there is no table
+            return dr.gather(Float if self.channels == 1 else Color3f, self.data.array, index, active)
+        return self.data.at(index, active)
+
+
+def remainder(i: Float, n: Float) -> Float:
+    """`i` mod n for whole numbers, up to some millions without error: half a unit keeps off the steps of floor."""
+    return dr.fma(-n, dr.floor((i + 0.5) * dr.rcp(n)), i)
+
+
+def lerp(a: Any, b: Any, t: Float) -> Any:
+    """From `a` to `b`."""
+    return dr.fma(b - a, t, a)

@@ -1,0 +1,168 @@
+"""Where the pixels of a bitmap texture come from, and the checks that they pass."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.files import resolve
+from djpt.description.numeric import LARGEST, describe
+from djpt.description.properties import Properties
+from djpt.errors import FileError, SceneError
+from djpt.image import read_pixels
+from djpt.image_formats import DISPLAY_FORMATS
+from djpt.types import TensorXf
+
+__all__ = ["as_texels", "check_texels", "load_texels"]
+
+Pixels = NDArray[np.float32]
+SOURCES = ("filename", "bitmap", "data")
+
+
+def load_texels(props: Properties, raw: bool, half: bool) -> TensorXf:
+    """The texels that `filename`, `bitmap` or `data` give: (H, W, 1 or 3), linear unless `raw`.
+
+    `half`: round them to half precision.
+    """
+    given = [key for key in SOURCES if key in props]
+    if len(given) != 1:
+        found = " and ".join(f"'{key}'" for key in given) or "none"
+        raise SceneError(f"{props.node}: '{props.plugin_name}' needs one of {', '.join(SOURCES)}; found {found}")
+    key = given[0]
+    value = props.raw(key)
+    try:
+        if key == "data":
+            texels = as_texels(value)
+        else:
+            pixels = from_file(props.string(key), raw) if key == "filename" else from_object(value, raw)
+            texels = tensor(without_alpha(pixels))
+        if half:
+            texels = tensor(rounded(numbers_of(texels)))
+        check_texels(numbers_of(texels))
+    except FileError as error:
+        raise SceneError(f"{props.node}: '{key}': {error}") from None
+    except SceneError as error:
+        raise props.error(key, str(error)) from None
+    return texels
+
+
+# ---- the three sources ---------------------------------------------------------------------
+
+
+def as_texels(value: Any) -> TensorXf:
+    """`data` as a tensor (H, W, C), attached to its gradients; (H, W) is one channel.
+
+    Raises:
+        SceneError: not an array of numbers, or of another shape.
+    """
+    if isinstance(value, TensorXf):
+        texels = TensorXf(value)
+    else:
+        array = as_pixels(value)
+        if array.dtype == np.uint8:
+            raise SceneError("holds linear numbers, found bytes; pass 8-bit images as 'bitmap'")
+        texels = tensor(array)
+    if len(texels.shape) == 2:
+        texels = TensorXf(texels.array, (*texels.shape, 1))
+    shape = tuple(texels.shape)
+    if len(shape) != 3 or shape[2] not in (1, 3) or 0 in shape:
+        raise SceneError(
+            f"must have the shape (height, width), (height, width, 1) or (height, width, 3), found {shape}"
+        )
+    return texels
+
+
+def from_file(name: str, raw: bool) -> Pixels:
+    """The pixels of an image file."""
+    path: Path = resolve(name)
+    pixels = read_pixels(path)
+    if raw and path.suffix.lower() in DISPLAY_FORMATS:
+        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
+        pixels[..., :colours] = srgb_encoded(pixels[..., :colours])
+    return pixels
+
+
+def from_object(value: Any, raw: bool) -> NDArray[Any]:
+    """The pixels of a bitmap object: Mitsuba's, a djpt image, or anything that NumPy takes for an array.
+
+    Whole numbers are shares of the type's largest; bytes are sRGB unless the object says otherwise.
+    """
+    if isinstance(value, str):
+        raise SceneError(f"must be an image, found {describe(value)}; a file's name is given as 'filename'")
+    if str(getattr(value, "pixel_format", lambda: "")()).split(".")[-1].startswith("XYZ"):
+        raise SceneError("holds XYZ colours; convert the bitmap to RGB")
+    pixels = as_pixels(value)
+    encoded = bool(getattr(value, "srgb_gamma", lambda: pixels.dtype == np.uint8)())
+    if pixels.dtype.kind in "iu":
+        pixels = pixels / np.iinfo(pixels.dtype).max
+    pixels = np.array(pixels[..., None] if pixels.ndim == 2 else pixels, np.float32)
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise SceneError(f"must have the shape (height, width, channels), found {pixels.shape}")
+    if encoded and not raw:
+        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
+        pixels[..., :colours] = srgb_decoded(pixels[..., :colours])
+    return pixels
+
+
+def as_pixels(value: Any) -> NDArray[Any]:
+    """An array of numbers on the host."""
+    try:
+        array = np.asarray(dr.detach(value) if dr.is_array_v(value) else value)
+    except Exception:  # a foreign object may fail in any way
+        array = np.asarray(None)
+    if array.dtype.kind not in "fiu":
+        raise SceneError(f"must be an array of numbers, found {describe(value)}")
+    return array
+
+
+# ---- steps -----------------------------------------------------------------------------------
+
+
+def without_alpha(pixels: Pixels) -> Pixels:
+    """Grey or RGB: what alpha says isn't applied, as in Mitsuba."""
+    channels = pixels.shape[2]
+    if channels > 4:
+        raise SceneError(f"must have 1 to 4 channels (grey or RGB, with or without alpha), found {channels}")
+    return pixels[..., : 1 if channels < 3 else 3]
+
+
+def check_texels(pixels: Pixels) -> None:
+    """Raise `SceneError` unless all numbers are finite."""
+    # `not <=` also catches NaN.
+    bad = ~(np.abs(pixels) <= LARGEST)
+    if bad.any():
+        y, x, channel = np.argwhere(bad)[0]
+        raise SceneError(f"must be finite, found {pixels[y, x, channel]} in row {y}, column {x}")
+
+
+def numbers_of(texels: TensorXf) -> Pixels:
+    """The texels on the host."""
+    return np.array(dr.detach(texels))
+
+
+def tensor(pixels: NDArray[Any]) -> TensorXf:
+    """An array as a tensor with memory of its own."""
+    with np.errstate(over="ignore"):
+        return TensorXf(np.ascontiguousarray(pixels, np.float32))
+
+
+def rounded(pixels: Pixels) -> Pixels:
+    """To half precision."""
+    with np.errstate(over="ignore"):
+        return pixels.astype(np.float16).astype(np.float32)
+
+
+def srgb_decoded(x: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Linear values of sRGB-encoded ones (IEC 61966-2-1), not rounded and not clipped."""
+    wide = x.astype(np.float64)
+    return np.where(wide <= 0.04045, wide / 12.92, ((np.maximum(wide, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_encoded(x: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The inverse of `srgb_decoded`."""
+    wide = x.astype(np.float64)
+    return np.where(wide <= 0.0031308, 12.92 * wide, 1.055 * np.maximum(wide, 0) ** (1 / 2.4) - 0.055)

@@ -1,0 +1,101 @@
+"""Textures with a `to_uv` of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import as_array, describe
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.lookup import as_vector
+from djpt.textures.base import Texture
+from djpt.transforms import ScalarTransform4f, matrix_of
+from djpt.types import Float, Point2f, Vector2f, Vector3f
+
+__all__ = ["UVTexture", "as_uv_transform"]
+
+
+class UVTexture(Texture):
+    """A texture that is looked up at `to_uv` (u, v, 1).
+
+    Parameters: `to_uv`, an affine map of the plane: a 3x3 matrix, or a transform of space, of which x and y
+    count (`ScalarTransform4f().scale([4, 4, 1])` repeats the texture four times). Default: the identity.
+    It may be singular.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("to_u", "to_v"), ParamFlags.NonDifferentiable)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        try:
+            self.to_uv = as_uv_transform(props.raw("to_uv", ScalarTransform4f()))
+        except SceneError as error:
+            raise props.error("to_uv", str(error)) from None
+        self._place()
+
+    def _place(self) -> None:
+        """The rows of `to_uv` as kernels read them."""
+        matrix = self.to_uv.matrix
+        self.to_u, self.to_v = (as_vector(matrix[i, [0, 1, 3]]) for i in range(2))
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name, flags in self.tables.items():
+            callback.put(name, getattr(self, name), flags)
+        callback.put("to_uv", self.to_uv)
+        for name in self.children:
+            callback.put(name, getattr(self, name))
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name != "to_uv":
+            return value
+        try:
+            return as_uv_transform(value)
+        except SceneError as error:
+            raise ParameterError(f"{self.id}.to_uv: {error}") from None
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        if "to_uv" in keys:
+            self._place()
+
+    def uv(self, si: Any) -> Point2f:
+        """Where to look: the surface's uv, mapped."""
+        u, v = si.uv.x, si.uv.y
+        return Point2f(affine(self.to_u, u, v), affine(self.to_v, u, v))
+
+    def chain(self, gradient: Vector2f) -> Vector2f:
+        """A gradient by what `uv` returns as one by the surface's uv."""
+        return Vector2f(
+            gradient.x * self.to_u.x + gradient.y * self.to_v.x,
+            gradient.x * self.to_u.y + gradient.y * self.to_v.y,
+        )
+
+
+def affine(row: Vector3f, u: Float, v: Float) -> Float:
+    """One coordinate of the mapped point."""
+    return row.x * u + (row.y * v + row.z)
+
+
+def as_uv_transform(value: Any) -> ScalarTransform4f:
+    """A map of uv from any accepted form; what a transform of space does with z is dropped.
+
+    Raises:
+        SceneError: not an affine 3x3 or 4x4 matrix.
+    """
+    if isinstance(value, ScalarTransform4f):
+        matrix: NDArray[np.float64] = value.matrix
+    else:
+        matrix = as_array(matrix_of(value))
+    if matrix.shape == (4, 4):
+        matrix = ScalarTransform4f(matrix).matrix[np.ix_([0, 1, 3], [0, 1, 3])]
+    if matrix.shape != (3, 3):
+        raise SceneError(f"must be a 3x3 or 4x4 matrix, found {describe(value)}")
+    if not np.array_equal(matrix[2], (0, 0, 1)):
+        raise SceneError(f"must be affine: the last row of the matrix is {matrix[2].tolist()}, not [0, 0, 1]")
+    padded = np.eye(4)
+    padded[np.ix_([0, 1, 3], [0, 1, 3])] = matrix
+    return ScalarTransform4f(padded)
