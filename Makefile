@@ -49,6 +49,7 @@ check: lint
 bench: $(READY)
 	$(PY) benchmarks/versus_mitsuba.py
 	$(PY) benchmarks/meshes.py
+	$(PY) benchmarks/materials.py
 
 docs: $(READY)
 	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

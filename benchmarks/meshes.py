@@ -30,11 +30,13 @@ from pairs import Row, in_pairs, report
 SPP = 32
 
 
-def image_row(what: str, description: Any, pairs: int, required: float | None, aim: float | None) -> Row:
+def image_row(
+    what: str, description: Any, pairs: int, required: float | None, aim: float | None, spp: int = SPP
+) -> Row:
     """An image, warm; ``description(module)`` gives the scene as djpt or mitsuba describes it."""
     ours, theirs = djpt.load_dict(description(djpt)), mi.load_dict(description(mi))
     ratios, times = in_pairs(
-        lambda seed: djpt.render(ours, spp=SPP, seed=seed), lambda seed: mi.render(theirs, spp=SPP, seed=seed), pairs
+        lambda seed: djpt.render(ours, spp=spp, seed=seed), lambda seed: mi.render(theirs, spp=spp, seed=seed), pairs
     )
     return Row(what, required, aim, ratios, times)
 

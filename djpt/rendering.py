@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from djpt.description.properties import Properties
 from djpt.differentiation import differentiable_image, gradient_seed
 from djpt.errors import RenderError, near_miss
 from djpt.integrators import Integrator, Path, PathIntegrator
+from djpt.records import BSDFFlags, has_flag
 from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
@@ -105,6 +107,7 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
+    warn_of_delta(scene, integrator)
     spp = spp or sensor.sampler.sample_count
     scene = scene.seen_from(sensor.to_world.translation())
     job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress)
@@ -114,6 +117,19 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
             "render fewer spp under several seeds and average the images"
         )
     return job
+
+
+def warn_of_delta(scene: Scene, integrator: Integrator) -> None:
+    """Tell once of materials that the integrator can't show."""
+    if integrator.shows_delta:
+        return
+    names = [bsdf.id for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
+    if names:
+        warnings.warn(
+            f"'{type(integrator).__name__}' without BSDF samples can't show mirrors, smooth glass or openings: "
+            f"these lobes of {', '.join(names)} stay black",
+            stacklevel=4,
+        )
 
 
 def whole(value: Any) -> int | None:

@@ -35,6 +35,8 @@ class Integrator(Plugin):
 
     needs_light = False
     """Is every image black without an emitter? `render` then refuses."""
+    shows_delta = True
+    """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
     writes_color = True
     """False if the image consists of AOVs alone."""
 

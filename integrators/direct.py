@@ -40,6 +40,7 @@ class Direct(Integrator):
         self.bsdf_samples = props.integer("bsdf_samples", both, low=0, high=1024)
         if self.emitter_samples + self.bsdf_samples == 0:
             raise SceneError(f"{props.node}: 'emitter_samples' and 'bsdf_samples' can't both be 0")
+        self.shows_delta = self.bsdf_samples > 0
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
