@@ -1,0 +1,296 @@
+"""Disney's principled material for closed bodies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.numeric import is_readable, non_negative
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError
+from djpt.lookup import as_float
+from djpt.materials.fresnel import fresnel, reflect, refract, schlick
+from djpt.materials.microfacet import MicrofacetDistribution
+from djpt.materials.principled_lobes import (
+    GTR1,
+    PrincipledBase,
+    Scalars,
+    alphas,
+    diffuse,
+    half_vector,
+    inverse,
+    schlick_r0,
+    sheen,
+    smith_g1,
+    square_root,
+    tint,
+)
+from djpt.minmax import maximum
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["Principled"]
+
+COAT_R0 = 0.04
+"""Reflectance of the clear coat at normal incidence: an index of 1.5."""
+
+COAT_SHADOWING = 0.25
+"""Roughness of the clear coat, as far as its shadowing is concerned."""
+
+
+@dataclass
+class At:
+    """The parameters at one surface point, seen from `wi`."""
+
+    base_color: Color3f
+    roughness: Float
+    scalars: Scalars
+    coat: GTR1 | None
+    eta: Float
+    """Index behind the surface over the one in front of it, as the incident ray sees it."""
+    front: Bool
+    """Does the ray arrive from outside?"""
+    opaque: Any
+    """Share of the light that meets the diffuse lobe."""
+    clear: Any
+    """Share that meets glass."""
+    microfacets: MicrofacetDistribution
+
+
+class Principled(PrincipledBase):
+    """A blend of a diffuse surface, metal, and rough glass, under sheen and a clear coat.
+
+    With m = `metallic` and t = `spec_trans`,
+
+        f = (1 - m) (1 - t) base_color / pi (diffuse, retro-reflecting; `flatness`: flat subsurface)
+          + (1 - m) `sheen` (1 - cos d)^5
+          + F D G / (4 cos i cos o)      GGX; F is Schlick's for metal and `spec_tint`, Fresnel's otherwise
+          + (1 - m) t sqrt(base_color) (1 - F) D G abs(i.h o.h) / (cos i cos o (i.h / eta + o.h)^2)
+          + `clearcoat` / 4 F_c D_c G_c
+
+    Only the last line but one, and its reflection, are seen from inside (from behind).
+
+    Parameters, all textures in [0, 1] that default to 0 unless said otherwise:
+
+    * `base_color` (a colour, default 0.5), `roughness` (default 0.5), `metallic`, `spec_trans`,
+      `anisotropic`, `spec_tint`, `sheen`, `sheen_tint`, `flatness`, `clearcoat`, `clearcoat_gloss`;
+    * `eta` > 0: the relative index of refraction, **or** `specular` in [0, 1] (default 0.5):
+      eta = 2 / (1 - sqrt(0.08 specular)) - 1;
+    * `main_specular_sampling_rate`, `clearcoat_sampling_rate`, `diffuse_reflectance_sampling_rate`
+      (>= 0, default 1): relative numbers of samples.
+
+    B. Burley 2012 and 2015, see `djpt.materials.principled_lobes`; as Mitsuba has it, without volumes. Lobes
+    whose parameters are missing or 0 are left out of the kernel.
+    """
+
+    optional = (
+        "anisotropic",
+        "clearcoat",
+        "flatness",
+        "metallic",
+        "sheen",
+        "sheen_tint",
+        "spec_tint",
+        "spec_trans",
+    )
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        "interface": ParamFlags.Differentiable | ParamFlags.Discontinuous,
+        "main_specular_sampling_rate": ParamFlags.NonDifferentiable,
+        "clearcoat_sampling_rate": ParamFlags.NonDifferentiable,
+        "diffuse_reflectance_sampling_rate": ParamFlags.NonDifferentiable,
+    }
+    children = ("base_color", "roughness", "clearcoat_gloss", *optional)
+    statics = ("given", "by_specular")
+
+    main_specular_sampling_rate: Float
+    clearcoat_sampling_rate: Float
+    diffuse_reflectance_sampling_rate: Float
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.base_color = props.texture("base_color", 0.5, low=0.0, high=1.0)
+        self.roughness = props.texture_1("roughness", 0.5, low=0.0, high=1.0)
+        self.clearcoat_gloss = props.texture_1("clearcoat_gloss", 0.0, low=0.0, high=1.0)
+        self._read_optional(props)
+        if "eta" in props and "specular" in props:
+            raise props.error("eta", "and 'specular' say the same thing: give one of them")
+        self.by_specular = "eta" not in props
+        number = props.float("specular", 0.5, low=0.0, high=1.0) if self.by_specular else 0.0
+        self.interface = as_float(number if self.by_specular else props.float("eta", low=0.0, low_open=True))
+        for name in self.values:
+            if name != "interface":
+                setattr(self, name, as_float(props.float(name, 1.0, low=0.0)))
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name, flags in self.values.items():
+            reported = ("specular" if self.by_specular else "eta") if name == "interface" else name
+            callback.put(reported, getattr(self, name), flags, attribute=name)
+        for name in self.children:
+            callback.put(name, getattr(self, name))
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if is_readable():
+            number = non_negative(dr.detach(value))
+            if name == "specular" and number > 1:
+                raise ParameterError(f"must lie in [0, 1], found {number:.9g}")
+            if name == "eta" and number == 0:
+                raise ParameterError("must be greater than 0, found 0")
+        return value
+
+    def flags(self) -> int:
+        lobes = BSDFFlags.DiffuseReflection | BSDFFlags.GlossyReflection
+        if "spec_trans" in self.given:
+            lobes |= BSDFFlags.GlossyTransmission
+        return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+
+    # ---- parameters ------------------------------------------------------------------------
+
+    def _eta(self) -> Float:
+        """The relative index of refraction. None at all can't refract: then it is moved off 1 a little."""
+        transmits = "spec_trans" in self.given
+        if not self.by_specular:
+            return dr.select(self.interface == 1, 1.001, self.interface) if transmits else self.interface
+        specular = self.interface
+        if transmits:
+            specular = dr.select(specular == 0, 1e-3, specular)
+        return 2 * dr.rcp(1 - square_root(0.08 * specular)) - 1
+
+    def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
+        scalars = self._scalars(si, active)
+        front = si.wi.z > 0
+        eta, coat = self._eta(), None
+        not_metal, clear = 1 - scalars.get("metallic", 0), scalars.get("spec_trans", 0)
+        if "spec_trans" in scalars:
+            eta = dr.select(front, eta, dr.rcp(eta))
+        if "clearcoat" in scalars:
+            # Glossy coats are smooth ones: their roughness runs from 0.1 down to 0.001.
+            coat = GTR1(dr.lerp(Float(0.1), Float(0.001), self.clearcoat_gloss.eval_1(si, active)))
+        roughness = self.roughness.eval_1(si, active)
+        return At(
+            base_color=self.base_color.eval(si, active),
+            roughness=roughness,
+            scalars=scalars,
+            coat=coat,
+            eta=eta,
+            front=front,
+            opaque=not_metal * (1 - clear),
+            clear=not_metal * clear,
+            microfacets=MicrofacetDistribution("ggx", *alphas(roughness, scalars.get("anisotropic"))),
+        )
+
+    def _is_seen(self, at: At) -> Bool:
+        return at.front | (at.clear > 0) if "spec_trans" in self.given else at.front
+
+    # ---- sampling --------------------------------------------------------------------------
+
+    def _shares(self, at: At) -> tuple[Float, Any, Float]:
+        """The probabilities of the diffuse lobe, the coat and the specular lobes: the last alone, seen from inside."""
+        specular = self.main_specular_sampling_rate
+        body = at.opaque * self.diffuse_reflectance_sampling_rate
+        coat = 0.25 * at.scalars.get("clearcoat", 0) * self.clearcoat_sampling_rate
+        norm = inverse(body + coat + specular)
+        body, coat, specular = body * norm, coat * norm, specular * norm
+        if "spec_trans" in self.given:
+            body, coat = dr.select(at.front, body, 0), dr.select(at.front, coat, 0)
+            specular = dr.select(at.front, specular, 1)
+        return body, coat, specular
+
+    def _draw(self, at: At, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
+        body, coat, specular = self._shares(at)
+        m = at.microfacets.sample_normal(wi, sample2)
+        wo = reflect(wi, m)
+        bs = BSDFSample3f(wo, Float(0), Float(1), UInt32(int(BSDFFlags.GlossyReflection)), UInt32(3))
+        possible = wo.z > 0
+        if "spec_trans" in self.given:
+            reflectance, cos_theta_t, _, eta_ti = fresnel(dr.dot(wi, m), at.eta)
+            refracts = sample1 < body + coat + specular * dr.select(at.front, at.clear, 1) * (1 - reflectance)
+            wo = refract(wi, m, cos_theta_t, eta_ti)
+            possible = dr.select(refracts, (wo.z < 0) & (dr.dot(wo, m) < 0), possible)
+            sampled_type = UInt32(int(BSDFFlags.GlossyTransmission))
+            bs = dr.select(refracts, BSDFSample3f(wo, Float(0), at.eta, sampled_type, UInt32(2)), bs)
+        if at.coat is not None:
+            m = at.coat.sample(sample2)
+            wo = reflect(wi, m)
+            coated = sample1 < body + coat
+            possible = dr.select(coated, (wo.z > 0) & (dr.dot(wi, m) > 0), possible)
+            sampled_type = UInt32(int(BSDFFlags.GlossyReflection))
+            bs = dr.select(coated, BSDFSample3f(wo, Float(0), Float(1), sampled_type, UInt32(1)), bs)
+        wo = square_to_cosine_hemisphere(sample2)
+        scattered = sample1 < body
+        possible = dr.select(scattered, wo.z > 0, possible)
+        sampled_type = UInt32(int(BSDFFlags.DiffuseReflection))
+        return dr.select(scattered, BSDFSample3f(wo, Float(0), Float(1), sampled_type, UInt32(0)), bs), possible
+
+    # ---- evaluation ------------------------------------------------------------------------
+
+    def _eval_pdf(self, at: At, ctx: BSDFContext, wi: Vector3f, wo: Vector3f) -> tuple[Color3f, Float]:
+        scalars, transmits = at.scalars, "spec_trans" in self.given
+        reflects = wo.z > 0
+        h, length_squared = half_vector(wi, wo * dr.select(reflects, 1, at.eta) if transmits else wo)
+        i_h, o_h = dr.dot(wi, h), dr.dot(wo, h)
+        cos_o = dr.abs(wo.z)
+        # Microfacets that face away from `wi` count for nothing; the bound keeps derivatives finite there.
+        cos_d = maximum(i_h, 1e-7)
+        F, cos_theta_t, _, _ = fresnel(cos_d, at.eta)
+        facing = at.microfacets.eval(h) * at.microfacets.smith_g1_over_cos(wi)  # D G1(wi) / cos i
+        body, coat, specular = self._shares(at)
+
+        # Main specular lobe. For reflection dot(wi, h) = dot(wo, h).
+        jacobian = 0.25 * dr.rcp(cos_d)
+        shadowed = facing * at.microfacets.smith_g1_over_cos(wo) * cos_o
+        schlick_cos = dr.select(at.eta > 1, cos_d, dr.abs(cos_theta_t))
+        # An interface that reflects nothing is no interface, for metals as well (as in Mitsuba).
+        value = dr.select(F > 0, self._specular_color(at, F, schlick_cos) * (0.25 * shadowed), 0)
+        normal_pdf = facing * cos_d
+        refracted = dr.select(at.front, at.clear, 1) * (1 - F) if transmits else 0
+        pdf = specular * (1 - refracted) * normal_pdf * jacobian
+
+        # What only the front has.
+        front = self._diffuse(at, wi.z, cos_o, cos_d)
+        front_pdf = body * cos_o * (1 / math.pi)
+        if at.coat is not None:
+            d = at.coat.eval(h)
+            g = smith_g1(wi, COAT_SHADOWING) * smith_g1(wo, COAT_SHADOWING)
+            front += 0.25 * scalars["clearcoat"] * schlick(schlick_cos, Float(COAT_R0)) * d * g * cos_o
+            front_pdf += coat * d * h.z * jacobian
+        if not transmits:
+            return dr.select(reflects, value + front, 0), dr.select(reflects, pdf + front_pdf, 0)
+        value += dr.select(at.front, front, 0)
+        pdf += front_pdf
+
+        # The factor eta^2 of radiance that enters a denser medium cancels the one of the Jacobian.
+        jacobian = -o_h * dr.rcp(length_squared)
+        scale = 1 if ctx.mode == TransportMode.Radiance else dr.square(at.eta)
+        through = at.clear * (1 - F) * shadowed * cos_d * jacobian * scale
+        refracts = ~reflects & (i_h > 0) & (o_h < 0)
+        passed = dr.select(refracts, square_root(at.base_color) * through, 0)
+        passed_pdf = dr.select(refracts, specular * refracted * normal_pdf * jacobian * dr.square(at.eta), 0)
+        return dr.select(reflects, value, passed), dr.select(reflects, pdf, passed_pdf)
+
+    def _specular_color(self, at: At, F: Float, schlick_cos: Float) -> Color3f:
+        """The reflectance of the main lobe: of glass, metal and tinted glass; from inside of glass alone."""
+        scalars = at.scalars
+        metallic, tinted = scalars.get("metallic", 0), scalars.get("spec_tint", 0)
+        color = Color3f((1 - metallic) * (1 - tinted) * F)
+        if "metallic" in scalars:
+            color += metallic * schlick(schlick_cos, at.base_color)
+        if "spec_tint" in scalars:
+            r0 = tint(at.base_color) * schlick_r0(at.eta)
+            color += (1 - metallic) * tinted * schlick(schlick_cos, r0)
+        return dr.select(at.front, color, Color3f(at.clear * F)) if "spec_trans" in scalars else color
+
+    def _diffuse(self, at: At, cos_i: Float, cos_o: Float, cos_d: Float) -> Color3f:
+        """The diffuse lobe and the sheen, times cos_o."""
+        scalars = at.scalars
+        f = diffuse(cos_i, cos_o, cos_d, at.roughness, scalars.get("flatness"))
+        value = at.base_color * (at.opaque * f * (1 / math.pi))
+        if "sheen" in scalars:
+            not_metal = 1 - scalars.get("metallic", 0)
+            value += sheen(at.base_color, cos_d, scalars["sheen"] * not_metal, scalars.get("sheen_tint"))
+        return value * cos_o
