@@ -7,14 +7,54 @@ if __name__ != "djpt.materials":  # a second copy of every class would be made
 
 from djpt.description.registry import register_bsdf
 from djpt.materials.base import BSDF
+from djpt.materials.bumpmap import BumpMap
+from djpt.materials.blendbsdf import BlendBSDF
+from djpt.materials.blinn import Blinn
+from djpt.materials.conductor import Conductor
+from djpt.materials.dielectric import Dielectric
 from djpt.materials.diffuse import Diffuse
+from djpt.materials.glass import Glass
+from djpt.materials.mask import Mask
+from djpt.materials.mirror import Mirror
+from djpt.materials.normalmap import NormalMap
+from djpt.materials.null import Null
+from djpt.materials.phong import Phong
 from djpt.materials.principled import Principled
 from djpt.materials.principledthin import PrincipledThin
+from djpt.materials.thindielectric import ThinDielectric
 from djpt.materials.twosided import TwoSided
 
-__all__ = ["BSDF", "Diffuse", "Principled", "PrincipledThin", "TwoSided"]
+__all__ = [
+    "BSDF",
+    "BlendBSDF",
+    "Blinn",
+    "Conductor",
+    "Dielectric",
+    "Diffuse",
+    "Glass",
+    "Mask",
+    "Mirror",
+    "Null",
+    "Phong",
+    "Principled",
+    "PrincipledThin",
+    "ThinDielectric",
+    "TwoSided",
+]
 
+register_bsdf("blendbsdf", BlendBSDF)
+register_bsdf("blinn", Blinn)
+register_bsdf("bumpmap", BumpMap)
+register_bsdf("conductor", Conductor)
+register_bsdf("dielectric", Dielectric)
 register_bsdf("diffuse", Diffuse)
+register_bsdf("glass", Glass)
+register_bsdf("mask", Mask)
+register_bsdf("mirror", Mirror)
+register_bsdf("normalmap", NormalMap)
+register_bsdf("null", Null)
+register_bsdf("phong", Phong)
 register_bsdf("principled", Principled)
 register_bsdf("principledthin", PrincipledThin)
+register_bsdf("thindielectric", ThinDielectric)
 register_bsdf("twosided", TwoSided)

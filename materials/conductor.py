@@ -1,0 +1,50 @@
+"""Smooth metal."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.materials.delta import DeltaBSDF
+from djpt.materials.fresnel import fresnel_conductor, reflect
+from djpt.materials.metals import metal
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+
+__all__ = ["Conductor"]
+
+
+class Conductor(DeltaBSDF):
+    """Mirror reflection with the Fresnel reflectance of a complex index eta + i k; black from behind.
+
+    Parameters: `material` (a name of `djpt.materials.metals.METALS`, default `none`: everything is reflected) or
+    `eta` and `k` (textures in [0, 1e6], defaults 0 and 1); `specular_reflectance` (texture in [0, 1], default 1), a
+    factor that real metals don't have.
+    """
+
+    children = ("eta", "k", "specular_reflectance")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.eta, self.k = metal(props)
+        self.specular_reflectance = props.texture("specular_reflectance", 1.0, low=0.0, high=1.0)
+
+    def flags(self) -> int:
+        return int(BSDFFlags.DeltaReflection | BSDFFlags.FrontSide)
+
+    def reflectance_at(self, si: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
+        """The share of light that is reflected towards `si.wi`."""
+        fresnel = fresnel_conductor(si.wi.z, self.eta.eval(si, active), self.k.eval(si, active))
+        return self.specular_reflectance.eval(si, active) * fresnel
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        weight = dr.select(si.wi.z > 0, self.reflectance_at(si, active), 0)
+        sampled_type = UInt32(int(BSDFFlags.DeltaReflection))
+        return BSDFSample3f(reflect(si.wi), Float(1), Float(1), sampled_type, UInt32(0)), weight

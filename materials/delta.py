@@ -1,0 +1,32 @@
+"""BSDFs that scatter into single directions only."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.materials.base import BSDF
+from djpt.records import BSDFContext, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Vector3f
+
+__all__ = ["DeltaBSDF", "derivative_of_choice"]
+
+
+class DeltaBSDF(BSDF):
+    """All lobes are delta distributions: no given direction is ever one of theirs, only `sample` finds them."""
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+
+def derivative_of_choice(probability: Float) -> Float:
+    """The number 1 with the derivative of `probability` / detach(`probability`).
+
+    It belongs into the weight of a lobe that was chosen with this probability (> 0) because it carries this share of
+    the light: choices aren't differentiated, the share must be.
+    """
+    if not dr.grad_enabled(probability):
+        return Float(1)
+    return probability * dr.rcp(dr.detach(probability))

@@ -1,0 +1,54 @@
+"""The glass of textbooks."""
+
+from __future__ import annotations
+
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.materials.dielectric import REFLECTION, TRANSMISSION, Dielectric
+from djpt.materials.fresnel import fresnel, fresnel_schlick
+from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f
+
+__all__ = ["Glass"]
+
+
+class Glass(Dielectric):
+    """A `dielectric` whose two lobes can be shown one at a time, and whose reflectance can be Schlick's.
+
+    Parameters: those of `dielectric`, and
+
+        fresnel: `exact` (default) or `schlick`, see `djpt.materials.fresnel.fresnel_schlick`.
+        reflection, transmission: whether the lobe is there (default true; not both false). A lobe that is left alone
+            is always sampled, and its weight is what it has of the whole: F or 1 - F (times eta_ti^2). So the images
+            of both parts of one interface add up to that of glass. Refraction alone at equal indices shows the scene
+            behind unchanged; where light would be totally reflected, it is black.
+    """
+
+    statics = ("absorbs", "fresnel", "reflection", "transmission")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.fresnel = props.string("fresnel", "exact", choices=("exact", "schlick"))
+        self.reflection = props.boolean("reflection", True)
+        self.transmission = props.boolean("transmission", True)
+        if not (self.reflection or self.transmission):
+            raise SceneError(f"{props.node}: 'reflection' and 'transmission' are both false: nothing would be seen")
+
+    def flags(self) -> int:
+        return (REFLECTION if self.reflection else 0) | (TRANSMISSION if self.transmission else 0)
+
+    def interface(self, cos_theta_i: Float) -> tuple[Float, Float, Float, Float]:
+        return (fresnel_schlick if self.fresnel == "schlick" else fresnel)(cos_theta_i, self.eta)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        if self.reflection and self.transmission:
+            return super().sample(ctx, si, sample1, sample2, active)
+        (bs_r, tint_r), (bs_t, tint_t), share = self.lobes(ctx, si, active)
+        return (bs_r, tint_r * share) if self.reflection else (bs_t, tint_t * (1 - share))

@@ -1,0 +1,52 @@
+"""The mirror of textbooks."""
+
+from __future__ import annotations
+
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.materials.conductor import Conductor
+from djpt.materials.delta import DeltaBSDF
+from djpt.materials.fresnel import fresnel_conductor, schlick
+from djpt.materials.metals import metal
+from djpt.records import SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float
+
+__all__ = ["Mirror"]
+
+METAL = ("material", "eta", "k")
+
+
+class Mirror(Conductor):
+    """Perfect reflection, or that of a metal; black from behind.
+
+    Parameters: `reflectance` (texture in [0, 1], default 1), the share of light that is reflected; `fresnel`, how it
+    depends on the angle; `material`, or `eta` and `k`, the metal: as in `conductor`, unset by default.
+
+    * `none` (default without a metal): not at all, it is R0;
+    * `schlick`: R0 + (1 - R0) (1 - cos theta)^5;
+    * `exact` (default with a metal): `reflectance` times the metal's Fresnel reflectance.
+
+    R0 is `reflectance` times the metal's reflectance at normal incidence, 1 without a metal.
+    """
+
+    children = ("eta", "k", "reflectance")
+    statics = ("fresnel", "is_metal")
+
+    def __init__(self, props: Properties) -> None:
+        DeltaBSDF.__init__(self, props)
+        self.reflectance = props.texture("reflectance", 1.0, low=0.0, high=1.0)
+        self.is_metal = any(key in props for key in METAL)
+        self.eta, self.k = metal(props)
+        default = "exact" if self.is_metal else "none"
+        self.fresnel = props.string("fresnel", default, choices=("none", "schlick", "exact"))
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name in self.children if self.is_metal else ("reflectance",):
+            callback.put(name, getattr(self, name))
+
+    def reflectance_at(self, si: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
+        reflectance = self.reflectance.eval(si, active)
+        if self.is_metal:
+            cos_theta = si.wi.z if self.fresnel == "exact" else Float(1)
+            reflectance = reflectance * fresnel_conductor(cos_theta, self.eta.eval(si, active), self.k.eval(si, active))
+        return schlick(si.wi.z, reflectance) if self.fresnel == "schlick" else reflectance

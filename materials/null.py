@@ -1,0 +1,32 @@
+"""No surface."""
+
+from __future__ import annotations
+
+from djpt.materials.delta import DeltaBSDF
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+
+__all__ = ["Null"]
+
+
+class Null(DeltaBSDF):
+    """All light passes straight through: wo = -wi, weight 1. No parameters.
+
+    Such a surface can still carry an emitter.
+    """
+
+    def flags(self) -> int:
+        return int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        return BSDFSample3f(-si.wi, Float(1), Float(1), UInt32(int(BSDFFlags.Null)), UInt32(0)), Color3f(1)
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(1)

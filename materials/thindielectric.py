@@ -1,0 +1,74 @@
+"""A pane of glass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.lookup import as_float
+from djpt.materials.delta import DeltaBSDF, derivative_of_choice
+from djpt.materials.dielectric import optional_texture, tint
+from djpt.materials.fresnel import fresnel, reflect
+from djpt.materials.ior import check_eta, ior
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+
+__all__ = ["ThinDielectric"]
+
+
+class ThinDielectric(DeltaBSDF):
+    """A dielectric sheet too thin to displace light: mirror reflection, or straight on (a `Null` lobe).
+
+    Light is reflected to and fro within the sheet: with F for one interface, F + (1-F)^2 F (1 + F^2 + F^4 ..)
+    = 2 F / (1 + F) comes back, the rest passes.
+
+    Parameters: `int_ior`, `ext_ior`, `specular_reflectance`, `specular_transmittance` as in `dielectric`. The quotient
+    `eta` is differentiable here: it changes how much passes, not where to.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
+    children = ("specular_reflectance", "specular_transmittance")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.eta = as_float(ior(props, "int_ior", "bk7") / ior(props, "ext_ior", "air"))
+        self.specular_reflectance = optional_texture(props, "specular_reflectance")
+        self.specular_transmittance = optional_texture(props, "specular_transmittance")
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        return check_eta(value) if name == "eta" else value
+
+    def flags(self) -> int:
+        lobes = BSDFFlags.DeltaReflection | BSDFFlags.Null
+        return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+
+    def reflectance_at(self, si: SurfaceInteraction3f) -> Float:
+        """2 F / (1 + F)."""
+        single = fresnel(dr.abs(si.wi.z), self.eta)[0]
+        return 2 * single * dr.rcp(1 + single)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        share = self.reflectance_at(si)
+        chosen = sample1 < share  # as in `Dielectric`
+        pdf = dr.select(chosen, share, 1 - share)
+        wo = dr.select(chosen, reflect(si.wi), -si.wi)
+        kind = dr.select(chosen, UInt32(int(BSDFFlags.DeltaReflection)), UInt32(int(BSDFFlags.Null)))
+        component = dr.select(chosen, UInt32(0), UInt32(1))
+        colour = dr.select(
+            chosen, tint(self.specular_reflectance, si, active), tint(self.specular_transmittance, si, active)
+        )
+        return BSDFSample3f(wo, dr.detach(pdf), Float(1), kind, component), colour * derivative_of_choice(pdf)
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return tint(self.specular_transmittance, si, active) * (1 - self.reflectance_at(si))
