@@ -207,8 +207,12 @@ def _import_own_packages() -> None:
         return
     # Set first: a package that is being imported may look a plugin up.
     _own_packages_imported = True
-    for package in PACKAGES:
-        importlib.import_module(package)
+    try:
+        for package in PACKAGES:
+            importlib.import_module(package)
+    except ImportError:
+        _own_packages_imported = False  # the next call shall see the same error
+        raise
     from djpt.scene import Scene
 
     register("scene", "scene", Scene)
