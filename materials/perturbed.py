@@ -1,0 +1,161 @@
+"""What normal maps and bump maps have in common: a BSDF in a frame that a texture has tilted."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.frame import Frame3f
+from djpt.materials.base import BSDF
+from djpt.minmax import maximum
+from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+
+__all__ = ["PerturbedBSDF"]
+
+TINY = 1e-20
+"""Squared lengths below it have no direction."""
+
+
+class PerturbedBSDF(BSDF):
+    """The nested BSDF, seen in a frame about another normal.
+
+    Parameters: one nested BSDF, under any key (its parameters are listed under `nested_bsdf`), and
+
+    * `flip_invalid_normals` (default true): a normal that `wi` sees from the other side than the surface is
+      turned about z, by half a revolution: V. Schuessler, E. Heitz, J. Hanika and C. Dachsbacher,
+      "Microfacet-based Normal Mapping for Robust Monte Carlo Path Tracing", SIGGRAPH Asia 2017, call it
+      the usual remedy;
+    * `use_shadowing_function` (default true): light from near the horizon is faded out, instead of being cut
+      off where the tilted normal can't see it: A. C. Estevez, P. Lecocq and C. Stein, "A Microfacet-Based
+      Shadowing Function to Solve the Bump Terminator Problem", Ray Tracing Gems, 2019.
+
+    Directions that lie above one of the two horizons and below the other are black: no light leaks through.
+    """
+
+    children: ClassVar[Sequence[str]] = ("nested_bsdf",)
+    statics = ("flip_invalid_normals", "use_shadowing_function")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        nested = [plugin for _, plugin in props.children("bsdf")]
+        if len(nested) != 1:
+            raise SceneError(f"{props.node}: '{props.plugin_name}' takes one nested BSDF, found {len(nested)}")
+        self.nested_bsdf: BSDF = nested[0]
+        self.absorbs = self.nested_bsdf.absorbs
+        self.flip_invalid_normals = props.boolean("flip_invalid_normals", True)
+        self.use_shadowing_function = props.boolean("use_shadowing_function", True)
+
+    # ---- the frame -----------------------------------------------------------------------
+
+    def normal(self, si: SurfaceInteraction3f, active: Bool | bool) -> Vector3f:
+        """The normal that the texture asks for, in the shading frame; of any length."""
+        raise NotImplementedError
+
+    def tangent(self, si: SurfaceInteraction3f) -> Vector3f:
+        """What the frame's `s` follows, in the shading frame."""
+        return Vector3f(1, 0, 0)
+
+    def _tilted(self, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Frame3f, SurfaceInteraction3f]:
+        """The new frame, relative to the old one, and `si` as the nested BSDF sees it."""
+        n = self.normal(si, active)
+        if self.flip_invalid_normals:
+            n = dr.select(si.wi.z * dr.dot(si.wi, n) <= 0, Vector3f(-n.x, -n.y, n.z), n)
+        n = direction(n, Vector3f(0, 0, 1))
+        tangent = self.tangent(si)
+        s = direction(dr.fma(n, -dr.dot(n, tangent), tangent), Vector3f(0, 1, 0))
+        frame = Frame3f(s, dr.cross(n, s), n)
+        world = Frame3f(*(si.sh_frame.to_world(axis) for axis in (frame.s, frame.t, frame.n)))
+        return frame, dataclasses.replace(si, sh_frame=world, wi=frame.to_local(si.wi))
+
+    def _shadowing(self, frame: Frame3f, wo: Vector3f) -> Float:
+        """The masking function of a GGX distribution that is as rough as the normal is tilted."""
+        if not self.use_shadowing_function:
+            return Float(1)
+        # An eighth of the squared tangent, at most 1.
+        squared_alpha = 0.125 * squared_tangent(frame.n.z, 1 / 9)
+        return 2 * dr.rcp(1 + dr.sqrt(dr.fma(squared_alpha, squared_tangent(wo.z, TINY), 1)))
+
+    # ---- the BSDF ------------------------------------------------------------------------
+
+    def flags(self) -> int:
+        return self.nested_bsdf.flags()
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        frame, tilted = self._tilted(si, active)
+        return self._turned_back(frame, *self.nested_bsdf.sample(ctx, tilted, sample1, sample2, active))
+
+    def _turned_back(self, frame: Frame3f, bs: BSDFSample3f, weight: Color3f) -> tuple[BSDFSample3f, Color3f]:
+        """The nested BSDF's sample in the frame of the surface."""
+        wo = frame.to_world(bs.wo)
+        ok = (wo.z * bs.wo.z > 0) & dr.any(weight != 0)
+        weight = dr.select(ok, weight * self._shadowing(frame, wo), 0)
+        return dataclasses.replace(bs, wo=wo, pdf=dr.select(ok, bs.pdf, 0)), weight
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        frame, tilted = self._tilted(si, active)
+        local = frame.to_local(wo)
+        return self._shaded(frame, wo, local, *self.nested_bsdf.eval_pdf(ctx, tilted, local, active))
+
+    def _shaded(
+        self, frame: Frame3f, wo: Vector3f, local: Vector3f, value: Color3f, pdf: Float
+    ) -> tuple[Color3f, Float]:
+        """The nested BSDF's value and density, where both frames see `wo` on the same side."""
+        ok = wo.z * local.z > 0
+        return dr.select(ok, value * self._shadowing(frame, wo), 0), dr.select(ok, pdf, 0)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        frame, tilted = self._tilted(si, active)
+        local = frame.to_local(wo)
+        value, pdf, bs, weight = self.nested_bsdf.eval_pdf_sample(ctx, tilted, local, sample1, sample2, active)
+        return *self._shaded(frame, wo, local, value, pdf), *self._turned_back(frame, bs, weight)
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval_null_transmission(self._tilted(si, active)[1], active)
+
+    def transmittance(self, distance: Float) -> Color3f:
+        return self.nested_bsdf.transmittance(distance)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval_diffuse_reflectance(si, active)
+
+
+def direction(v: Vector3f, otherwise: Vector3f) -> Vector3f:
+    """`v` made a unit vector; `otherwise` where it has no direction."""
+    squared = dr.squared_norm(v)
+    usable = squared > TINY
+    return dr.select(usable, v * dr.rsqrt(dr.select(usable, squared, 1)), otherwise)
+
+
+def squared_tangent(cosine: Float, least: float) -> Float:
+    """tan^2, where squared cosines below `least` count as that."""
+    squared = maximum(dr.square(cosine), Float(least))
+    return maximum(1 - squared, Float(0)) * dr.rcp(squared)
