@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.errors import RenderError
 from djpt.frame import Frame3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
@@ -52,12 +53,18 @@ class BSDFFlags(enum.IntFlag):
     GlossyTransmission = 0x10
     DeltaReflection = 0x20
     DeltaTransmission = 0x40
+    Anisotropic = 0x1000
+    SpatiallyVarying = 0x2000
+    NonSymmetric = 0x4000
+    FrontSide = 0x8000
+    BackSide = 0x10000
+    Reflection = 0xAA
+    Transmission = 0x155
     Diffuse = 0x6
     Glossy = 0x18
     Smooth = 0x1E
     Delta = 0x61
-    FrontSide = 0x10000
-    BackSide = 0x20000
+    All = 0x1FF
 
 
 class EmitterFlags(enum.IntFlag):
@@ -86,9 +93,24 @@ class TransportMode(enum.IntEnum):
 
 @dataclass
 class BSDFContext:
-    """How a BSDF is queried: from the camera (radiance) or from the light (importance)."""
+    """How a BSDF is queried: from the camera (radiance) or from the light (importance).
+
+    Mitsuba can also ask for some lobes only, by `type_mask` and `component`. djpt always asks for all.
+    """
 
     mode: TransportMode = TransportMode.Radiance
+    type_mask: int = int(BSDFFlags.All)
+    component: int | None = None
+
+    def __post_init__(self) -> None:
+        if (self.type_mask, self.component) not in ((BSDFFlags.All, None), (BSDFFlags.All, 0xFFFFFFFF)):
+            raise RenderError(
+                "BSDFContext: BSDFs are asked for all their lobes, 'type_mask' and 'component' can't be set"
+            )
+
+    def is_enabled(self, type: BSDFFlags, component: int = 0) -> bool:
+        """Is a lobe wanted? Yes: see above."""
+        return True
 
 
 @dataclass
@@ -249,19 +271,22 @@ class DirectionSample3f:
 
 @dataclass
 class BSDFSample3f:
-    """A direction sampled from a BSDF."""
+    """A direction sampled from a BSDF; without arguments one that leads nowhere.
 
-    wo: Vector3f
+    In scripts, fields may be given Python numbers: the engine converts them.
+    """
+
+    wo: Vector3f = field(default_factory=lambda: Vector3f(0))
     """Sampled direction in the shading frame."""
-    pdf: Float
+    pdf: Float = field(default_factory=lambda: Float(0))
     """Density per unit solid angle; for a delta lobe the probability of choosing it."""
-    eta: Float
+    eta: Float = field(default_factory=lambda: Float(1))
     """Relative index of refraction crossed, 1 for reflection."""
-    sampled_type: UInt32
+    sampled_type: UInt32 = field(default_factory=lambda: UInt32(0))
     """`BSDFFlags` of the lobe that was sampled."""
-    sampled_component: UInt32
+    sampled_component: UInt32 = field(default_factory=lambda: UInt32(0))
 
     @staticmethod
     def none() -> BSDFSample3f:
         """The sample that goes nowhere."""
-        return BSDFSample3f(Vector3f(0), Float(0), Float(1), UInt32(0), UInt32(0))
+        return BSDFSample3f()

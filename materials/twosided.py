@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
@@ -48,7 +50,7 @@ class TwoSided(BSDF):
 
     def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-        return SurfaceInteraction3f(**{**vars(si), "wi": wi})
+        return dataclasses.replace(si, wi=wi)
 
     def sample(
         self,
@@ -58,15 +60,12 @@ class TwoSided(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
-        mirrored = self._seen_from_front(si)
-        behind = si.wi.z < 0
+        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
         result = self.front.sample(ctx, mirrored, sample1, sample2, active)
         if self.back is not None:
-            other = self.back.sample(ctx, mirrored, sample1, sample2, active)
-            result = dr.select(behind, other, result)
+            result = dr.select(behind, self.back.sample(ctx, mirrored, sample1, sample2, active), result)
         bs, weight = result
-        wo = Vector3f(bs.wo.x, bs.wo.y, dr.select(behind, -bs.wo.z, bs.wo.z))
-        return BSDFSample3f(wo, bs.pdf, bs.eta, bs.sampled_type, bs.sampled_component), weight
+        return dataclasses.replace(bs, wo=flipped(bs.wo, behind)), weight
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
         return self.eval_pdf(ctx, si, wo, active)[0]
@@ -77,16 +76,39 @@ class TwoSided(BSDF):
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
-        mirrored = self._seen_from_front(si)
-        behind = si.wi.z < 0
-        wo = Vector3f(wo.x, wo.y, dr.select(behind, -wo.z, wo.z))
+        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
+        wo = flipped(wo, behind)
         result = self.front.eval_pdf(ctx, mirrored, wo, active)
         if self.back is not None:
             result = dr.select(behind, self.back.eval_pdf(ctx, mirrored, wo, active), result)
         return result
 
-    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        result = self.front.eval_diffuse_reflectance(si, active)
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
+        wo = flipped(wo, behind)
+        result = self.front.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
         if self.back is not None:
-            result = dr.select(si.wi.z < 0, self.back.eval_diffuse_reflectance(si, active), result)
+            other = self.back.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
+            result = dr.select(behind, other, result)
+        value, pdf, bs, weight = result
+        return value, pdf, dataclasses.replace(bs, wo=flipped(bs.wo, behind)), weight
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
+        result = self.front.eval_diffuse_reflectance(mirrored, active)
+        if self.back is not None:
+            result = dr.select(behind, self.back.eval_diffuse_reflectance(mirrored, active), result)
         return result
+
+
+def flipped(v: Vector3f, behind: Bool) -> Vector3f:
+    """`v` mirrored by the surface where `behind`."""
+    return Vector3f(v.x, v.y, dr.select(behind, -v.z, v.z))

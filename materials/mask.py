@@ -1,0 +1,126 @@
+"""Surfaces with holes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.materials.base import BSDF
+from djpt.minmax import minimum
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+
+__all__ = ["Mask", "chosen", "rescaled", "unit_interval"]
+
+ALMOST_ONE = 1 - 2.0**-24
+"""The largest float below 1."""
+
+
+class Mask(BSDF):
+    """The nested BSDF where the surface is opaque, straight passage where it isn't.
+
+    f = opacity f_nested + (1 - opacity) delta(wo + wi) / abs(cos theta_o).
+
+    Parameters: `opacity` (scalar texture, default 0.5; values are clipped to [0, 1]) and one nested BSDF,
+    under any key; its parameters are listed under `nested_bsdf`. Of the random numbers below `opacity` the
+    nested BSDF is sampled, above them the ray goes on.
+    """
+
+    children = ("opacity", "nested_bsdf")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.opacity = props.texture_1("opacity", 0.5)
+        nested = [plugin for _, plugin in props.children("bsdf")]
+        if len(nested) != 1:
+            raise SceneError(f"{props.node}: 'mask' takes one nested BSDF, found {len(nested)}")
+        self.nested_bsdf: BSDF = nested[0]
+        self.absorbs = self.nested_bsdf.absorbs
+
+    def flags(self) -> int:
+        return self.nested_bsdf.flags() | int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+
+    def _opacity(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
+        return unit_interval(self.opacity.eval_1(si, active))
+
+    def _choose(
+        self, si: SurfaceInteraction3f, sample1: Float, opacity: Float, nested: BSDFSample3f, weight: Color3f
+    ) -> tuple[BSDFSample3f, Color3f]:
+        """What `sample` returns, given the nested sample."""
+        hit = sample1 < opacity
+        # Every kind of nested lobe counts as one component, as it mostly does in Mitsuba.
+        last = (self.nested_bsdf.flags() & int(BSDFFlags.All)).bit_count()
+        null = BSDFSample3f(-si.wi, 1 - opacity, Float(1), UInt32(int(BSDFFlags.Null)), UInt32(last))
+        bs: BSDFSample3f = dr.select(hit, dataclasses.replace(nested, pdf=nested.pdf * opacity), null)
+        return bs, dr.select(hit, weight * chosen(opacity), chosen(1 - opacity))
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        opacity = self._opacity(si, active)
+        nested = self.nested_bsdf.sample(ctx, si, rescaled(sample1, opacity), sample2, active)
+        return self._choose(si, sample1, opacity, *nested)
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval(ctx, si, wo, active) * self._opacity(si, active)
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return self.nested_bsdf.pdf(ctx, si, wo, active) * self._opacity(si, active)
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        opacity = self._opacity(si, active)
+        value, pdf = self.nested_bsdf.eval_pdf(ctx, si, wo, active)
+        return value * opacity, pdf * opacity
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        opacity = self._opacity(si, active)
+        value, pdf, *nested = self.nested_bsdf.eval_pdf_sample(ctx, si, wo, rescaled(sample1, opacity), sample2, active)
+        return value * opacity, pdf * opacity, *self._choose(si, sample1, opacity, *nested)
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        opacity = self._opacity(si, active)
+        return 1 - opacity * (1 - self.nested_bsdf.eval_null_transmission(si, active))
+
+    def transmittance(self, distance: Float) -> Color3f:
+        return self.nested_bsdf.transmittance(distance)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.nested_bsdf.eval_diffuse_reflectance(si, active)
+
+
+def unit_interval(x: Float) -> Float:
+    """`x` clipped to [0, 1], with the derivative 1 also on the bounds, where optimisers often stand."""
+    return dr.select(x > 1, 1, dr.select(x < 0, 0, x))
+
+
+def rescaled(sample: Float, probability: Float) -> Float:
+    """The part of a uniform random number that is left after it was found to lie below `probability`."""
+    return minimum(sample * dr.rcp(dr.select(probability > 0, probability, 1)), Float(ALMOST_ONE))
+
+
+def chosen(probability: Float) -> Float:
+    """1, the weight of what was chosen in proportion to its share, with the derivative of that share."""
+    if not dr.grad_enabled(probability):
+        return Float(1)
+    share: Float = dr.replace_grad(
+        Float(1), probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
+    )
+    return share
