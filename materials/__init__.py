@@ -7,9 +7,9 @@ if __name__ != "djpt.materials":  # a second copy of every class would be made
 
 from djpt.description.registry import register_bsdf
 from djpt.materials.base import BSDF
-from djpt.materials.bumpmap import BumpMap
 from djpt.materials.blendbsdf import BlendBSDF
 from djpt.materials.blinn import Blinn
+from djpt.materials.bumpmap import BumpMap
 from djpt.materials.conductor import Conductor
 from djpt.materials.dielectric import Dielectric
 from djpt.materials.diffuse import Diffuse
@@ -19,8 +19,11 @@ from djpt.materials.mirror import Mirror
 from djpt.materials.normalmap import NormalMap
 from djpt.materials.null import Null
 from djpt.materials.phong import Phong
+from djpt.materials.plastic import Plastic
 from djpt.materials.principled import Principled
 from djpt.materials.principledthin import PrincipledThin
+from djpt.materials.roughconductor import RoughConductor
+from djpt.materials.roughdielectric import RoughDielectric
 from djpt.materials.thindielectric import ThinDielectric
 from djpt.materials.twosided import TwoSided
 
@@ -28,16 +31,21 @@ __all__ = [
     "BSDF",
     "BlendBSDF",
     "Blinn",
+    "BumpMap",
     "Conductor",
     "Dielectric",
     "Diffuse",
     "Glass",
     "Mask",
     "Mirror",
+    "NormalMap",
     "Null",
     "Phong",
+    "Plastic",
     "Principled",
     "PrincipledThin",
+    "RoughConductor",
+    "RoughDielectric",
     "ThinDielectric",
     "TwoSided",
 ]
@@ -54,7 +62,10 @@ register_bsdf("mirror", Mirror)
 register_bsdf("normalmap", NormalMap)
 register_bsdf("null", Null)
 register_bsdf("phong", Phong)
+register_bsdf("plastic", Plastic)
 register_bsdf("principled", Principled)
 register_bsdf("principledthin", PrincipledThin)
+register_bsdf("roughconductor", RoughConductor)
+register_bsdf("roughdielectric", RoughDielectric)
 register_bsdf("thindielectric", ThinDielectric)
 register_bsdf("twosided", TwoSided)

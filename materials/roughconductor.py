@@ -1,0 +1,140 @@
+"""Rough metal."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import drjit as dr
+
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.materials.base import BSDF
+from djpt.materials.dielectric import optional_texture, tint
+from djpt.materials.fresnel import fresnel_conductor, reflect
+from djpt.materials.metals import metal
+from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+
+__all__ = ["RoughConductor"]
+
+
+class RoughConductor(BSDF):
+    """f = F(wi, m) D(m) G(wi, wo, m) / (4 cos theta_i cos theta_o) with the half vector m; black from behind.
+
+    F is the reflectance of a conductor of index eta + i k, D and G are those of
+    `MicrofacetDistribution` (R. L. Cook and K. E. Torrance, TOG 1(1), 1982; Walter et al., EGSR 2007).
+
+    Parameters:
+        material: a name of `djpt.materials.metals.METALS` (default `none`: everything is reflected); or
+        eta, k: the complex index (textures in [0, 1e6], defaults 0 and 1).
+        distribution: of the microfacets, `beckmann` (default) or `ggx`.
+        alpha: roughness (scalar texture in (0, 1], default 0.1); or
+        alpha_u, alpha_v: roughness along dp/du and dp/dv.
+        sample_visible: sample only microfacets that are seen (default true).
+        specular_reflectance: a factor (texture in [0, 1]; default: none), which real metals don't have.
+    """
+
+    children = ("specular_reflectance", "alpha_u", "alpha_v", "eta", "k")
+    statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.eta, self.k = metal(props)
+        self.distribution = distribution_name(props)
+        self.sample_visible = props.boolean("sample_visible", True)
+        # None stands for "the same as alpha_u": one lookup less, and simpler formulas.
+        self.alpha_u, self.alpha_v = alpha_textures(props)
+        self.specular_reflectance = optional_texture(props, "specular_reflectance")
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        if self.specular_reflectance is not None:
+            callback.put("specular_reflectance", self.specular_reflectance)
+        if self.alpha_v is None:
+            callback.put("alpha", self.alpha_u)
+        else:
+            callback.put("alpha_u", self.alpha_u)
+            callback.put("alpha_v", self.alpha_v)
+        callback.put("eta", self.eta)
+        callback.put("k", self.k)
+
+    def flags(self) -> int:
+        return int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        return _Vertex(self, si, active).sample(sample2)
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return _Vertex(self, si, active).eval_pdf(wo)[0]
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return _Vertex(self, si, active).eval_pdf(wo)[1]
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        return _Vertex(self, si, active).eval_pdf(wo)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        vertex = _Vertex(self, si, active)
+        return *vertex.eval_pdf(wo), *vertex.sample(sample2)
+
+
+class _Vertex:
+    """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
+
+    def __init__(self, bsdf: RoughConductor, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+        alpha_u = bsdf.alpha_u.eval_1(si, active)
+        alpha_v = alpha_u if bsdf.alpha_v is None else bsdf.alpha_v.eval_1(si, active)
+        self.surface = MicrofacetDistribution(bsdf.distribution, alpha_u, alpha_v, bsdf.sample_visible)
+        self.eta, self.k = bsdf.eta.eval(si, active), bsdf.k.eval(si, active)
+        self.tint = tint(bsdf.specular_reflectance, si, active)
+        self.wi = si.wi
+        self.g1_i = self.surface.smith_g1_over_cos(si.wi)
+
+    def fresnel(self, cos: Float) -> Color3f:
+        """The reflectance of a microfacet."""
+        return fresnel_conductor(cos, self.eta, self.k) * self.tint
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        # The half vector of two directions above the horizon faces both of them.
+        ok = (self.wi.z > 0) & (wo.z > 0)
+        h = self.wi + wo
+        m = h * dr.rsqrt(dr.select(ok, dr.squared_norm(h), 1))
+        cos = dr.dot(self.wi, m)
+        d = self.surface.eval(m)
+        visible = 0.25 * d * self.g1_i
+        value = self.fresnel(cos) * (visible * self.surface.smith_g1_over_cos(wo) * wo.z)
+        pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
+        return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
+
+    def sample(self, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        m = self.surface.sample_normal(self.wi, sample2)
+        cos = dr.dot(self.wi, m)
+        wo = reflect(self.wi, m)
+        d = self.surface.eval(m)
+        ok = (self.wi.z > 0) & (cos > 0) & (wo.z > 0) & (d > 0)
+        weight = self.surface.smith_g1_over_cos(wo) * wo.z
+        if self.surface.sample_visible:
+            pdf = 0.25 * d * self.g1_i
+        else:
+            pdf = d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
+            weight *= self.g1_i * cos * dr.rcp(dr.select(ok, m.z, 1))
+        sampled_type = UInt32(int(BSDFFlags.GlossyReflection))
+        bs = BSDFSample3f(wo, dr.select(ok, pdf, 0), Float(1), sampled_type, UInt32(0))
+        return bs, dr.select(ok, self.fresnel(cos) * weight, 0)
