@@ -24,6 +24,7 @@ from djpt.materials.principled import Principled
 from djpt.materials.principledthin import PrincipledThin
 from djpt.materials.roughconductor import RoughConductor
 from djpt.materials.roughdielectric import RoughDielectric
+from djpt.materials.roughplastic import RoughPlastic
 from djpt.materials.thindielectric import ThinDielectric
 from djpt.materials.twosided import TwoSided
 
@@ -46,6 +47,7 @@ __all__ = [
     "PrincipledThin",
     "RoughConductor",
     "RoughDielectric",
+    "RoughPlastic",
     "ThinDielectric",
     "TwoSided",
 ]
@@ -67,5 +69,6 @@ register_bsdf("principled", Principled)
 register_bsdf("principledthin", PrincipledThin)
 register_bsdf("roughconductor", RoughConductor)
 register_bsdf("roughdielectric", RoughDielectric)
+register_bsdf("roughplastic", RoughPlastic)
 register_bsdf("thindielectric", ThinDielectric)
 register_bsdf("twosided", TwoSided)

@@ -1,0 +1,275 @@
+"""Rough plastic: a diffuse base under a clear coat with a rough surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+
+from djpt.description.numeric import as_array, is_readable
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.lookup import as_float, opaque
+from djpt.materials.base import BSDF
+from djpt.materials.dielectric import optional_texture, tint
+from djpt.materials.fresnel import fresnel, reflect, refract
+from djpt.materials.ior import check_eta, ior
+from djpt.materials.microfacet import MicrofacetDistribution, distribution_name
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.textures.allowed import Allowed
+from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["RoughPlastic"]
+
+INV_PI = 1 / math.pi
+
+KNOTS = 64
+"""Angles at which the coat's transmittance is tabulated, by equal steps of the cosine."""
+
+ROUGHNESS = Allowed(0.0, 1.0, low_open=True)
+
+
+class RoughPlastic(BSDF):
+    """A rough dielectric's reflection over a diffuse base; black from behind.
+
+    With F, D, G and m as for `RoughConductor`, but the F of a dielectric:
+
+        f = F D G / (4 cos theta_i cos theta_o) + T(theta_i) T(theta_o) / (pi eta^2) * rho / (1 - rho' R).
+
+    T is the share of light that a rough interface lets through, R what it reflects of diffuse light from
+    within, rho' = 1, which keeps the colour of the base, or rho (`nonlinear`). T and R are integrals over all
+    microfacets: they are tabulated when alpha or eta change, with their derivatives if those are wanted.
+
+    Parameters:
+        diffuse_reflectance: rho (texture in [0, 1], default 0.5).
+        nonlinear: see above (default false).
+        int_ior, ext_ior: index of refraction of the coat and around it (> 0, or a name of `djpt.materials.ior.IOR`;
+            defaults `polypropylene`, `air`), which must differ. As a parameter their quotient, `eta`.
+        distribution: of the microfacets, `beckmann` (default) or `ggx`.
+        alpha: roughness in (0, 1] (default 0.1); a number, not a texture.
+        sample_visible: sample only microfacets that are seen (default true).
+        specular_reflectance: a factor on the coat's reflection (texture in [0, 1]; default: none), which real coats
+            don't have.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        "alpha": ParamFlags.Differentiable | ParamFlags.Discontinuous,
+        "eta": ParamFlags.Differentiable | ParamFlags.Discontinuous,
+    }
+    tables: ClassVar[Mapping[str, ParamFlags]] = {
+        "coat": ParamFlags.NonDifferentiable,
+        "coat_by_alpha": ParamFlags.NonDifferentiable,
+        "coat_by_eta": ParamFlags.NonDifferentiable,
+    }
+    children = ("diffuse_reflectance", "specular_reflectance")
+    statics: ClassVar[Sequence[str]] = ("distribution", "sample_visible", "nonlinear")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        int_ior, ext_ior = ior(props, "int_ior", "polypropylene"), ior(props, "ext_ior", "air")
+        if int_ior == ext_ior:
+            raise props.error("int_ior", f"must differ from 'ext_ior', found {int_ior:.9g} for both: no coat")
+        self.eta = as_float(int_ior / ext_ior)
+        self.diffuse_reflectance = props.texture("diffuse_reflectance", 0.5, low=0.0, high=1.0)
+        self.specular_reflectance = optional_texture(props, "specular_reflectance")
+        self.nonlinear = props.boolean("nonlinear", False)
+        self.distribution = distribution_name(props)
+        self.sample_visible = props.boolean("sample_visible", True)
+        self.alpha = as_float(props.float("alpha", 0.1, low=0.0, high=1.0, low_open=True))
+        self.parameters_changed(["alpha", "eta"])
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("diffuse_reflectance", self.diffuse_reflectance)
+        for name, flags in self.values.items():
+            callback.put(name, getattr(self, name), flags)
+        if self.specular_reflectance is not None:
+            callback.put("specular_reflectance", self.specular_reflectance)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "alpha" and is_readable():
+            try:
+                ROUGHNESS.require(as_array(dr.detach(value) if dr.is_array_v(value) else value))
+            except SceneError as error:
+                raise ParameterError(str(error)) from None
+        return check_eta(value) if name == "eta" else value
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        if not {"alpha", "eta"} & set(keys):
+            return
+        alpha, eta = opaque(self.alpha), opaque(self.eta)
+        # In kernels, a `Table` stands in the place of each tensor.
+        self.coat: Any = coat(self.distribution, alpha, eta)
+        self.coat_by_alpha: Any = self._derivative(alpha, eta, self.alpha)
+        self.coat_by_eta: Any = self._derivative(alpha, eta, self.eta)
+
+    def _derivative(self, alpha: Float, eta: Float, wanted: Float) -> TensorXf:
+        """The change of `coat` per unit of alpha or eta, if that one has gradients; else zeros, which nobody reads."""
+        if not dr.grad_enabled(wanted):
+            return TensorXf(dr.zeros(Float, 2 * KNOTS), (1, KNOTS, 2))
+        alpha, eta = Float(alpha), Float(eta)
+        moving = alpha if wanted is self.alpha else eta
+        dr.enable_grad(moving)
+        table = coat(self.distribution, alpha, eta)
+        dr.set_grad(moving, 1.0)
+        change = dr.forward_to(table)
+        dr.eval(change)
+        return TensorXf(change)
+
+    def flags(self) -> int:
+        return int(BSDFFlags.GlossyReflection | BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide)
+
+    def coat_at(self, index: UInt32, active: Bool | bool) -> Point2f:
+        """An entry of the table, attached to alpha and eta."""
+        entry = self.coat.at(index, active)
+        if dr.grad_enabled(self.alpha):
+            entry = dr.fma(self.coat_by_alpha.at(index, active), self.alpha - dr.detach(self.alpha), entry)
+        if dr.grad_enabled(self.eta):
+            entry = dr.fma(self.coat_by_eta.at(index, active), self.eta - dr.detach(self.eta), entry)
+        return entry
+
+    def transmittance_of_coat(self, cos: Float, active: Bool | bool) -> Float:
+        """T, between the knots by straight lines."""
+        x = dr.select(cos > 0, cos, 0) * (KNOTS - 1)
+        index = UInt32(x)
+        index = dr.select(index < KNOTS - 2, index, KNOTS - 2)
+        ends = self.coat_at(index, active)
+        return dr.lerp(ends.x, ends.y, x - Float(index))
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        return _Vertex(self, si, active).sample(sample1, sample2)
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        return _Vertex(self, si, active).eval_pdf(wo)[0]
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        return _Vertex(self, si, active).eval_pdf(wo)[1]
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        return _Vertex(self, si, active).eval_pdf(wo)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        vertex = _Vertex(self, si, active)
+        return *vertex.eval_pdf(wo), *vertex.sample(sample1, sample2)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self.diffuse_reflectance.eval(si, active)
+
+
+class _Vertex:
+    """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
+
+    def __init__(self, bsdf: RoughPlastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+        self.bsdf, self.wi, self.active = bsdf, si.wi, active
+        self.surface = MicrofacetDistribution(bsdf.distribution, bsdf.alpha, bsdf.alpha, bsdf.sample_visible)
+        self.g1_i = self.surface.smith_g1_over_cos(si.wi)
+        self.tint = tint(bsdf.specular_reflectance, si, active)
+        through = bsdf.transmittance_of_coat(si.wi.z, active)
+        trapped = bsdf.coat_at(UInt32(KNOTS - 1), active).x
+        base = bsdf.diffuse_reflectance.eval(si, active)
+        returned = dr.rcp(1 - base * trapped) if bsdf.nonlinear else dr.rcp(1 - trapped)
+        self.base = base * (returned * dr.square(dr.rcp(bsdf.eta)) * through)
+        """f cos theta_o of the base without T(theta_o) cos theta_o / pi."""
+        # Both lobes are drawn by how much they reflect on average.
+        diffuse = bsdf.diffuse_reflectance.mean()
+        specular = 1 if bsdf.specular_reflectance is None else bsdf.specular_reflectance.mean()
+        lobe_s, lobe_d = (1 - through) * specular, through * diffuse
+        total = lobe_s + lobe_d
+        self.p_specular = dr.detach(lobe_s * dr.rcp(dr.select(total > 0, total, 1)))
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        # The half vector of two directions above the horizon faces both of them.
+        ok = (self.wi.z > 0) & (wo.z > 0)
+        h = self.wi + wo
+        m = h * dr.rsqrt(dr.select(ok, dr.squared_norm(h), 1))
+        cos = dr.dot(self.wi, m)
+        d = self.surface.eval(m)
+        visible = 0.25 * d * self.g1_i
+        glossy = fresnel(cos, self.bsdf.eta)[0] * visible * self.surface.smith_g1_over_cos(wo) * wo.z
+        cosine = wo.z * INV_PI
+        value = self.tint * glossy + self.base * (self.bsdf.transmittance_of_coat(wo.z, self.active) * cosine)
+        pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
+        pdf = dr.lerp(cosine, pdf, self.p_specular)
+        return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        specular = sample1 < self.p_specular
+        m = self.surface.sample_normal(self.wi, sample2)
+        wo = dr.select(specular, reflect(self.wi, m), square_to_cosine_hemisphere(sample2))
+        value, pdf = self.eval_pdf(wo)
+        weight = value * dr.rcp(dr.select(pdf > 0, pdf, 1))
+        sampled_type = dr.select(
+            specular, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.DiffuseReflection))
+        )
+        return BSDFSample3f(wo, pdf, Float(1), sampled_type, dr.select(specular, UInt32(0), UInt32(1))), weight
+
+
+# ---- the coat as a whole --------------------------------------------------------------
+
+
+def coat(distribution: str, alpha: Float, eta: Float) -> TensorXf:
+    """The table of a rough interface, (1, KNOTS, 2).
+
+    Entries 0 .. KNOTS - 2 hold the transmittance T at the ends of an interval of cos theta, and the last one the
+    diffuse reflectance R from within: 2 int r(mu) mu dmu.
+    """
+    surface = MicrofacetDistribution(distribution, alpha, alpha)
+    through = integrals(surface, eta, transmitted=True)
+    mu = knots()
+    trapped = dr.sum(integrals(surface, dr.rcp(eta), transmitted=False) * mu) * (2 / KNOTS)
+    index = dr.arange(UInt32, 2 * KNOTS)
+    knot = index // 2 + index % 2
+    table = dr.select(index < 2 * KNOTS - 2, dr.gather(Float, through, knot, knot < KNOTS), trapped)
+    return TensorXf(table, (1, KNOTS, 2))
+
+
+def knots() -> Float:
+    """The tabulated cosines; the first one is just above 0."""
+    mu = dr.arange(Float, KNOTS) * (1 / (KNOTS - 1))
+    return dr.select(mu > 1e-6, mu, 1e-6)
+
+
+def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) -> Float:
+    """What a rough interface reflects or transmits, at each knot, by quadrature over the microfacets' sample space.
+
+    Visible normals have the density D_wi(m), so that the integrand is G1(wo, m) times F or 1 - F.
+    """
+    # As many nodes as Mitsuba takes, whose values these are to be: total reflection needs more.
+    denser = dr.detach(eta)[0] > 1 if is_readable() else transmitted
+    count = 32 if denser else 128
+    x, w = np.polynomial.legendre.leggauss(count)
+    nodes, weights = Float((x + 1) / 2), Float(w / 2)
+    lane = dr.arange(UInt32, KNOTS * count**2)
+    i, j, knot = lane % count, (lane // count) % count, lane // count**2
+    mu = dr.gather(Float, knots(), knot)
+    wi = Vector3f(dr.sqrt(1 - dr.square(mu)), 0, mu)
+    m = surface.sample_normal(wi, Point2f(dr.gather(Float, nodes, i), dr.gather(Float, nodes, j)))
+    f, cos_t, _, eta_ti = fresnel(dr.dot(wi, m), eta)
+    if transmitted:
+        wo = refract(wi, m, cos_t, eta_ti)
+        share = dr.select(wo.z < 0, surface.smith_g1(wo, m) * (1 - f), 0)
+    else:
+        wo = reflect(wi, m)
+        share = dr.select(wo.z > 0, surface.smith_g1(wo, m) * f, 0)
+    return dr.block_sum(share * dr.gather(Float, weights, i) * dr.gather(Float, weights, j), count**2)
