@@ -61,9 +61,10 @@ def fresnel(cos_theta_i: Float, eta: Float) -> tuple[Float, Float, Float, Float]
     s, p = eta_it * cos_t, eta_it * cos_i
     d_s, d_p = cos_i + s, p + cos_t
     # Both quotients over one denominator; where it may vanish the result is known: total reflection, or no interface.
+    # Rounding must not lift the rest above 1, or what is transmitted would be negative.
     sum_of_squares = dr.square((cos_i - s) * d_p) + dr.square((p - cos_t) * d_s)
     reflectance = 0.5 * sum_of_squares * dr.square(dr.rcp(d_s * d_p))
-    reflectance = dr.select(total, 1, reflectance)
+    reflectance = dr.select(~total & (reflectance < 1), reflectance, 1)
     reflectance = dr.select(eta == 1, 0, reflectance)
     return reflectance, dr.mulsign(-cos_t, cos_theta_i), eta_it, eta_ti
 
@@ -113,7 +114,7 @@ def fresnel_conductor(cos_theta_i: Float, eta: Value, k: Value) -> Value:
     t_s = (s + cos_2) * u
     t_p = (s * cos_2 + dr.square(sin_2)) * u
     denominator = (t_s + v) * dr.fma(v, sin_2, t_p)
-    return dr.select(denominator > 0, (t_s - v) * t_p * dr.rcp(denominator), 1)
+    return dr.select(denominator > 1e-30, (t_s - v) * t_p * dr.rcp(denominator), 1)
 
 
 def fresnel_diffuse_reflectance(eta: Float) -> Float:
