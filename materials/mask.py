@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import drjit as dr
 
@@ -92,8 +93,11 @@ class Mask(BSDF):
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
         opacity = self._opacity(si, active)
-        value, pdf, *nested = self.nested_bsdf.eval_pdf_sample(ctx, si, wo, rescaled(sample1, opacity), sample2, active)
-        return value * opacity, pdf * opacity, *self._choose(si, sample1, opacity, *nested)
+        value, pdf, nested, weight = self.nested_bsdf.eval_pdf_sample(
+            ctx, si, wo, rescaled(sample1, opacity), sample2, active
+        )
+        bs, weight = self._choose(si, sample1, opacity, nested, weight)
+        return value * opacity, pdf * opacity, bs, weight
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         opacity = self._opacity(si, active)
@@ -108,7 +112,8 @@ class Mask(BSDF):
 
 def unit_interval(x: Float) -> Float:
     """`x` clipped to [0, 1], with the derivative 1 also on the bounds, where optimisers often stand."""
-    return dr.select(x > 1, 1, dr.select(x < 0, 0, x))
+    positive = dr.select(x < 0, Float(0), x)
+    return dr.select(positive > 1, Float(1), positive)
 
 
 def rescaled(sample: Float, probability: Float) -> Float:
@@ -120,7 +125,6 @@ def chosen(probability: Float) -> Float:
     """1, the weight of what was chosen in proportion to its share, with the derivative of that share."""
     if not dr.grad_enabled(probability):
         return Float(1)
-    share: Float = dr.replace_grad(
-        Float(1), probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
-    )
-    return share
+    share = probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
+    weight: Any = dr.replace_grad(Float(1), share)  # type: ignore[func-returns-value]
+    return weight

@@ -46,6 +46,10 @@ def mesh_file() -> str:
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "diffuse": [{}, {"reflectance": 1.0}, DIFFUSE],
     "twosided": [{"inner": DIFFUSE}, {"front": DIFFUSE, "back": {"type": "diffuse", "reflectance": 0.2}}],
+    "mask": [{"nested": DIFFUSE, "opacity": 0.7}],
+    "blendbsdf": [{"first": DIFFUSE, "second": {"type": "phong", "exponent": 5.0}, "weight": 0.3}],
+    "phong": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 60.0, "diffuse_reflectance": 0.1}],
+    "blinn": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 40.0, "diffuse_reflectance": 0.1}],
     "constant": [{}, {"radiance": 3.0}],
     "point": [{"position": [0.3, 0.2, 2.0], "intensity": 5.0}],
     "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
