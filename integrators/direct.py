@@ -60,9 +60,11 @@ class Direct(Integrator):
         bsdf = si.bsdf()
 
         # ------------------- Light sampling -------------------
+        # Where all lobes are deltas no numbers are drawn, as in Mitsuba.
+        smooth = lit & has_flag(bsdf.flags(), BSDFFlags.Smooth)
         for _ in range(self.emitter_samples):
-            ds, light = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
-            value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(ds.d), lit)
+            ds, light = scene.sample_emitter_direction(si, sampler.next_2d(smooth), True, smooth)
+            value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(ds.d), smooth)
             weight = mis_weight(ds.pdf * emitter_share, pdf * bsdf_share)
             weight = dr.select(ds.delta, 1, weight) * (1 / self.emitter_samples)
             result += value * light * weight

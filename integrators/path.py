@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState, Vertex, mis_weight
 from djpt.minmax import maximum, minimum
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
@@ -75,7 +75,9 @@ class Path(PathIntegrator):
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, emitter_pdf), 1)
         emitted = throughput * mis * si.emitter(scene).eval(si)
         if self.hide_emitters:
-            emitted = dr.select(first & ~si.is_valid(), 0, emitted)
+            # Openings don't bring the sky back.
+            straight = first if state.covered is None else ~state.covered
+            emitted = dr.select(straight & ~si.is_valid(), 0, emitted)
         if self.max_depth == 0:
             emitted = Color3f(0)
         # Is there an edge left to reach one more vertex?
@@ -111,7 +113,7 @@ class Path(PathIntegrator):
 
         # ---------------------- Next vertex -------------------
         delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
-        covered = self.covered(state, si, bs)
+        covered = self.covered(state, si, has_flag(bs.sampled_type, BSDFFlags.Null))
         next_state = PathState(
             p=si.p,
             throughput=throughput,
@@ -133,11 +135,11 @@ class Path(PathIntegrator):
             valid=(covered | sky) & Bool(self.max_depth != 0),
         )
 
-    def covered(self, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
-        """Has the path met a surface, this vertex included?"""
+    def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
+        """Has the path met a surface that it didn't merely pass straight through, this vertex included?"""
         if state.covered is None:
             return (state.depth > 0) | si.is_valid()
-        return state.covered | (si.is_valid() & ~has_flag(bs.sampled_type, BSDFFlags.Null))
+        return state.covered | (si.is_valid() & ~passes)
 
     def roulette_depth(self, depth: UInt32) -> UInt32:
         """The depth that is compared with `rr_depth`: that of the next vertex."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from djpt.integrators.base import PathState
 from djpt.integrators.path import Path
-from djpt.records import BSDFSample3f, SurfaceInteraction3f
+from djpt.records import SurfaceInteraction3f
 from djpt.types import Bool, UInt32
 
 __all__ = ["PRB"]
@@ -26,6 +26,6 @@ class PRB(Path):
     def roulette_depth(self, depth: UInt32) -> UInt32:
         return depth
 
-    def covered(self, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
+    def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
         """Openings count as surfaces here."""
         return (state.depth > 0) | si.is_valid()
