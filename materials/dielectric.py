@@ -20,7 +20,9 @@ from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 __all__ = ["Dielectric"]
 
 REFLECTION = int(BSDFFlags.DeltaReflection | BSDFFlags.FrontSide | BSDFFlags.BackSide)
-TRANSMISSION = int(BSDFFlags.DeltaTransmission | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+TRANSMISSION = int(
+    BSDFFlags.DeltaTransmission | BSDFFlags.FrontSide | BSDFFlags.BackSide | BSDFFlags.NonSymmetric  # by eta_ti^2
+)
 
 
 class Dielectric(DeltaBSDF):
