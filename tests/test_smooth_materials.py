@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
 import pytest
+from renders import box, ours, theirs
 
 import djpt
 from djpt.frame import Frame3f
@@ -14,7 +16,9 @@ from djpt.materials.fresnel import fresnel, fresnel_schlick
 from djpt.materials.ior import IOR
 from djpt.materials.metals import METALS
 from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, TransportMode
+from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.validation import agreement
 
 COUNT = 4096
 GOLD = {"eta": {"type": "rgb", "value": [0.143, 0.375, 1.442]}, "k": {"type": "rgb", "value": [3.983, 2.386, 1.603]}}
@@ -91,32 +95,32 @@ def mitsuba() -> Any:
 def test_samples_are_mitsubas(description: dict[str, Any], mode: TransportMode) -> None:
     mi = mitsuba()
     wi, sample1 = directions(), np.random.default_rng(1).random(COUNT).astype(np.float32)
-    ours = sampled(djpt.load_dict(description), wi, sample1, mode)
+    found = sampled(djpt.load_dict(description), wi, sample1, mode)
 
     si = dr.zeros(mi.SurfaceInteraction3f, COUNT)
     si.wi, si.t = mi.Vector3f(wi), 1
     context = mi.BSDFContext(mi.TransportMode(int(mode)))
     bs, weight = mi.load_dict(description).sample(context, si, mi.Float(sample1), mi.Point2f(0.5))
-    theirs = {"wo": bs.wo, "pdf": bs.pdf, "eta": bs.eta, "type": bs.sampled_type, "weight": weight}
-    theirs["component"] = bs.sampled_component
-    theirs = {name: wide(value, COUNT) for name, value in theirs.items()}
+    expected = {"wo": bs.wo, "pdf": bs.pdf, "eta": bs.eta, "type": bs.sampled_type, "weight": weight}
+    expected["component"] = bs.sampled_component
+    expected = {name: wide(value, COUNT) for name, value in expected.items()}
 
-    np.testing.assert_allclose(ours["weight"], theirs["weight"], atol=2e-5)
-    seen = theirs["weight"].max(axis=0) > 0
+    np.testing.assert_allclose(found["weight"], expected["weight"], atol=2e-5)
+    seen = expected["weight"].max(axis=0) > 0
     assert seen.mean() > 0.45
     for name in ("wo", "pdf", "eta", "type", "component"):
-        np.testing.assert_allclose(ours[name][..., seen], theirs[name][..., seen], atol=2e-5, err_msg=name)
+        np.testing.assert_allclose(found[name][..., seen], expected[name][..., seen], atol=2e-5, err_msg=name)
 
 
 @pytest.mark.parametrize("description", CASES.values(), ids=CASES)
 def test_flags_and_parameters_are_mitsubas(description: dict[str, Any]) -> None:
     mi = mitsuba()
-    ours, theirs = djpt.load_dict(description), mi.load_dict(description)
-    assert ours.flags() == int(theirs.flags())
-    assert sorted(djpt.traverse(ours)) == sorted(key for key, _ in mi.traverse(theirs))
-    for key, value in mi.traverse(theirs):
+    found, expected = djpt.load_dict(description), mi.load_dict(description)
+    assert found.flags() == int(expected.flags())
+    assert sorted(djpt.traverse(found)) == sorted(key for key, _ in mi.traverse(expected))
+    for key, value in mi.traverse(expected):
         # A grey is one number in Mitsuba, three equal ones here.
-        number = np.ravel(wide(djpt.traverse(ours)[key], 1))
+        number = np.ravel(wide(djpt.traverse(found)[key], 1))
         np.testing.assert_allclose(number, np.broadcast_to(np.ravel(value), number.shape), rtol=1e-6)
 
 
@@ -140,6 +144,18 @@ def test_extreme_directions_and_samples_stay_finite(description: dict[str, Any],
     assert (found["pdf"][found["weight"].max(axis=0) > 0] > 0).all()
 
 
+def test_equal_seeds_give_mitsubas_pixels() -> None:
+    """All of them in one box: long paths through glass, metal and a pane."""
+    mitsuba()
+    scene = box(48, "box", {"type": "path", "max_depth": 10})
+    pane = T().translate([0, 0, 0.8]).rotate([0, 1, 0], 20).scale(0.4)
+    scene["small-box"] = {"type": "sphere", "center": [0.35, -0.6, 0.3], "radius": 0.35, "bsdf": CASES["tinted"]}
+    scene["large-box"]["bsdf"] = CASES["gold"]
+    scene["pane"] = {"type": "rectangle", "to_world": pane, "bsdf": CASES["thin"]}
+    scene["nothing"] = {"type": "sphere", "center": [-0.5, 0.5, 0.2], "radius": 0.3, "bsdf": CASES["null"]}
+    assert agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share >= 0.998
+
+
 # ---------------------------------------------------------------- tables
 
 
@@ -160,13 +176,11 @@ def test_named_metals_are_mitsubas() -> None:
     for name, numbers in METALS.items():
         params = mi.traverse(mi.load_dict({"type": "conductor", "material": name}))
         for key, number in zip(("eta", "k"), numbers, strict=True):
-            theirs = np.broadcast_to(np.ravel(params[f"{key}.value"]), 3)
-            np.testing.assert_allclose(number, theirs, rtol=1e-6, err_msg=name)
+            expected = np.broadcast_to(np.ravel(params[f"{key}.value"]), 3)
+            np.testing.assert_allclose(number, expected, rtol=1e-6, err_msg=name)
 
 
 def test_no_metal_of_mitsuba_is_missing() -> None:
-    from pathlib import Path
-
     data = Path(mitsuba().__file__).parent / "data" / "ior"
     assert {path.name.removesuffix(".eta.spd") for path in data.glob("*.eta.spd")} | {"none"} == set(METALS)
 
