@@ -132,7 +132,9 @@ class Bitmap(UVTexture):
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
         rows = [self._wrap(first.y + k, 1) for k in range(2)]
-        return place - first, [self._texel(x, y, active) for y in rows for x in columns]
+        # Infinite places, too, need a share: NaN would spread.
+        share = Point2f(*(maximum(place[k] - first[k], Float(0)) for k in range(2)))
+        return share, [self._texel(x, y, active) for y in rows for x in columns]
 
     def _wrap(self, i: Float, axis: int) -> UInt32:
         """The number of a texel along an axis; `i` is whole, but may lie outside."""
