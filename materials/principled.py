@@ -66,15 +66,16 @@ class At:
 class Principled(PrincipledBase):
     """A blend of a diffuse surface, metal, and rough glass, under sheen and a clear coat.
 
-    With m = `metallic` and t = `spec_trans`,
+    With m = `metallic`, t = `spec_trans` and the half vector h,
 
-        f = (1 - m) (1 - t) base_color / pi (diffuse, retro-reflecting; `flatness`: flat subsurface)
-          + (1 - m) `sheen` (1 - cos d)^5
-          + F D G / (4 cos i cos o)      GGX; F is Schlick's for metal and `spec_tint`, Fresnel's otherwise
-          + (1 - m) t sqrt(base_color) (1 - F) D G abs(i.h o.h) / (cos i cos o (i.h / eta + o.h)^2)
-          + `clearcoat` / 4 F_c D_c G_c
+        f = (1 - m) (1 - t) base_color / pi               diffuse, retro-reflecting; `flatness`: flat subsurface
+          + (1 - m) `sheen` (1 - o.h)^5                   white, or the hue of base_color by `sheen_tint`
+          + F D G / (4 cos i cos o)                       GGX; F: Schlick's for metal and `spec_tint`, else Fresnel's
+          + (1 - m) t sqrt(base_color) (1 - F) D G abs(i.h o.h) / (cos i cos o (i.h + eta o.h)^2)      refracted
+          + `clearcoat` / 4 F_c D_c G_c                   GTR1, smoother by `clearcoat_gloss`
 
-    Only the last line but one, and its reflection, are seen from inside (from behind).
+    for radiance. From inside (from behind), only Fresnel's reflection and the refraction are seen, so that
+    without `spec_trans` the material is black there.
 
     Parameters, all textures in [0, 1] that default to 0 unless said otherwise:
 

@@ -55,12 +55,12 @@ class At:
 class PrincipledThin(PrincipledBase):
     """A sheet without thickness: diffuse and specular, reflecting and transmitting, the same from both sides.
 
-    With t = `spec_trans` and d = `diff_trans` / 2, and with wo mirrored to the side of wi where it is below,
+    With t = `spec_trans`, p = `diff_trans` / 2, and wo mirrored to the side of wi for the half vector h,
 
-        f = (1 - t) (1 - d) (base_color / pi (diffuse, retro-reflecting; `flatness`) + `sheen` (1 - cos d)^5)
-          + (1 - t) d base_color / pi                                    transmitted
+        f = (1 - t) (1 - p) (base_color / pi + `sheen` (1 - o.h)^5)     retro-reflecting; `flatness`, `sheen_tint`
           + t F D G / (4 cos i cos o)
-          + t base_color (1 - F) D' G' / (4 cos i cos o)                 transmitted
+        f = (1 - t) p base_color / pi                                   transmitted
+          + t base_color (1 - F) D' G' / (4 cos i cos o)
 
     D and G are GGX, D' and G' with the roughness times 0.65 eta - 0.35. F is Fresnel's, blended with a tinted
     one of Schlick by `spec_tint`. Light isn't bent.
