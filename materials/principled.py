@@ -147,7 +147,9 @@ class Principled(PrincipledBase):
     def flags(self) -> int:
         lobes = BSDFFlags.DiffuseReflection | BSDFFlags.GlossyReflection
         if "spec_trans" in self.given:
-            lobes |= BSDFFlags.GlossyTransmission
+            lobes |= BSDFFlags.GlossyTransmission | BSDFFlags.NonSymmetric
+        if "anisotropic" in self.given:
+            lobes |= BSDFFlags.Anisotropic
         return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
 
     # ---- parameters ------------------------------------------------------------------------

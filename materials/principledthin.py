@@ -105,6 +105,8 @@ class PrincipledThin(PrincipledBase):
         lobes = BSDFFlags.DiffuseReflection | BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyReflection
         if "spec_trans" in self.given:
             lobes |= BSDFFlags.GlossyTransmission
+        if "anisotropic" in self.given:
+            lobes |= BSDFFlags.Anisotropic
         return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
 
     def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:

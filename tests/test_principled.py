@@ -14,7 +14,7 @@ from renders import box, ours, theirs
 import djpt
 from djpt.dispatch import structure
 from djpt.frame import Frame3f
-from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode, has_flag
+from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.validation import agreement
 
@@ -379,10 +379,10 @@ def bsdf_value(bsdf: Any, si: Any, wo: Any) -> np.ndarray:
     return np.array(bsdf.eval(BSDFContext(), si, wo))
 
 
-def test_only_glass_transmits() -> None:
-    glossy = djpt.BSDFFlags.GlossyTransmission
-    assert not has_flag(djpt.load_dict(described(OPAQUE["coated"])).flags(), glossy)
-    assert has_flag(djpt.load_dict(described(CLEAR["glass"])).flags(), glossy)
+@pytest.mark.parametrize("values", [{}, {"anisotropic": 0.5}, {"clearcoat": 0.5}, {"spec_trans": 0.5}, EVERYTHING])
+def test_flags_are_mitsubas(values: dict[str, Any]) -> None:
+    bsdf, reference = load_both(described(values))
+    assert bsdf.flags() == reference.flags()
 
 
 # ---------------------------------------------------------------- errors

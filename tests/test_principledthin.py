@@ -102,6 +102,12 @@ def test_values_have_the_right_gradients(values: dict[str, Any]) -> None:
     check_gradients(described(values))
 
 
+@pytest.mark.parametrize("values", [{}, {"diff_trans": 0.5}, EVERYTHING])
+def test_flags_are_mitsubas(values: dict[str, Any]) -> None:
+    bsdf, reference = load_both(described(values))
+    assert bsdf.flags() == reference.flags()
+
+
 def test_both_sides_are_alike() -> None:
     bsdf = djpt.load_dict(described(EVERYTHING))
     wi, wo = directions(1024, 1), directions(1024, 2)
