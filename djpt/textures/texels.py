@@ -145,9 +145,9 @@ def numbers_of(texels: TensorXf) -> Pixels:
 
 
 def tensor(pixels: NDArray[Any]) -> TensorXf:
-    """An array as a tensor with memory of its own."""
+    """An array as a tensor, which would otherwise share the caller's memory."""
     with np.errstate(over="ignore"):
-        return TensorXf(np.ascontiguousarray(pixels, np.float32))
+        return TensorXf(np.array(pixels, np.float32, order="C"))
 
 
 def rounded(pixels: Pixels) -> Pixels:
