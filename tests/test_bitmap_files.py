@@ -157,7 +157,7 @@ def test_data_are_linear_and_may_have_one_channel() -> None:
         assert isinstance(texture.data, TensorXf)
 
 
-def test_the_caller_keeps_his_array() -> None:
+def test_arrays_are_copied() -> None:
     image = numbers(2, 2, 3)
     texture = load(data=image)
     before = data(texture).copy()
