@@ -233,8 +233,13 @@ class Ensemble(Generic[P]):
         for i, plugin in enumerate(self.plugins):
             by_structure.setdefault(structure(plugin), []).append(i)
         self.groups = [Group([self.plugins[i] for i in ids], ids) for ids in by_structure.values()]
+        self._keys = list(zip(by_structure, self.groups, strict=True))
         self._members = {id(group): Members(group.indices, len(self.plugins)) for group in self.groups}
         self._slots = {id(group): Numbers(self._positions(group)) for group in self.groups}
+
+    def is_current(self) -> bool:
+        """Have all plugins still the structure of their group?"""
+        return all(structure(plugin) == key for key, group in self._keys for plugin in group.plugins)
 
     def _positions(self, group: Group[P]) -> list[int]:
         position = {i: k for k, i in enumerate(group.indices)}

@@ -99,12 +99,15 @@ class Scene(Plugin):
             self.bsdf_of_shape.append(bsdfs.index(shape.bsdf))
             self._light_of_shape.append(none if shape.emitter is None else self._emitters.index(shape.emitter))
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
-        self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs or [black(f"{self.id}.bsdf")])
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
-        self.interior = Interior(self)
+        self._use_bsdfs(bsdfs or [black(f"{self.id}.bsdf")])
         self._prepare()
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_body = UInt32(self.interior.outside)
+
+    def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
+        self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
+        self.interior = Interior(self)
 
     def _prepare(self) -> None:
         """Build all tables, after the scene was compiled or edited."""
@@ -124,6 +127,9 @@ class Scene(Plugin):
         """Some plugins' parameters have changed: renew what was derived from them."""
         assert isinstance(self.lookup, Detached)
         self.lookup.forget()
+        # A lobe that was 0 and isn't any more is new code.
+        if not self.bsdfs.is_current():
+            self._use_bsdfs(self.bsdfs.plugins)
         shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
         if shapes:
             self.geometry.move(shapes)

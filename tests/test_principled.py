@@ -359,7 +359,6 @@ def test_an_edit_turns_a_lobe_on(key: str) -> None:
     assert edited.flags() == given.flags()
 
 
-@pytest.mark.xfail(strict=True, reason="a scene doesn't group its materials anew when an edit turns a lobe on")
 def test_an_edit_turns_a_lobe_on_in_one_of_several_materials() -> None:
     def described_box(values: dict[str, Any]) -> dict[str, Any]:
         description = box(16, "box", {"type": "path", "max_depth": 2})
