@@ -332,7 +332,10 @@ def convert_array(value: Any, current: Any) -> Any:
         array = array.astype(np.float32 if dr.is_float_v(target) else np.int64)
         if fixed and array.shape != (dr.size_v(target),):
             raise SceneError(f"must be {wanted}, found {describe(value)}")
-        parts = array.tolist() if fixed else [array if dr.is_tensor_v(target) else array.ravel()]
+        # Memory shared with NumPy may be unaligned, and kernels that read it are others: single numbers are copied.
+        single = array.size == 1 and not dr.is_tensor_v(target)
+        copied = array.ravel().tolist() if fixed or single else None
+        parts = copied or [array if dr.is_tensor_v(target) else array.ravel()]
     try:
         converted = target(*parts)
     except Exception as error:

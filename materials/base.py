@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 __all__ = ["BSDF"]
 
@@ -34,9 +39,19 @@ class BSDF(Plugin):
     absorbs: bool = False
     """Is light attenuated within the body that the surface encloses? See `transmittance`."""
 
+    m_flags: int = int(BSDFFlags.Empty)
+    """What `flags` returns unless it is overridden; scripts written for Mitsuba set it."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if not cls.__module__.startswith("djpt."):
+            for name, convert in CONVERSIONS.items():
+                if name in vars(cls):
+                    setattr(cls, name, converting(vars(cls)[name], convert))
+
     def flags(self) -> int:
         """The `BSDFFlags` of all lobes together."""
-        return int(BSDFFlags.Empty)
+        return int(self.m_flags)
 
     def sample(
         self,
@@ -89,3 +104,52 @@ class BSDF(Plugin):
         """The albedo shown by the `aov` integrator: by default pi f at normal incidence and exitance."""
         up = SurfaceInteraction3f(**{**vars(si), "wi": Vector3f(0, 0, 1)})
         return self.eval(BSDFContext(), up, Vector3f(0, 0, 1), active) * math.pi
+
+
+# ---- what scripts return: Python's numbers will do --------------------------------------
+
+
+def as_uint(x: Any) -> UInt32:
+    """A number or flags, as `UInt32`."""
+    return UInt32(int(x) if isinstance(x, int) else x)
+
+
+def as_sample(bs: BSDFSample3f) -> BSDFSample3f:
+    """A sample whose fields may be Python's numbers."""
+    kind, component = as_uint(bs.sampled_type), as_uint(bs.sampled_component)
+    return BSDFSample3f(Vector3f(bs.wo), Float(bs.pdf), Float(bs.eta), kind, component)
+
+
+CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    "sample": lambda r: (as_sample(r[0]), Color3f(r[1])),
+    "eval": Color3f,
+    "pdf": Float,
+    "eval_pdf": lambda r: (Color3f(r[0]), Float(r[1])),
+    "eval_pdf_sample": lambda r: (Color3f(r[0]), Float(r[1]), as_sample(r[2]), Color3f(r[3])),
+    "eval_null_transmission": Color3f,
+    "eval_diffuse_reflectance": Color3f,
+    "transmittance": Color3f,
+}
+
+
+def converting(method: Callable[..., Any], convert: Callable[[Any], Any]) -> Callable[..., Any]:
+    """A script's method with results of the contract's types, and with arguments of its own.
+
+    Scripts write ``active &= ...``, which changes the array that they were given.
+    """
+
+    @functools.wraps(method)
+    def wrapper(self: BSDF, *args: Any, **options: Any) -> Any:
+        own = {name: own_copy(x) for name, x in options.items()}
+        return convert(method(self, *map(own_copy, args), **own))
+
+    return wrapper
+
+
+def own_copy(x: Any) -> Any:
+    """An argument to be edited in place without consequences."""
+    if isinstance(x, bool):
+        return Bool(x)
+    if isinstance(x, SurfaceInteraction3f):
+        return dataclasses.replace(x, wi=Vector3f(x.wi))
+    return type(x)(x) if dr.is_array_v(x) else x

@@ -90,6 +90,8 @@ def test_any_plugin_can_be_the_root(kind: str) -> None:
     for name in registry.registered(kind):
         required = {
             "twosided": {"b": {"type": "diffuse"}},
+            "mask": {"b": {"type": "diffuse"}},
+            "blendbsdf": {"b": {"type": "diffuse"}, "c": {"type": "diffuse"}},
             "aov": {"aovs": "d:depth"},
             "implicit": {"function": lambda p: p.z},
             "metaballs": {"balls": [[0, 0, 0, 1]]},

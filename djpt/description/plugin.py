@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import enum
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from djpt.description.inference import Inferred, reporting, sorts_of
 
 if TYPE_CHECKING:
     from djpt.description.properties import Properties
 
 __all__ = ["ParamFlags", "Plugin", "TraversalCallback"]
+
+
+INFERRED = ("bsdf", "emitter", "texture")
+"""Kinds of plugins whose methods run in kernels and need nothing but their attributes."""
 
 
 class ParamFlags(enum.IntFlag):
@@ -51,24 +57,43 @@ class Plugin:
       Instances with equal class, statics and children are traced **once**, with per-lane
       values: methods called in kernels must therefore read only these four sorts.
 
+    BSDFs, textures and emitters may also declare nothing, as in Mitsuba: see `djpt.description.inference`.
+
     Plugins don't know the scene that they are part of.
     """
 
     kind: ClassVar[str] = ""
     """`bsdf`, `shape`, `emitter`, `texture`, `sensor`, `film`, `rfilter`, `sampler`, `integrator` or `scene`."""
 
-    values: ClassVar[Mapping[str, ParamFlags]] = {}
+    values: ClassVar[Mapping[str, ParamFlags]] = Inferred("values", {})  # type: ignore[assignment]
     tables: ClassVar[Mapping[str, ParamFlags]] = {}
-    children: ClassVar[Sequence[str]] = ()
-    statics: ClassVar[Sequence[str]] = ()
+    children: ClassVar[Sequence[str]] = Inferred("children", ())  # type: ignore[assignment]
+    statics: ClassVar[Sequence[str]] = Inferred("statics", ())  # type: ignore[assignment]
+
+    infers: ClassVar[bool] = False
+    """Does the class declare none of these? Then they are inferred from its instances' attributes."""
 
     id: str = ""
 
     def __init__(self, props: Properties) -> None:
         self.id = props.id
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        own = (name for base in cls.__mro__ if base is not Plugin for name in vars(base))
+        cls.infers = cls.kind in INFERRED and not {"values", "tables", "children", "statics"} & set(own)
+        if cls.infers and "traverse" in vars(cls):
+            cls.traverse = reporting(cls.traverse)  # type: ignore[method-assign]
+
+    @property
+    def _identity(self) -> Hashable:
+        """What sets an instance apart whose class declares nothing."""
+        return sorts_of(self).identity
+
     def __repr__(self) -> str:
-        """The plugin's type, and its parameters and nested plugins as a tree."""
+        """The plugin's type, and its parameters and nested plugins as a tree; a script's `to_string` if it has one."""
+        if hasattr(self, "to_string"):
+            return str(self.to_string())
         listing = _Listing()
         self.traverse(listing)
         body = textwrap.indent(",\n".join(listing.lines), "  ")
@@ -76,6 +101,8 @@ class Plugin:
 
     def traverse(self, callback: TraversalCallback) -> None:
         """Report all parameters; by default the `values`, the `tables` and the `children`."""
+        if self.infers and type(self).traverse is not Plugin.traverse:
+            return  # called by the override, which reports what it wants
         for name, flags in {**self.values, **self.tables}.items():
             callback.put(name, getattr(self, name), flags)
         for name in self.children:

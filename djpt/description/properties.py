@@ -69,6 +69,20 @@ class Properties:
         self._asked.add(key)
         return key in self._values
 
+    def __getitem__(self, key: str) -> Any:
+        """The entry as Mitsuba hands it over: numbers, strings, plugins; colours as `Color3f`."""
+        return as_in_mitsuba(self._take(key, REQUIRED))
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """``props[key]``, or `default` if there is no such entry."""
+        return as_in_mitsuba(self._take(key, default))
+
+    has_property = __contains__
+
+    def get_texture(self, key: str, default: builtins.float = REQUIRED) -> Texture:
+        """A texture, also for a number or a colour."""
+        return self.texture(key, default)
+
     def keys(self) -> list[str]:
         """All keys, in the order of the description."""
         return list(self._values)
@@ -269,6 +283,20 @@ class Properties:
                 continue
             held = f" ({article(value.kind)})" if isinstance(value, Plugin) else ""
             raise SceneError(f"{self._place(key)}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
+
+
+def as_in_mitsuba(value: Any) -> Any:
+    """An entry as scripts expect it: constant colours and triples of numbers are colours, NumPy's scalars Python's."""
+    from djpt.textures.rgb import ConstantTexture
+    from djpt.types import Color3f
+
+    if isinstance(value, ConstantTexture):
+        return Color3f(value.value)
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, (list, tuple, np.ndarray)) and np.shape(value) == (3,):
+        return Color3f(*as_vector(value).tolist())
+    return value
 
 
 def name_of(value: Any) -> str:
