@@ -66,16 +66,24 @@ class BSDF(Plugin):
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
         """f(wi, wo) abs(cos theta_o)."""
-        raise NotImplementedError
+        return self._both(ctx, si, wo, active)[0]
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
         """Density of `sample` at `wo`."""
-        raise NotImplementedError
+        return self._both(ctx, si, wo, active)[1]
+
+    def _both(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool
+    ) -> tuple[Color3f, Float]:
+        """`eval_pdf`, for classes that have nothing else."""
+        if type(self).eval_pdf is BSDF.eval_pdf:
+            raise NotImplementedError(f"{type(self).__name__} needs eval and pdf, or eval_pdf")
+        return self.eval_pdf(ctx, si, wo, active)
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
-        """`eval` and `pdf` together; override where they share work."""
+        """`eval` and `pdf` together: either this or both of them must be overridden."""
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     def eval_pdf_sample(

@@ -92,12 +92,6 @@ class BlendBSDF(BSDF):
         second = self.bsdf_1.sample(ctx, si, rescaled(sample1, weight), sample2, active)
         return self._choose(ctx, si, sample1, weight, first, second, active)
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:

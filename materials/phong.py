@@ -103,12 +103,6 @@ class Phong(BSDF):
         bs = BSDFSample3f(wo, pdf, Float(1), kind, dr.select(glossy, UInt32(1), UInt32(0)))
         return bs, value * dr.select(pdf > 0, dr.rcp(pdf), 0)
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:

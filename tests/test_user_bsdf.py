@@ -237,6 +237,7 @@ def test_as_fast_as_a_built_in_one() -> None:
             weight = dr.select((si.wi.z > 0) & (pdf > 0), self.tint, 0)
             return djpt.BSDFSample3f(wo, pdf, sampled_type=UInt32(2)), weight
 
+        # `eval` and `pdf` follow from this one.
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             pdf = dr.select((si.wi.z > 0) & (wo.z > 0), wo.z * dr.inv_pi, 0)
             return self.tint * pdf, pdf
