@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
+from chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from renders import box, ours, pixels, theirs
 
 import djpt
@@ -204,6 +205,23 @@ def test_reciprocity_of_glass(mode: str) -> None:
     assert (forward > 0).any()
     index = 1.0 if mode == "reflected" else 1.5
     np.testing.assert_allclose(forward * index**2, reverse, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("wi", [(0, 0, 1), (0.6, -0.3, 0.5), (0.9, 0.4, 0.1), (0.3, 0.5, -0.8)])
+@pytest.mark.parametrize("keys", [{}, {"distribution": "ggx", "nonlinear": True}, {"sample_visible": False}])
+def test_rough_plastic_is_sampled_by_its_density(keys: dict[str, Any], wi: Any) -> None:
+    count = 2**16  # more would find that Beckmann's G1 is a fit
+    bsdf = load({"type": "roughplastic", "alpha": 0.6, **keys})
+    si = interaction(np.array(wi, np.float32)[:, None] / np.linalg.norm(wi))
+    sample1, x, y = uniform(count, 3, seed=2)
+    bs, weight = bsdf.sample(BSDFContext(), si, sample1, Point2f(x, y))
+    p, integral = p_value(SPHERE, bs.wo, bs.pdf > 0, lambda wo: bsdf.pdf(BSDFContext(), si, wo), fine=32)
+    assert p > SIGNIFICANCE
+    assert integral <= 1 + 5e-3
+    albedo = np.array(weight)[0].mean()
+    assert albedo <= 1
+    value = p_value(SPHERE, Vector3f(0, 0, 1), True, lambda wo: bsdf.eval(BSDFContext(), si, wo)[0], fine=32)[1]
+    assert value == pytest.approx(albedo, abs=1e-2)
 
 
 def test_nothing_is_lost_in_a_rough_mirror_seen_from_above() -> None:

@@ -50,6 +50,12 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "blendbsdf": [{"first": DIFFUSE, "second": {"type": "phong", "exponent": 5.0}, "weight": 0.3}],
     "phong": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 60.0, "diffuse_reflectance": 0.1}],
     "blinn": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 40.0, "diffuse_reflectance": 0.1}],
+    # The narrow lobes of smoother surfaces fall through the grids of these tests.
+    "plastic": [{}, {"nonlinear": True, "int_ior": 1.9, "diffuse_reflectance": 1.0}],
+    "roughconductor": [{"alpha": 0.6, "distribution": "ggx"}, {"alpha_u": 0.7, "alpha_v": 0.5, "material": "Au"},
+                       {"alpha": 0.6, "sample_visible": False}],
+    "roughdielectric": [{"alpha": 0.5, "distribution": "ggx"}, {"alpha_u": 0.7, "alpha_v": 0.5}],
+    "roughplastic": [],  # has a table, which only kernels see: tests/test_rough_materials.py
     "constant": [{}, {"radiance": 3.0}],
     "point": [{"position": [0.3, 0.2, 2.0], "intensity": 5.0}],
     "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
