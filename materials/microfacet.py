@@ -185,7 +185,7 @@ def _visible_beckmann(cos: Float, sample: Point2f) -> Vector3f:
     for _ in range(3):
         slope = dr.erfinv(_clamp(x, -BELOW_ONE, BELOW_ONE))
         value = 1 + x + tan_pi * dr.exp(-dr.square(slope)) - target
-        x = x - value / (1 - slope * tan)
+        x = x - value * dr.rcp(1 - slope * tan)
     v = _clamp(sample.y, 1e-6, 1 - 1e-6)
     slopes = dr.erfinv(Vector2f(_clamp(x, -BELOW_ONE, BELOW_ONE), dr.fma(2, v, -1)))
     return Vector3f(-slopes.x, -slopes.y, 1)

@@ -69,12 +69,6 @@ class Plastic(BSDF):
     ) -> tuple[BSDFSample3f, Color3f]:
         return _Vertex(self, si, active).sample(sample1, sample2)
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return _Vertex(self, si, active).eval_pdf(wo)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return _Vertex(self, si, active).eval_pdf(wo)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:

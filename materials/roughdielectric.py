@@ -28,7 +28,7 @@ class RoughDielectric(BSDF):
     of the far side relative to the near one:
 
         f_r = F D G / (4 abs(cos theta_i cos theta_o)),                       m along wi + wo,
-        f_t = (1 - F) D G i o / (abs(cos theta_i cos theta_o) |h|^2),         m along h = wi + eta wo.
+        f_t = (1 - F) D G i o / (abs(cos theta_i cos theta_o) dot(h, h)),     m along h = wi + eta wo.
 
     f_t is for radiance, which is denser by eta^2 behind the interface; importance gets eta^2 f_t. (B. Walter, S.
     Marschner, H. Li, K. Torrance, "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, equations 20
@@ -92,12 +92,6 @@ class RoughDielectric(BSDF):
     ) -> tuple[BSDFSample3f, Color3f]:
         return _Vertex(self, ctx, si, active).sample(sample1, sample2)
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return _Vertex(self, ctx, si, active).eval_pdf(wo)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return _Vertex(self, ctx, si, active).eval_pdf(wo)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
@@ -149,7 +143,7 @@ class _Vertex:
 
         d = self.surface.eval(m)
         f = fresnel(cos_i, self.eta)[0]
-        # |h| = abs(cos_i + eta_it cos_o) turns densities of h into densities of wo.
+        # The length of h, abs(cos_i + eta_it cos_o), turns densities of h into densities of wo.
         passed = dr.abs(cos_o) * inv_h2
         passed_pdf = passed * dr.square(self.eta_it)
         value = d * self.g1_i * self.surface.smith_g1_over_cos(wo) * dr.abs(wo.z)
