@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import drjit as dr
@@ -333,3 +334,18 @@ def test_transforms_of_a_sensor_may_not_scale() -> None:
     description["sensor"]["to_world"] = T().scale(2.0)
     with pytest.raises(SceneError, match=r"sensor.*to_world"):
         djpt.load_dict(description)
+
+
+@pytest.mark.parametrize("bsdf", ["conductor", "dielectric", "null"])
+def test_materials_that_light_sampling_alone_cannot_show(bsdf: str) -> None:
+    """One warning that names them; none where the integrator samples BSDFs, or where they aren't."""
+    lights_only = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
+    shiny = box(8, "box", lights_only)
+    shiny["small-box"]["bsdf"] = {"type": bsdf, "id": "shiny"}
+    with pytest.warns(UserWarning, match="shiny") as caught:
+        djpt.render(djpt.load_dict(shiny), spp=1)
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        djpt.render(djpt.load_dict({**shiny, "integrator": {"type": "direct"}}), spp=1)
+        djpt.render(djpt.load_dict(box(8, "box", lights_only)), spp=1)
