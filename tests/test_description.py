@@ -91,6 +91,8 @@ def test_any_plugin_can_be_the_root(kind: str) -> None:
         required = {
             "twosided": {"b": {"type": "diffuse"}},
             "mask": {"b": {"type": "diffuse"}},
+            "bumpmap": {"b": {"type": "diffuse"}, "t": {"type": "checkerboard"}},
+            "normalmap": {"b": {"type": "diffuse"}, "normalmap": 0.5},
             "blendbsdf": {"b": {"type": "diffuse"}, "c": {"type": "diffuse"}},
             "aov": {"aovs": "d:depth"},
             "implicit": {"function": lambda p: p.z},

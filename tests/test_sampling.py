@@ -47,6 +47,9 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "diffuse": [{}, {"reflectance": 1.0}, DIFFUSE],
     "twosided": [{"inner": DIFFUSE}, {"front": DIFFUSE, "back": {"type": "diffuse", "reflectance": 0.2}}],
     "mask": [{"nested": DIFFUSE, "opacity": 0.7}],
+    # Tilted normals aren't reciprocal: see tests/test_bump_normal.py.
+    "bumpmap": [{"inner": DIFFUSE, "heights": {"type": "checkerboard"}}],
+    "normalmap": [{"inner": DIFFUSE, "normalmap": {"type": "rgb", "value": [0.5, 0.5, 1.0]}}],
     "blendbsdf": [{"first": DIFFUSE, "second": {"type": "phong", "exponent": 5.0}, "weight": 0.3}],
     "phong": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 60.0, "diffuse_reflectance": 0.1}],
     "blinn": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 40.0, "diffuse_reflectance": 0.1}],
