@@ -333,6 +333,37 @@ def test_derivative_of_the_mirror() -> None:
     np.testing.assert_allclose(change, (mirror(1.51) - mirror(1.49)) / 0.02, rtol=2e-3, atol=1e-4)
 
 
+SPECIAL = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.6, 0, 0.8), (-0.6, 0, 0.8), (0.6, 0, -0.8)])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_special_directions_give_numbers(name: str) -> None:
+    """Straight down, along the surface, straight through, straight back: values and derivatives are finite."""
+    bsdf = djpt.load_dict(CASES[name])
+    params = djpt.traverse(bsdf)
+    for key in params:
+        x = type(params[key])(params[key])
+        dr.enable_grad(x)
+        params[key] = x
+    params.update()
+    n = len(SPECIAL)
+    i, o, corner = (index.ravel() for index in np.indices((n, n, 3)))
+    wi, wo = np.ascontiguousarray(SPECIAL[i].T), np.ascontiguousarray(SPECIAL[o].T)
+    sample = Float(np.float32([0, 0.5, 1 - 2**-24])[corner])
+    value, pdf, bs, weight = in_kernel(bsdf).eval_pdf_sample(
+        BSDFContext(), interaction(wi), Vector3f(wo), sample, Point2f(sample, 1 - sample)
+    )
+    for array in (value, pdf, bs.wo, bs.pdf, bs.eta, weight):
+        assert np.isfinite(np.array(dr.detach(array))).all()
+    assert (np.array(dr.detach(value)) >= 0).all()
+    assert (np.array(dr.detach(pdf)) >= 0).all()
+    # Of weights, only those of mirrors are differentiated.
+    mirrors = has_flag(bs.sampled_type, BSDFFlags.Delta)
+    dr.backward(dr.sum(value + dr.select(mirrors, weight, 0), axis=None))
+    for key in params:
+        assert np.isfinite(np.array(dr.grad(params[key]))).all(), key
+
+
 @pytest.mark.parametrize(
     ("bsdf", "key", "value", "h"),
     [
