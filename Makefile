@@ -6,11 +6,12 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.djpt-ready
 
-.PHONY: help setup render test lint format check bench docs clean
+.PHONY: help setup render gallery test lint format check bench docs clean
 
 help:
 	@echo 'make setup    create $(VENV), install djpt and what its tests need, see to LLVM'
 	@echo 'make render   render the Cornell box to cornell_box.png'
+	@echo 'make gallery  render a ball of each material to gallery.png'
 	@echo 'make test     run the tests (without the slow ones)'
 	@echo 'make lint     ruff and mypy'
 	@echo 'make format   let ruff format the code and sort the imports'
@@ -30,6 +31,9 @@ $(READY): pyproject.toml
 
 render: $(READY)
 	$(PY) -m djpt render cornell_box -o cornell_box.png --spp 256
+
+gallery: $(READY)
+	$(PY) -m djpt gallery -o gallery.png
 
 test: $(READY)
 	$(PY) -m pytest -q

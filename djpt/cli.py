@@ -1,4 +1,4 @@
-"""The command line: ``djpt render``, ``compare``, ``info``, ``scenes``, ``doctor``.
+"""The command line: ``djpt render``, ``compare``, ``info``, ``scenes``, ``gallery``, ``doctor``.
 
 Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
 it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
@@ -195,6 +195,36 @@ def scenes() -> None:
         for name in sorted(SCENES):
             summary = (SCENES[name].__doc__ or "").strip().splitlines()
             print(f"{name:<{width}}  {summary[0] if summary else ''}".rstrip())
+
+
+@app.command()
+def gallery(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]..", help="Panels; wrong names are answered with all of them.")
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="png or jpg.")] = Path("gallery.png"),
+    spp: Annotated[int, typer.Option(help="Samples per pixel.")] = 512,
+    size: Annotated[int, typer.Option(help="Width and height of a panel in pixels.")] = 200,
+    seed: Seed = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Render a ball of each material, side by side."""
+    with _readable_errors():
+        from djpt.image import check_writable
+        from djpt.image_formats import DISPLAY_FORMATS
+        from djpt.scenes.gallery import panels, sheet
+
+        _require_positive(spp=spp, size=size)
+        check_writable(output)
+        if output.suffix.lower() not in DISPLAY_FORMATS:
+            raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
+        count = len(panels(names or ()))
+        start = time.perf_counter()
+        with _progress_bar("rendering", "samples", quiet) as progress:
+            djpt.write(output, sheet(names or (), size, spp, seed, progress=progress))
+        if not quiet:
+            seconds = time.perf_counter() - start
+            print(f"{output}: {count} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")
 
 
 @app.command()

@@ -1,0 +1,371 @@
+"""A gallery of materials: the same ball with each of them, and the sheet of all pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import SceneError, near_miss
+from djpt.transforms import ScalarTransform4f as T
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont, ImageFont
+
+__all__ = ["GLASS", "MATERIALS", "PANELS", "Panel", "panels", "shader_ball", "sheet"]
+
+Progress = Callable[[int, int], None]
+
+
+def shader_ball(bsdf: dict[str, Any] | None = None, size: int = 256) -> dict[str, Any]:
+    """A ball in a ring on a chequered floor, under a softbox and a faint sky: a place to look at materials.
+
+    The ball has the radius 1 and its poles above and below. `bsdf` (default: rough gold) is listed as `ball.bsdf`;
+    the picture has `size` x `size` pixels, 256 samples each, and paths have up to 12 edges.
+    """
+    checks = {"type": "checkerboard", "color0": 0.42, "color1": 0.2, "to_uv": T().scale([40, 40, 1])}
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 12},
+        "sensor": {
+            "type": "perspective",
+            "fov": 26,
+            "to_world": T().look_at(origin=[0, -6, 2.9], target=[0, 0, 0.92], up=[0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "gaussian"}},
+            "sampler": {"type": "independent", "sample_count": 256},
+        },
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.40, 0.41, 0.43]}},
+        "softbox": softbox([-4.0, -3.0, 4.6], [2.0, 2.0, 1], 7.0),
+        "strip": softbox([5.0, -0.5, 2.6], [0.5, 2.4, 1], 3.5),
+        "floor": {
+            "type": "rectangle",
+            "to_world": T().rotate([0, 0, 1], 45).scale(40),
+            "bsdf": {"type": "diffuse", "reflectance": checks},
+        },
+        "stand": {
+            "type": "cylinder",
+            "p1": [0, 0, 0.25],
+            "radius": 0.6,
+            "bsdf": {"type": "twosided", "inner": {"type": "diffuse", "reflectance": 0.1}},
+        },
+        # Its distance to the rim of the ring is the radius.
+        "ball": {
+            "type": "sphere",
+            "center": [0, 0, 0.25 + 0.8],
+            "bsdf": bsdf or {"type": "roughconductor", "material": "Au", "alpha": 0.2},
+        },
+    }
+
+
+def softbox(place: Sequence[float], half: Sequence[float], radiance: float) -> dict[str, Any]:
+    """A rectangular lamp that shines onto the ball."""
+    return {
+        "type": "rectangle",
+        "to_world": T().look_at(origin=place, target=[0, 0, 1], up=[0, 0, 1]).scale(half),
+        "bsdf": {"type": "diffuse", "reflectance": 0.0},
+        "emitter": {"type": "area", "radiance": radiance},
+    }
+
+
+# ---- images that some materials need -----------------------------------------------------
+
+
+def dots(rows: int, columns: int, radius: float) -> NDArray[np.float32]:
+    """Round domes, (256, 512) in [0, 1]: 1 in their middles, 0 between; every other row of them is shifted."""
+    v, u = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(512) + 0.5) / 512, indexing="ij")
+    row = np.floor(v * rows)
+    # On a sphere, what lies near a pole is narrow.
+    x = ((u * columns + 0.5 * (row % 2)) % 1 - 0.5) * np.sin(np.pi * v) * 2 * rows / columns
+    y = v * rows - row - 0.5
+    return np.asarray(np.maximum(1 - (x**2 + y**2) / radius**2, 0), np.float32)
+
+
+def normals_of(height: NDArray[np.float32], depth: float) -> NDArray[np.float32]:
+    """The normal map (H, W, 3) of a height field that repeats."""
+    slope_v, slope_u = (np.roll(height, 1, axis) - np.roll(height, -1, axis) for axis in (0, 1))
+    normal = np.stack([depth * slope_u, depth * slope_v, np.ones_like(height)], axis=-1)
+    unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.asarray(0.5 + 0.5 * unit, np.float32)
+
+
+def bitmap(data: NDArray[np.float32]) -> dict[str, Any]:
+    """Numbers as a texture."""
+    return {"type": "bitmap", "data": data, "raw": True}
+
+
+def squares(u: float, v: float, color0: Any = 1.0, color1: Any = 0.0) -> dict[str, Any]:
+    """A pattern of `u` by `v` pairs of squares."""
+    return {"type": "checkerboard", "color0": color0, "color1": color1, "to_uv": T().scale([u, v, 1])}
+
+
+def rgb(*value: float) -> dict[str, Any]:
+    """A colour."""
+    return {"type": "rgb", "value": list(value)}
+
+
+# ---- the panels ----------------------------------------------------------------------------
+
+CLAY, TEAL, PLUM, LEAF = rgb(0.62, 0.25, 0.16), rgb(0.06, 0.34, 0.40), rgb(0.32, 0.08, 0.30), rgb(0.25, 0.5, 0.1)
+OCHRE, NAVY, WHITE = rgb(0.75, 0.45, 0.1), rgb(0.03, 0.07, 0.25), rgb(0.8, 0.8, 0.78)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of the sheet."""
+
+    title: str
+    """The plugin's name."""
+    subtitle: str
+    """What sets it apart from the plugin's other panels."""
+    bsdf: Callable[[], dict[str, Any]]
+
+    def scene(self, size: int) -> dict[str, Any]:
+        """The description of the panel's scene."""
+        return shader_ball(self.bsdf(), size)
+
+
+MATERIALS: dict[str, Panel] = {
+    "diffuse": Panel("diffuse", "reflectance", lambda: {"type": "diffuse", "reflectance": CLAY}),
+    "checkerboard": Panel(
+        "diffuse", "a checkerboard", lambda: {"type": "diffuse", "reflectance": squares(8, 4, WHITE, TEAL)}
+    ),
+    "twosided": Panel(
+        "twosided",
+        "in a mask: two sides",
+        lambda: {
+            "type": "mask",
+            "opacity": squares(4, 3),
+            "inner": {
+                "type": "twosided",
+                "front": {"type": "plastic", "diffuse_reflectance": TEAL},
+                "back": {"type": "diffuse", "reflectance": OCHRE},
+            },
+        },
+    ),
+    "mask": Panel(
+        "mask",
+        "opacity: a bitmap",
+        lambda: {
+            "type": "mask",
+            "opacity": bitmap(1 - np.sign(dots(9, 12, 0.38))),
+            "inner": {"type": "twosided", "inner": {"type": "roughconductor", "material": "Cu", "alpha": 0.25}},
+        },
+    ),
+    "null": Panel("null", "no surface", lambda: {"type": "null"}),
+    "phong": Panel(
+        "phong",
+        "exponent 60",
+        lambda: {"type": "phong", "diffuse_reflectance": NAVY, "specular_reflectance": 0.6, "exponent": 60.0},
+    ),
+    "blinn": Panel(
+        "blinn",
+        "exponent 60",
+        lambda: {"type": "blinn", "diffuse_reflectance": NAVY, "specular_reflectance": 0.6, "exponent": 60.0},
+    ),
+    "plastic": Panel("plastic", "smooth coat", lambda: {"type": "plastic", "diffuse_reflectance": PLUM}),
+    "roughplastic": Panel(
+        "roughplastic", "alpha 0.15", lambda: {"type": "roughplastic", "diffuse_reflectance": PLUM, "alpha": 0.15}
+    ),
+    "blendbsdf": Panel(
+        "blendbsdf",
+        "plaster and gold",
+        lambda: {
+            "type": "blendbsdf",
+            "weight": squares(6, 3),
+            "first": {"type": "diffuse", "reflectance": WHITE},
+            "second": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
+        },
+    ),
+    "bumpmap": Panel(
+        "bumpmap",
+        "heights",
+        lambda: {
+            "type": "bumpmap",
+            "heights": bitmap(dots(9, 12, 0.45)),
+            "scale": 0.08,
+            "inner": {"type": "roughplastic", "diffuse_reflectance": LEAF, "alpha": 0.1},
+        },
+    ),
+    "normalmap": Panel(
+        "normalmap",
+        "an image of normals",
+        lambda: {
+            "type": "normalmap",
+            "normalmap": bitmap(normals_of(-dots(14, 24, 0.46), 3.0)),
+            "inner": {"type": "roughconductor", "material": "Ag", "alpha": 0.15},
+        },
+    ),
+    "mirror": Panel("mirror", "reflectance 0.9", lambda: {"type": "mirror", "reflectance": 0.9}),
+    "conductor": Panel("conductor", "gold", lambda: {"type": "conductor", "material": "Au"}),
+    "roughconductor": Panel(
+        "roughconductor",
+        "copper, alpha 0.2",
+        lambda: {"type": "roughconductor", "material": "Cu", "alpha": 0.2, "distribution": "ggx"},
+    ),
+    "anisotropic": Panel(
+        "roughconductor",
+        "silver, 0.05 x 0.4",
+        lambda: {"type": "roughconductor", "material": "Ag", "alpha_u": 0.05, "alpha_v": 0.4, "distribution": "ggx"},
+    ),
+    "dielectric": Panel("dielectric", "diamond", lambda: {"type": "dielectric", "int_ior": "diamond"}),
+    "thindielectric": Panel("thindielectric", "a bubble", lambda: {"type": "thindielectric"}),
+    "roughdielectric": Panel(
+        "roughdielectric",
+        "alpha 0.15",
+        lambda: {"type": "roughdielectric", "int_ior": 1.5, "alpha": 0.15, "distribution": "ggx"},
+    ),
+    "principled": Panel(
+        "principled",
+        "clearcoat on paint",
+        lambda: {
+            "type": "principled",
+            "base_color": rgb(0.55, 0.03, 0.03),
+            "roughness": 0.45,
+            "metallic": 0.3,
+            "clearcoat": 1.0,
+            "clearcoat_gloss": 0.95,
+        },
+    ),
+    "metallic": Panel(
+        "principled",
+        "metallic, anisotropic",
+        lambda: {
+            "type": "principled",
+            "base_color": rgb(0.85, 0.6, 0.45),
+            "metallic": 1.0,
+            "roughness": 0.35,
+            "anisotropic": 0.8,
+        },
+    ),
+    "sheen": Panel(
+        "principled",
+        "sheen: cloth",
+        lambda: {
+            "type": "principled",
+            "base_color": rgb(0.05, 0.02, 0.14),
+            "roughness": 1.0,
+            "sheen": 1.0,
+            "sheen_tint": 0.4,
+        },
+    ),
+    "spec_trans": Panel(
+        "principled",
+        "spec_trans 1",
+        lambda: {
+            "type": "principled",
+            "base_color": rgb(0.75, 0.95, 0.85),
+            "roughness": 0.12,
+            "spec_trans": 1.0,
+            "eta": 1.4,
+        },
+    ),
+    "principledthin": Panel(
+        "principledthin",
+        "paper: diff_trans 1.2",
+        lambda: {"type": "principledthin", "base_color": rgb(0.9, 0.75, 0.5), "roughness": 0.6, "diff_trans": 1.2},
+    ),
+}
+"""Every material at least once."""
+
+
+def glass(**parameters: Any) -> Callable[[], dict[str, Any]]:
+    """Glass in air, both of exact indices."""
+    return lambda: {"type": "glass", "ext_ior": 1.0, "int_ior": 1.5, **parameters}
+
+
+GLASS: dict[str, Panel] = {
+    "glass-reflection": Panel("glass", "reflection only", glass(transmission=False)),
+    "glass-refraction-1": Panel("glass", "refraction only, IOR 1", glass(reflection=False, int_ior=1.0)),
+    "glass-refraction": Panel("glass", "refraction only, IOR 1.5", glass(reflection=False)),
+    "glass-1": Panel("glass", "IOR 1", glass(int_ior=1.0)),
+    "glass": Panel("glass", "IOR 1.5", glass()),
+    "glass-absorption": Panel("glass", "with absorption", glass(absorption=rgb(0.9, 0.25, 0.12))),
+}
+"""The two lobes of glass, one by one and together; without and with a bend; coloured."""
+
+PANELS = {**MATERIALS, **GLASS}
+"""All panels by the names that ``djpt gallery`` takes."""
+
+
+# ---- the sheet -------------------------------------------------------------------------------
+
+PAPER, INK, GREY = (250, 250, 248), (28, 28, 30), (110, 110, 114)
+
+
+def panels(names: Sequence[str] = ()) -> list[Panel]:
+    """The panels of these names; all of them for none."""
+    for name in names:
+        if name not in PANELS:
+            raise SceneError(f"the gallery has no panel '{name}'{near_miss(name, PANELS)}")
+    return [PANELS[name] for name in names or PANELS]
+
+
+def sheet(
+    names: Sequence[str] = (),
+    size: int = 200,
+    spp: int = 512,
+    seed: int = 0,
+    columns: int = 6,
+    progress: Progress | None = None,
+) -> NDArray[np.uint8]:
+    """Render panels and put them side by side, with labels: (H, W, 3) bytes of sRGB.
+
+    Args:
+        names: Keys of `PANELS`; none: all.
+        size: Width and height of a panel in pixels.
+        spp: Samples per pixel.
+        seed: Of all panels.
+        columns: Panels in a row.
+        progress: Called with (samples done, samples in all).
+
+    Raises:
+        SceneError: There is no panel of that name.
+    """
+    from PIL import Image, ImageDraw
+
+    chosen = panels(names)
+    columns = min(columns, len(chosen))
+    gap, text = max(2, size // 20), max(6, size // 14)
+    caption = round(2.9 * text)
+    rows = -(-len(chosen) // columns)
+    page = Image.new("RGB", (columns * (size + gap) + gap, rows * (size + caption + gap) + gap), PAPER)
+    draw = ImageDraw.Draw(page)
+    for i, panel in enumerate(chosen):
+        x, y = gap + i % columns * (size + gap), gap + i // columns * (size + caption + gap)
+        picture = render_panel(panel, size, spp, seed, i, len(chosen), progress)
+        page.paste(Image.fromarray(picture), (x, y))
+        for line, color, height, down in ((panel.title, INK, text + 1, 0.25), (panel.subtitle, GREY, text, 1.5)):
+            font = fitting_font(line, height, size)
+            draw.text((x + size / 2, y + size + down * text), line, color, font, anchor="mt")
+    return np.array(page)
+
+
+def render_panel(
+    panel: Panel, size: int, spp: int, seed: int, number: int, count: int, progress: Progress | None
+) -> NDArray[np.uint8]:
+    """One picture as bytes of sRGB."""
+    from djpt.description.loader import load_dict
+    from djpt.image import Image
+    from djpt.rendering import render
+
+    each = size * size * spp
+
+    def show(done: int, total: int) -> None:
+        if progress is not None:
+            progress(number * each + each * done // total, count * each)
+
+    return Image(render(load_dict(panel.scene(size)), spp=spp, seed=seed, progress=show)).srgb()
+
+
+def fitting_font(line: str, height: int, width: int) -> ImageFont | FreeTypeFont:
+    """Pillow's own font, as high as `height` pixels if the line fits into `width`, otherwise smaller."""
+    from PIL import ImageFont as fonts
+
+    for points in range(height, 5, -1):
+        font = fonts.load_default(points)
+        if font.getlength(line) <= width:
+            break
+    return font
