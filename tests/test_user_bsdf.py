@@ -465,3 +465,16 @@ def test_errors() -> None:
         djpt.load_dict({"type": "gloss", "tint": [1, 1, 1], "tnit": 3})
     with pytest.raises(djpt.RenderError, match="all their lobes"):
         djpt.BSDFContext(djpt.TransportMode.Radiance, 2, 0)
+
+
+def test_flags_and_records_are_mitsubas() -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    assert {flag.name: int(flag) for flag in mi.BSDFFlags if flag.name in djpt.BSDFFlags.__members__} == {
+        name: int(flag) for name, flag in djpt.BSDFFlags.__members__.items()
+    }
+    for record in (djpt.BSDFSample3f(), djpt.BSDFSample3f(djpt.Vector3f(0, 0, 1))):
+        assert (record.pdf[0], record.eta[0], record.sampled_type[0]) == (0, 1, 0)
+    for context in (djpt.BSDFContext(), djpt.BSDFContext(djpt.TransportMode.Importance, 0x1FF, 0xFFFFFFFF)):
+        assert context.is_enabled(djpt.BSDFFlags.Null, 3)
+    assert djpt.BSDFContext().mode == djpt.TransportMode.Radiance
