@@ -353,6 +353,7 @@ def test_special_directions_give_numbers(name: str) -> None:
     value, pdf, bs, weight = in_kernel(bsdf).eval_pdf_sample(
         BSDFContext(), interaction(wi), Vector3f(wo), sample, Point2f(sample, 1 - sample)
     )
+    dr.eval(value, pdf, bs, weight)
     for array in (value, pdf, bs.wo, bs.pdf, bs.eta, weight):
         assert np.isfinite(np.array(dr.detach(array))).all()
     assert (np.array(dr.detach(value)) >= 0).all()
@@ -360,6 +361,7 @@ def test_special_directions_give_numbers(name: str) -> None:
     # Of weights, only those of mirrors are differentiated.
     mirrors = has_flag(bs.sampled_type, BSDFFlags.Delta)
     dr.backward(dr.sum(value + dr.select(mirrors, weight, 0), axis=None))
+    dr.eval([dr.grad(params[key]) for key in params])
     for key in params:
         assert np.isfinite(np.array(dr.grad(params[key]))).all(), key
 
