@@ -192,6 +192,11 @@ class Group(Generic[P]):
         return representative(self.plugins[0], self._tree, slot, lookup)
 
 
+def is_attached(group: Group[Any], lookup: Lookup) -> bool:
+    """Do the group's methods compute with AD leaves?"""
+    return any(lookup.attaches(leaf) for leaf in group.leaves())
+
+
 # These two are functions of the module because recursive closures are reference cycles: they would
 # keep `slot`, and with it whole graphs of Dr.Jit variables, alive until the garbage collector runs.
 
@@ -273,8 +278,12 @@ class Ensemble(Generic[P]):
         given: they are then branches, which a packet of lanes skips if none of its active lanes needs them.
         `method` must return a PyTree of the type of `otherwise`.
         """
+        groups = self.groups
+        if active is not None:
+            # Attached results must not pass through the branches of other groups: those come first.
+            groups = sorted(groups, key=lambda group: is_attached(group, lookup))
         result = otherwise
-        for number, group in enumerate(self.groups):
+        for number, group in enumerate(groups):
 
             def evaluate(group: Group[P] = group) -> Any:
                 return method(group.at(self.slots(group, index), lookup))
@@ -284,7 +293,7 @@ class Ensemble(Generic[P]):
                 continue
             mine = self.members(group, index)
             # The leaves of a branch couldn't be differentiated from outside of it.
-            if active is None or any(lookup.attaches(leaf) for leaf in group.leaves()):
+            if active is None or is_attached(group, lookup):
                 result = dr.select(mine, evaluate(), result)
             else:
                 (result,) = dr.if_stmt(

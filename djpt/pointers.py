@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.dispatch import Detached
 from djpt.lookup import choose
 from djpt.records import (
     BSDFContext,
@@ -53,7 +54,7 @@ class BSDFPtr:
         def method(bsdf: BSDF) -> tuple[BSDFSample3f, Color3f]:
             bs, weight = bsdf.sample(ctx, si, sample1, sample2, active)
             bs = dr.detach(bs)
-            return bs, reattached(bsdf, ctx, si, bs, weight, active)
+            return bs, self._reattached(bsdf, ctx, si, bs, weight, active)
 
         bs, weight = self._call(method)
         return bs, dr.select(active, weight, 0)
@@ -90,7 +91,7 @@ class BSDFPtr:
         def method(bsdf: BSDF) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
             value, pdf, bs, weight = bsdf.eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
             bs = dr.detach(bs)
-            return value, dr.detach(pdf), bs, reattached(bsdf, ctx, si, bs, weight, active)
+            return value, dr.detach(pdf), bs, self._reattached(bsdf, ctx, si, bs, weight, active)
 
         return self._call(method, Bool(active))
 
@@ -107,23 +108,29 @@ class BSDFPtr:
         # Every surface has a BSDF, so no value is needed for "none".
         return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None, active)
 
+    def _reattached(
+        self,
+        bsdf: BSDF,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        bs: BSDFSample3f,
+        weight: Color3f,
+        active: Bool | bool,
+    ) -> Color3f:
+        """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
 
-def reattached(
-    bsdf: BSDF, ctx: BSDFContext, si: SurfaceInteraction3f, bs: BSDFSample3f, weight: Color3f, active: Bool | bool
-) -> Color3f:
-    """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
-
-    What `sample` computes may have cancelled terms of value and density, and differentiates as if the
-    direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
-    """
-    if not dr.grad_enabled(weight):
-        return weight
-    fixed = dr.detach(weight)
-    value = bsdf.eval(ctx, si, bs.wo, active)
-    plain = dr.detach(value)
-    smooth = fixed * value * dr.select(plain != 0, dr.rcp(plain), 0)
-    change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, dr.select(plain != 0, smooth, fixed))
-    return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
+        What `sample` computes may have cancelled terms of value and density, and differentiates as if the
+        direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
+        """
+        if isinstance(self._scene.lookup, Detached):
+            return weight
+        value = bsdf.eval(ctx, si, bs.wo, active)
+        if not dr.grad_enabled(weight, value):
+            return weight
+        fixed, plain = dr.detach(weight), dr.detach(value)
+        smooth = dr.select(plain != 0, fixed * value * dr.rcp(plain), fixed)
+        change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, smooth)
+        return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
 
 
 class EmitterPtr:

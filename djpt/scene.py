@@ -130,6 +130,8 @@ class Scene(Plugin):
         # A lobe that was 0 and isn't any more is new code.
         if not self.bsdfs.is_current():
             self._use_bsdfs(self.bsdfs.plugins)
+        if not self.lights.is_current():
+            self.lights = Ensemble(self._emitters)
         shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
         if shapes:
             self.geometry.move(shapes)

@@ -109,9 +109,8 @@ class BSDF(Plugin):
         return Color3f(1)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The albedo shown by the `aov` integrator: by default pi f at normal incidence and exitance."""
-        up = SurfaceInteraction3f(**{**vars(si), "wi": Vector3f(0, 0, 1)})
-        return self.eval(BSDFContext(), up, Vector3f(0, 0, 1), active) * math.pi
+        """The albedo shown by the `aov` integrator: by default pi f from `wi` to the normal, as in Mitsuba."""
+        return self.eval(BSDFContext(), si, Vector3f(0, 0, 1), active) * math.pi
 
 
 # ---- what scripts return: Python's numbers will do --------------------------------------
