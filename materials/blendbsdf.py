@@ -9,7 +9,8 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.materials.base import BSDF
-from djpt.materials.mask import chosen, rescaled, unit_interval
+from djpt.materials.delta import derivative_of_choice
+from djpt.materials.mask import rescaled, unit_interval
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
@@ -67,7 +68,7 @@ class BlendBSDF(BSDF):
         is_second = (sample1 <= weight) & (weight > 0)
         bs, value = dr.select(is_second, second, first)
         share = dr.select(is_second, weight, 1 - weight)
-        pdf, ratio = share * bs.pdf, value * chosen(share)
+        pdf, ratio = share * bs.pdf, value * derivative_of_choice(share)
         if has_flag(self.flags(), BSDFFlags.Smooth):
             # The other BSDF would have found this direction, too.
             of_first, of_second = (bsdf.eval_pdf(ctx, si, bs.wo, active) for bsdf in (self.bsdf_0, self.bsdf_1))

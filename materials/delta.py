@@ -24,9 +24,10 @@ class DeltaBSDF(BSDF):
 def derivative_of_choice(probability: Float) -> Float:
     """The number 1 with the derivative of `probability` / detach(`probability`).
 
-    It belongs into the weight of a lobe that was chosen with this probability (> 0) because it carries this share of
+    It belongs into the weight of a lobe that was chosen with this probability because it carries this share of
     the light: choices aren't differentiated, the share must be.
     """
     if not dr.grad_enabled(probability):
         return Float(1)
-    return probability * dr.rcp(dr.detach(probability))
+    share = probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
+    return dr.replace_grad(Float(1), share)  # type: ignore[func-returns-value, return-value]

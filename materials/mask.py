@@ -10,11 +10,12 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.materials.base import BSDF
+from djpt.materials.delta import derivative_of_choice
 from djpt.minmax import minimum
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
-__all__ = ["Mask", "chosen", "rescaled", "unit_interval"]
+__all__ = ["Mask", "rescaled", "unit_interval"]
 
 ALMOST_ONE = 1 - 2.0**-24
 """The largest float below 1."""
@@ -56,7 +57,7 @@ class Mask(BSDF):
         last = (self.nested_bsdf.flags() & int(BSDFFlags.All)).bit_count()
         null = BSDFSample3f(-si.wi, 1 - opacity, Float(1), UInt32(int(BSDFFlags.Null)), UInt32(last))
         bs: BSDFSample3f = dr.select(hit, dataclasses.replace(nested, pdf=nested.pdf * opacity), null)
-        return bs, dr.select(hit, weight * chosen(opacity), chosen(1 - opacity))
+        return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
 
     def sample(
         self,
@@ -119,12 +120,3 @@ def unit_interval(x: Float) -> Float:
 def rescaled(sample: Float, probability: Float) -> Float:
     """The part of a uniform random number that is left after it was found to lie below `probability`."""
     return minimum(sample * dr.rcp(dr.select(probability > 0, probability, 1)), Float(ALMOST_ONE))
-
-
-def chosen(probability: Float) -> Float:
-    """1, the weight of what was chosen in proportion to its share, with the derivative of that share."""
-    if not dr.grad_enabled(probability):
-        return Float(1)
-    share = probability * dr.rcp(dr.select(probability > 0, dr.detach(probability), 1))
-    weight: Any = dr.replace_grad(Float(1), share)  # type: ignore[func-returns-value]
-    return weight
