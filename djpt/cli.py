@@ -218,13 +218,13 @@ def gallery(
         check_writable(output)
         if output.suffix.lower() not in DISPLAY_FORMATS:
             raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
-        count = len(panels(names or ()))
+        chosen = panels(names or ())
         start = time.perf_counter()
         with _progress_bar("rendering", "samples", quiet) as progress:
-            djpt.write(output, sheet(names or (), size, spp, seed, progress=progress))
+            djpt.write(output, sheet(chosen, size, spp, seed, progress=progress))
         if not quiet:
             seconds = time.perf_counter() - start
-            print(f"{output}: {count} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")
+            print(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")
 
 
 @app.command()

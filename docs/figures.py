@@ -6,6 +6,7 @@ import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
 import runpy
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -13,6 +14,7 @@ from unittest.mock import patch
 import numpy as np
 
 from djpt import ScalarTransform4f as T
+from djpt.scenes.gallery import GLASS, MATERIALS, Panel, sheet
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -80,7 +82,73 @@ def shapes() -> None:
     djpt.write(IMAGES / "shapes.png", djpt.render(djpt.load_dict(scene), spp=512))
 
 
-FIGURES: dict[str, Callable[[], None]] = {f.__name__: f for f in (cornell_box, spheres, albedo, shapes)}
+def materials() -> None:
+    """What `djpt gallery` makes, without the glass that has a figure of its own."""
+    djpt.write(IMAGES / "materials.png", sheet(list(MATERIALS.values()), size=200, spp=1024))
+
+
+def glass() -> None:
+    """Reflection and refraction, each alone and together, without and with a bend; coloured glass."""
+    djpt.write(IMAGES / "glass.png", sheet(list(GLASS.values()), size=280, spp=2048, columns=3))
+
+
+class MeshPanel(Panel):
+    """A panel whose ball is a mesh that carries the colours of the rainbow at its vertices."""
+
+    def scene(self, size: int) -> dict[str, Any]:
+        """The scene with another ball."""
+        rows, columns = 24, 48
+        v, u = np.meshgrid(np.linspace(0, np.pi, rows + 1), 2 * np.pi * np.arange(columns) / columns, indexing="ij")
+        p = np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)], axis=-1).reshape(-1, 3)
+        first = (np.arange(rows)[:, None] * columns + np.arange(columns)).ravel()
+        right = (np.arange(rows)[:, None] * columns + np.roll(np.arange(columns), -1)).ravel()
+        # At the poles one of the two triangles has no area.
+        upper = np.stack([first, first + columns, right], axis=1)[columns:]
+        lower = np.stack([right, first + columns, right + columns], axis=1)[:-columns]
+        description = super().scene(size)
+        place = T().translate(description["ball"]["center"])
+        description["ball"] = djpt.Mesh(
+            "ball",
+            vertex_positions=p,
+            faces=np.concatenate([upper, lower]),
+            props={"bsdf": self.bsdf(), "to_world": place},
+            attributes={"vertex_color": np.clip(0.5 + 0.45 * np.sin(3 * p + [0, 2, 4]), 0, 1)},
+        )
+        return description
+
+
+def textures() -> None:
+    """One of each texture."""
+    random = np.random.default_rng(6)
+    tiles = {"type": "bitmap", "data": (random.random((6, 12, 3)) ** 1.5).astype(np.float32)}
+    patches = {"type": "checkerboard", "color0": 0.06, "color1": 0.35, "to_uv": T().scale([6, 3, 1])}
+    squares = {
+        "type": "checkerboard",
+        "color0": 0.75,
+        "color1": 0.15,
+        "to_uv": T().rotate([0, 0, 1], 45).scale([12, 6, 1]),
+    }
+    shown: list[tuple[type[Panel], str, str, dict[str, Any]]] = [
+        (Panel, "rgb", "three numbers", {"type": "rgb", "value": [0.6, 0.2, 0.1]}),
+        (Panel, "checkerboard", "to_uv: turned and scaled", squares),
+        (Panel, "bitmap", "bilinear", tiles),
+        (Panel, "bitmap", "nearest", {**tiles, "filter_type": "nearest"}),
+        (Panel, "checkerboard", "for a roughness", patches),
+        (MeshPanel, "mesh_attribute", "colours of vertices", {"type": "mesh_attribute", "name": "vertex_color"}),
+    ]
+
+    def material(texture: dict[str, Any]) -> dict[str, Any]:
+        if texture is patches:
+            return {"type": "roughconductor", "material": "Cu", "alpha": texture}
+        return {"type": "diffuse", "reflectance": texture}
+
+    panels = [make(title, subtitle, partial(material, texture)) for make, title, subtitle, texture in shown]
+    djpt.write(IMAGES / "textures.png", sheet(panels, size=200, spp=512))
+
+
+FIGURES: dict[str, Callable[[], None]] = {
+    f.__name__: f for f in (cornell_box, spheres, albedo, shapes, materials, glass, textures)
+}
 
 
 def main() -> None:

@@ -296,7 +296,11 @@ PAPER, INK, GREY = (250, 250, 248), (28, 28, 30), (110, 110, 114)
 
 
 def panels(names: Sequence[str] = ()) -> list[Panel]:
-    """The panels of these names; all of them for none."""
+    """The panels of these names; all of them for none.
+
+    Raises:
+        SceneError: there is no panel of that name.
+    """
     for name in names:
         if name not in PANELS:
             raise SceneError(f"the gallery has no panel '{name}'{near_miss(name, PANELS)}")
@@ -304,7 +308,7 @@ def panels(names: Sequence[str] = ()) -> list[Panel]:
 
 
 def sheet(
-    names: Sequence[str] = (),
+    panels: Sequence[Panel],
     size: int = 200,
     spp: int = 512,
     seed: int = 0,
@@ -314,32 +318,28 @@ def sheet(
     """Render panels and put them side by side, with labels: (H, W, 3) bytes of sRGB.
 
     Args:
-        names: Keys of `PANELS`; none: all.
+        panels: What to show, row by row.
         size: Width and height of a panel in pixels.
         spp: Samples per pixel.
         seed: Of all panels.
         columns: Panels in a row.
         progress: Called with (samples done, samples in all).
-
-    Raises:
-        SceneError: There is no panel of that name.
     """
     from PIL import Image, ImageDraw
 
-    chosen = panels(names)
-    columns = min(columns, len(chosen))
+    columns = min(columns, len(panels))
     gap, text = max(2, size // 20), max(6, size // 14)
     caption = round(2.9 * text)
-    rows = -(-len(chosen) // columns)
+    rows = -(-len(panels) // columns)
     page = Image.new("RGB", (columns * (size + gap) + gap, rows * (size + caption + gap) + gap), PAPER)
     draw = ImageDraw.Draw(page)
-    for i, panel in enumerate(chosen):
+    for i, panel in enumerate(panels):
         x, y = gap + i % columns * (size + gap), gap + i // columns * (size + caption + gap)
-        picture = render_panel(panel, size, spp, seed, i, len(chosen), progress)
+        picture = render_panel(panel, size, spp, seed, i, len(panels), progress)
         page.paste(Image.fromarray(picture), (x, y))
         for line, color, height, down in ((panel.title, INK, text + 1, 0.25), (panel.subtitle, GREY, text, 1.5)):
             font = fitting_font(line, height, size)
-            draw.text((x + size / 2, y + size + down * text), line, color, font, anchor="mt")
+            draw.text((x + size / 2, y + size + down * text), line, color, font, anchor="ma")
     return np.array(page)
 
 
