@@ -242,7 +242,7 @@ MATERIALS: dict[str, Panel] = {
     ),
     "sheen": Panel(
         "principled",
-        "sheen: cloth",
+        "rough, with sheen",
         lambda: {
             "type": "principled",
             "base_color": rgb(0.05, 0.02, 0.14),
