@@ -258,7 +258,7 @@ class Ensemble(Generic[P]):
         return len(self.plugins)
 
     def slots(self, group: Group[P], index: UInt32) -> UInt32:
-        """The position within `group` of the plugin number `index`."""
+        """The position within `group` of the plugin number `index`; any number for the members of other groups."""
         first = group.indices[0]
         if list(group.indices) == list(range(first, first + len(group.indices))):
             return index - first if first else index

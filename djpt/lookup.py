@@ -97,7 +97,7 @@ class Flat:
     """
 
     def __init__(self, rows: Sequence[Any]) -> None:
-        self.dtype = type(rows[0])
+        self.dtype, self._last = type(rows[0]), len(rows) - 1
         components: list[Any] = [c for row in rows for c in (row if dr.depth_v(row) > 1 else (row,))]
         # An own, aligned buffer: gathers from literals or shared memory don't become packet loads.
         if dr.grad_enabled(*components):
@@ -109,8 +109,9 @@ class Flat:
             self.data = opaque(kind([c[0] for c in components]))
 
     def at(self, index: UInt32) -> Any:
-        """The rows at `index`."""
-        return dr.gather(self.dtype, self.data, index)
+        """The rows at `index`; an unspecified one beyond the last."""
+        # The default mode for gradients writes beyond small memory where a row is a packet (Dr.Jit 1.5.0).
+        return dr.gather(self.dtype, self.data, inside(index, self._last), mode=dr.ReduceMode.Local)
 
 
 class Rows:
@@ -134,9 +135,9 @@ class Numbers:
         self._long = memory(self.values) if len(same_rows(self.values)) > MAX_CHAIN else None
 
     def at(self, index: UInt32) -> UInt32:
-        """The number at `index`; 0 if the table is empty."""
+        """The number at `index`, an unspecified one beyond the last; 0 if the table is empty."""
         if self._long is not None:
-            return dr.gather(UInt32, self._long, index)
+            return dr.gather(UInt32, self._long, inside(index, len(self.values) - 1))
         if not self.values:
             return UInt32(0)
         return choose(index, [UInt32(v) for v in self.values], self.values)
@@ -157,6 +158,11 @@ class Members:
         if self._long is not None:
             return dr.gather(UInt32, self._long, index) != 0
         return is_one_of(index, self._members)
+
+
+def inside(index: UInt32, last: int) -> UInt32:
+    """`index`, but not beyond the end of memory: lanes that mean nothing may have any number."""
+    return dr.select(index < last, index, last)
 
 
 def memory(values: Sequence[int]) -> UInt32:

@@ -169,6 +169,8 @@ class SurfaceInteraction3f:
     """The scene's own number of the face: see `Scene`."""
     valid: Bool
     scene: Any = None
+    prim_uv: Point2f | None = None
+    """Barycentric weights of the second and third corner of a mesh's triangle; 0 on other shapes."""
 
     @property
     def prim_index(self) -> UInt32:

@@ -32,6 +32,7 @@ from djpt.records import (
 )
 from djpt.shapes import Shape
 from djpt.textures import Texture
+from djpt.textures.mesh_attribute import check_attributes
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
@@ -101,6 +102,7 @@ class Scene(Plugin):
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
         self._use_bsdfs(bsdfs or [black(f"{self.id}.bsdf")])
+        check_attributes(self)
         self._prepare()
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_body = UInt32(self.interior.outside)
@@ -263,6 +265,7 @@ class Scene(Plugin):
             face=pi.face,
             valid=valid,
             scene=self,
+            prim_uv=surface.prim_uv,
         )
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
@@ -342,7 +345,9 @@ TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFF
 
 
 def reads_uv(plugin: Plugin) -> bool:
-    """Is there a texture under `plugin` that varies over the surface?"""
+    """Does `plugin`, or anything under it, ask for more of a surface point than its place and frame?"""
+    if getattr(plugin, "needs_uv", False):
+        return True
     if plugin.kind == "texture":
         return isinstance(plugin, Texture) and not plugin.is_constant
     children = [getattr(plugin, name) for name in plugin.children]

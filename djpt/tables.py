@@ -20,6 +20,13 @@ __all__ = ["Buffer", "Table", "channels_of"]
 ENTRIES: dict[int, tuple[type, int]] = {1: (Float, 1), 2: (Point2f, 2), 3: (Color3f, 4), 4: (Array4f, 4)}
 """By the number of channels: the type of an entry, and its size in memory."""
 
+LOCAL = dr.ReduceMode.Local
+"""How gradients are summed.
+
+With the default, Dr.Jit 1.5.0 makes a copy of small memory for every thread; packets are then written beyond the end,
+and sums that are evaluated half-way are lost.
+"""
+
 
 class Table(Protocol):
     """What a representative has in place of its tensor."""
@@ -68,7 +75,7 @@ class Buffer:
             return tensor.array
         index = dr.arange(UInt32, entries(tensor) * self._size)
         entry, channel = index // self._size, index % self._size
-        return dr.gather(Float, tensor.array, entry * self.channels + channel, channel < self.channels)
+        return dr.gather(Float, tensor.array, entry * self.channels + channel, channel < self.channels, mode=LOCAL)
 
     def address(self, slot: UInt32, index: UInt32) -> UInt32:
         """Where entry `index` of a member is."""
@@ -77,8 +84,8 @@ class Buffer:
     def read(self, address: UInt32, active: Bool | bool = True) -> Any:
         """The entry at an address."""
         if self.channels != 3:
-            return dr.gather(self._entry, self._memory, address, active)
-        texel = dr.gather(Array4f, self._memory, address, active)
+            return dr.gather(self._entry, self._memory, address, active, mode=LOCAL)
+        texel = dr.gather(Array4f, self._memory, address, active, mode=LOCAL)
         return Color3f(texel.x, texel.y, texel.z)
 
     # ---- sums of gradients -----------------------------------------------------------------

@@ -13,7 +13,6 @@ from renders import ours, theirs
 import djpt
 from djpt.dispatch import Detached, Ensemble
 from djpt.errors import ParameterError, SceneError
-from djpt.textures.mesh_attribute import check_attributes
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, TensorXf, UInt32
 
@@ -339,6 +338,55 @@ def test_gradients_by_texels(keys: dict[str, Any], integrator: str) -> None:
         assert gradients[name][index] == pytest.approx(slope, rel=0.01, abs=2e-6)
 
 
+@pytest.mark.parametrize("integrator", ["prb", "path", "direct"])
+@pytest.mark.parametrize("shared", [True, False], ids=["shared", "own"])
+def test_gradients_of_bitmaps_in_several_kinds_of_materials(shared: bool, integrator: str) -> None:
+    # All of them small: Dr.Jit sums gradients of small arrays in a way of its own.
+    start, random = texels(3, 4, 3), np.random.default_rng(4)
+
+    def texture() -> dict[str, Any]:
+        return {"type": "ref", "id": "wood"} if shared else bitmap(start)
+
+    description = room(texture(), texture(), integrator)
+    description["integrator"] = {"type": integrator}
+    description["board"] = {
+        "type": "rectangle", "to_world": T().translate([1.5, 0, 0.3]).scale(0.4),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "checkerboard", "color0": texture()}},
+    }  # fmt: skip
+    if shared:
+        description["wood"] = bitmap(start)
+    scene = djpt.load_dict(description)
+    params = djpt.traverse(scene)
+    names = [name for name in params if name.endswith(".data")]
+    assert len(names) == (1 if shared else 3)
+    tangent = random.random(start.shape).astype(np.float32)
+    weights = TensorXf(random.random((24, 24, 3)).astype(np.float32))
+
+    def loss() -> Any:
+        return dr.sum((djpt.render(scene, params, spp=16, seed=1, seed_grad=1) * weights).array)
+
+    def attach() -> None:
+        for name in names:
+            params[name] = start
+            dr.enable_grad(params[name])
+
+    attach()
+    params.update()
+    dr.backward(loss())
+    reverse = sum(float(np.sum(np.array(dr.grad(params[name])) * tangent)) for name in names)
+    attach()
+    for name in names:
+        dr.set_grad(params[name], TensorXf(tangent))
+    params.update()
+    forward = dr.forward_to(loss())[0]
+    ends = []
+    for sign in (1, -1):
+        params.update(dict.fromkeys(names, start + sign * 0.02 * tangent))
+        ends.append(float(loss()[0]))
+    assert forward == pytest.approx((ends[0] - ends[1]) / 0.04, rel=2e-3)
+    assert reverse == pytest.approx(forward, rel=1e-4)
+
+
 def test_a_bitmap_is_recovered_from_its_picture() -> None:
     target = texels(3, 3, 3, seed=5)
     scene = djpt.load_dict(room(bitmap(target), integrator="prb"))
@@ -456,6 +504,17 @@ def test_attributes_of_meshes_are_mitsubas(painted: str, texture: dict[str, Any]
     assert close(ours(scene, 8), theirs(scene, 8)) > 0.98
 
 
+@pytest.mark.parametrize("texture", [COLOR, HEAT], ids=["vertex", "face"])
+def test_instances_show_the_attributes_of_their_mesh(painted: str, texture: dict[str, Any]) -> None:
+    place = T().translate([0.2, 0, 1]).rotate([1, 2, 3], 40).scale([0.6, 0.4, 0.5])
+    bsdf = {"type": "diffuse", "reflectance": texture}
+    mesh = {"type": "ply", "filename": painted, "bsdf": bsdf}
+    direct = room(0.5, mesh={**mesh, "to_world": place})
+    group = {"type": "shapegroup", "mesh": mesh}
+    placed = {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": place}
+    assert close(ours(room(0.5, group=group, placed=placed), 4), ours(direct, 4)) > 0.95
+
+
 def test_attributes_follow_their_edits(painted: str) -> None:
     scene = djpt.load_dict(painted_room(painted, {**HEAT, "scale": 0.5}))
     params = djpt.traverse(scene)
@@ -469,7 +528,7 @@ def test_attributes_follow_their_edits(painted: str) -> None:
 def test_attributes_must_be_there_and_in_range(painted: str) -> None:
     def problem(texture: dict[str, Any], **nodes: Any) -> str:
         with pytest.raises(SceneError) as error:
-            check_attributes(djpt.load_dict(painted_room(painted, texture, **nodes)))
+            djpt.load_dict(painted_room(painted, texture, **nodes))
         return str(error.value)
 
     missing = {"type": "mesh_attribute", "name": "vertex_colour"}

@@ -28,6 +28,8 @@ class ConstantBackground(Emitter):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.radiance = props.texture("radiance", 1.0, low=0.0)
+        if not self.radiance.is_constant:
+            raise props.error("radiance", "can't vary: this light has no surface")
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite)

@@ -37,6 +37,8 @@ class PointLight(Emitter):
             position = props.transform("to_world").matrix[:3, 3]
         self.position: Any = Point3f(*(float(x) for x in position))
         self.intensity = props.texture("intensity", 1.0, low=0.0)
+        if not self.intensity.is_constant:
+            raise props.error("intensity", "can't vary: this light has no surface")
 
     def flags(self) -> int:
         return int(EmitterFlags.DeltaPosition)

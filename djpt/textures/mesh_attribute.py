@@ -18,7 +18,7 @@ from djpt.geometry.bvh.traversal import NONE
 from djpt.lookup import as_float
 from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector2f
+from djpt.types import Bool, Color3f, Float, UInt32, Vector2f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -32,8 +32,8 @@ class MeshAttribute(Texture):
 
     Parameters: `name` (required; begins with ``vertex_`` or ``face_``), `scale` (default 1, multiplies).
     Attributes have one channel or three. All shapes with such a texture must be meshes that carry the
-    attribute. Emitters can't use it: a point that is sampled on a light doesn't know its triangle. Nor
-    can vertex attributes be seen on instances. Gradients reach `scale`, but not the mesh.
+    attribute. Emitters can't use it: a point that is sampled on a light doesn't know its triangle.
+    Gradients reach `scale`, but not the mesh.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.Differentiable}
@@ -90,30 +90,14 @@ class MeshAttribute(Texture):
         raise SceneError(f"{self.node}: a mesh attribute has no gradient by uv, so it can't be a bump map")
 
     def _value(self, si: Any, active: Bool | bool) -> Any:
-        check_attributes(si.scene)
-        triangles = si.scene.geometry.triangles
-        by_vertex = self.name.startswith("vertex_")
-        if by_vertex and triangles.records.instanced:
-            raise SceneError(f"{self.node}: attributes of vertices can't be seen in a scene with instances of meshes")
-        record = si.scene.geometry.record_of(si.face)
+        geometry = si.scene.geometry
+        record = geometry.record_of(si.face)
         active = active & (record != NONE)
-        kind, number = (dr.gather(UInt32, triangles.records.words, record * WORDS + k, active) for k in (12, 13))
+        words = geometry.triangles.records.words
+        kind, number = (dr.gather(UInt32, words, record * WORDS + k, active) for k in (12, 13))
         # Records of nodes and of other shapes have something else there.
-        active = active & ((kind & (LEAF | PORTAL)) == LEAF)
-        face = dr.select(active, number, 0)
-        b1, b2 = Float(0), Float(0)
-        if by_vertex:
-            b1, b2 = weights(si.p, *triangles.meshes.vertices(face))
-        return triangles.meshes.attribute(self.name, face, b1, b2) * self.scale
-
-
-def weights(p: Point3f, p0: Point3f, p1: Point3f, p2: Point3f) -> tuple[Float, Float]:
-    """Barycentric weights of the second and third corner at a point of a triangle."""
-    edge1, edge2, to_p = p1 - p0, p2 - p0, p - p0
-    n = dr.cross(edge1, edge2)
-    squared = dr.squared_norm(n)
-    inv = dr.rcp(dr.select(squared > 0, squared, 1))
-    return dr.dot(dr.cross(to_p, edge2), n) * inv, dr.dot(dr.cross(edge1, to_p), n) * inv
+        face = dr.select(active & ((kind & (LEAF | PORTAL)) == LEAF), number, 0)
+        return geometry.triangles.meshes.attribute(self.name, face, si.prim_uv.x, si.prim_uv.y) * self.scale
 
 
 def check_attributes(scene: Scene) -> None:
