@@ -245,10 +245,10 @@ MATERIALS: dict[str, Panel] = {
         "rough, with sheen",
         lambda: {
             "type": "principled",
-            "base_color": rgb(0.05, 0.02, 0.14),
+            "base_color": rgb(0.012, 0.008, 0.06),
             "roughness": 1.0,
             "sheen": 1.0,
-            "sheen_tint": 0.4,
+            "sheen_tint": 0.3,
         },
     ),
     "spec_trans": Panel(
