@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 import djpt
 
-__all__ = ["PLANE", "SPHERE", "Domain", "p_value", "uniform"]
+__all__ = ["PLANE", "SPHERE", "Domain", "Partition", "p_value", "probability_of_counts", "uniform"]
 
 SIGNIFICANCE = 1e-5
 """Of one test: a suite of hundreds then fails falsely less than once in a hundred changes of the random numbers."""
@@ -90,3 +90,120 @@ def p_value(
     # Cells that are all but empty by quadrature may hold a few samples; the quadrature itself errs a little.
     statistic = sum((o - e) ** 2 / (e + (1e-3 * e) ** 2 + 4) for e, o in cells)
     return float(chi2.sf(statistic, max(1, len(cells) - 1))), float(integral)
+
+
+# ---------------------------------------------------------------- narrow densities
+
+
+class Partition:
+    """The sphere in rectangles of (cos theta, phi), small where there are many samples: a quadtree.
+
+    `low`, `high` are (bins, 2). Its corners lie on cos theta = 0, where densities often end.
+    """
+
+    def __init__(self, directions: Any, share: float = 1 / 200, depth: int = 14) -> None:
+        """Rectangles are split that hold more than this `share` of the directions."""
+        points = _unit_coordinates(directions)
+        limit = share * len(points)
+        self._leaves: list[np.ndarray] = []  # per level the rectangles that aren't split, as sorted codes
+        codes = np.arange(BASE[0] * BASE[1])
+        for level in range(depth + 1):
+            at = _codes(points, level)
+            found, counts = np.unique(at, return_counts=True)
+            crowded = np.intersect1d(codes, found[counts > limit]) if level < depth else codes[:0]
+            self._leaves.append(np.setdiff1d(codes, crowded))
+            points = points[np.isin(at, crowded)]
+            row, column = crowded // (BASE[1] << level), crowded % (BASE[1] << level)
+            width = BASE[1] << (level + 1)
+            codes = np.concatenate([(2 * row + i) * width + 2 * column + j for i in (0, 1) for j in (0, 1)])
+        corners = []
+        for level, leaves in enumerate(self._leaves):
+            size = np.array(BASE) << level
+            place = np.stack([leaves // size[1], leaves % size[1]], axis=1)
+            corners.append(np.stack([place / size, (place + 1) / size], axis=1))
+        low, high = np.concatenate(corners).swapaxes(0, 1)
+        self.low, self.high = (SPHERE.low + x * (SPHERE.high - SPHERE.low) for x in (low, high))
+
+    def count(self, directions: Any, valid: np.ndarray) -> np.ndarray:
+        """How many directions lie in each rectangle."""
+        points = _unit_coordinates(directions)[valid]
+        parts = []
+        for level, leaves in enumerate(self._leaves):
+            at = _codes(points, level)
+            here = np.isin(at, leaves)
+            parts.append(np.bincount(np.searchsorted(leaves, at[here]), minlength=len(leaves)))
+            points = points[~here]
+        return np.concatenate(parts)
+
+    def integrate(self, function: Callable[[Any], np.ndarray], tolerance: float = 2e-6, depth: int = 9) -> np.ndarray:
+        """The integrals over the rectangles of functions of the direction, (functions, bins): adaptive Gauss quadrature.
+
+        `tolerance`: of each piece that a rectangle is divided into.
+        """
+        low, high = self.low, self.high
+        bins = np.arange(len(low))
+        coarse = _gauss(function, low, high)
+        total = np.zeros((len(coarse), len(bins)))
+        for level in range(depth + 1):
+            middle = (low + high) / 2
+            quarters = []
+            for i in (0, 1):
+                for j in (0, 1):
+                    upper = np.array([i, j], bool)
+                    quarters.append((np.where(upper, middle, low), np.where(upper, high, middle)))
+            lows, highs = (np.concatenate(x) for x in zip(*quarters, strict=True))
+            fine = _gauss(function, lows, highs)
+            better = fine.reshape(len(fine), 4, -1).sum(axis=1)
+            done = (np.abs(better - coarse) <= tolerance).all(axis=0) | (level == depth)
+            np.add.at(total.T, bins[done], better.T[done])
+            again = np.tile(~done, 4)
+            low, high, bins, coarse = lows[again], highs[again], np.tile(bins, 4)[again], fine[:, again]
+            if not len(bins):
+                break
+        return total
+
+
+BASE = (4, 8)
+"""Rectangles that a `Partition` starts with."""
+
+
+def _unit_coordinates(directions: Any) -> np.ndarray:
+    at = np.stack(_cylinder(directions), axis=1)
+    return (at - SPHERE.low) / (SPHERE.high - SPHERE.low)
+
+
+def _codes(points: np.ndarray, level: int) -> np.ndarray:
+    """Which rectangle of a level each point lies in."""
+    size = np.array(BASE) << level
+    place = np.clip((points * size).astype(np.int64), 0, size - 1)
+    return place[:, 0] * size[1] + place[:, 1]
+
+
+def _gauss(function: Callable[[Any], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Integrals over rectangles by 4 x 4 nodes each, (functions, rectangles)."""
+    x, w = np.polynomial.legendre.leggauss(4)
+    nodes = np.stack([a.ravel() for a in np.meshgrid((x + 1) / 2, (x + 1) / 2, indexing="ij")], axis=1)
+    weights = np.outer(w, w).ravel() / 4
+    at = low[:, None] + nodes * (high - low)[:, None]
+    values = np.asarray(function(_direction(at[..., 0].ravel(), at[..., 1].ravel())), np.float64)
+    values = values.reshape(len(values), len(low), len(weights))
+    return (values * weights).sum(axis=2) * np.prod(high - low, axis=1)
+
+
+def probability_of_counts(observed: np.ndarray, lost: int, expected: np.ndarray, error: float = 1e-3) -> float:
+    """The p-value of Pearson's test: counts in bins and of lost samples against the bins' probabilities.
+
+    Rare bins are pooled, so that counts are nearly normal. The density, or its quadrature, may err by `error` of
+    its value.
+    """
+    n = observed.sum() + lost
+    e = expected * n
+    common = e > 20
+    cells = [*zip(e[common], observed[common], strict=True), (e[~common].sum(), observed[~common].sum())]
+    cells.append((n * max(0.0, 1 - expected.sum()), lost))
+    slack = [(error * e) ** 2 for e, _ in cells]
+    # These may be all but empty, by a quadrature that errs.
+    slack[-2] += 4
+    slack[-1] += 4 + (error * n / 10) ** 2
+    parts = [(o - e) ** 2 / (e + s) for (e, o), s in zip(cells, slack, strict=True)]
+    return float(chi2.sf(sum(parts), max(1, len(cells) - 1)))
