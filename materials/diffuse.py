@@ -42,10 +42,9 @@ class Diffuse(BSDF):
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
         wo = square_to_cosine_hemisphere(sample2)
-        pdf = wo.z * INV_PI
-        # At the horizon the density vanishes and with it the sample.
-        ok = (si.wi.z > 0) & (pdf > 0)
-        weight = dr.select(ok, self.reflectance.eval(si, active), 0)
+        # From behind, and at the horizon, the density vanishes and with it the sample.
+        pdf = dr.select(si.wi.z > 0, wo.z * INV_PI, 0)
+        weight = dr.select(pdf > 0, self.reflectance.eval(si, active), 0)
         sampled_type = UInt32(int(BSDFFlags.DiffuseReflection))
         return BSDFSample3f(wo, pdf, Float(1), sampled_type, UInt32(0)), weight
 

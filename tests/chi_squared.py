@@ -136,7 +136,7 @@ class Partition:
         return np.concatenate(parts)
 
     def integrate(self, function: Callable[[Any], np.ndarray], tolerance: float = 2e-6, depth: int = 9) -> np.ndarray:
-        """The integrals over the rectangles of functions of the direction, (functions, bins): adaptive Gauss quadrature.
+        """Integrals over the rectangles of functions of the direction, (functions, bins), by adaptive Gauss quadrature.
 
         `tolerance`: of each piece that a rectangle is divided into.
         """

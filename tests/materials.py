@@ -172,7 +172,11 @@ SETS: dict[str, Callable[[], dict[str, Description]]] = {
     },
     "blendbsdf": lambda: {
         "diffuse": {"first": DIFFUSE, "second": GOLD, "weight": 0.3},
-        "textured": {"first": DIFFUSE, "second": {"type": "roughplastic", "alpha": 0.2}, "weight": bitmap(texels(5, 7, 1))},
+        "textured": {
+            "first": DIFFUSE,
+            "second": {"type": "roughplastic", "alpha": 0.2},
+            "weight": bitmap(texels(5, 7, 1)),
+        },
         "deltas": {"first": {"type": "conductor", "material": "Cu"}, "second": {"type": "dielectric"}, "weight": 0.4},
         "mirror": {"first": DIFFUSE, "second": {"type": "conductor"}, "weight": 0.4},
         "nested": {

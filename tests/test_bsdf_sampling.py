@@ -12,12 +12,12 @@ import drjit as dr
 import numpy as np
 import pytest
 from chi_squared import Partition, probability_of_counts, uniform
-from materials import NAMES, PLUGINS, SETS, bsdf, cases, in_kernel, interaction, opaque_wi, plugin_of
 
 from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
 from djpt.types import Float, Point2f, Vector3f
 from djpt.validation.statistics import sidak
 from djpt.warp import square_to_uniform_sphere
+from materials import NAMES, PLUGINS, SETS, bsdf, cases, in_kernel, interaction, opaque_wi, plugin_of
 
 COUNT = 2**16
 WI = {
@@ -31,6 +31,10 @@ LEVEL = sidak(0.01, len(NAMES) * len(WI))
 """Of each chi-squared test: all together alarm falsely in one of a hundred changes of the random numbers."""
 
 RADIANCE, IMPORTANCE = BSDFContext(), BSDFContext(TransportMode.Importance)
+
+
+BIASED = {"roughdielectric-all facets"}
+"""Weights that aren't value / density, as in Mitsuba: what is sampled is a rougher surface than what is weighted."""
 
 
 @functools.cache
@@ -97,6 +101,8 @@ def check_density(name: str, wi: Any, count: int) -> None:
     assert integrals[0].sum() <= 1 + error(name)
     observed = partition.count(bs.wo, counts)
     assert probability_of_counts(observed, int(count - counts.sum()), integrals[0], error(name)) > LEVEL
+    if name in BIASED:
+        return
     visible = np.where(counts, weight, 0)
     noise = 5 * visible.std(axis=1) / np.sqrt(count)
     np.testing.assert_array_less(np.abs(visible.mean(axis=1) - integrals[1:].sum(axis=1)), noise + 1e-3)
@@ -166,7 +172,9 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
     at = [dr.repeat(u, choices) for u in (x, y)]
     other = dr.tile((dr.arange(Float, choices) + 0.5) / choices, count)
     again, weight = material.sample(RADIANCE, si, other, Point2f(*at))
-    apart = np.abs(wide(again.wo, count * choices).reshape(3, count, choices) - wide(bs.wo, count)[..., None]).max(axis=0)
+    apart = np.abs(wide(again.wo, count * choices).reshape(3, count, choices) - wide(bs.wo, count)[..., None]).max(
+        axis=0
+    )
     alive = wide(dr.max(weight), count * choices).reshape(count, choices) > 0
     probability = ((apart < 1e-4) & alive).mean(axis=1)
 
@@ -186,15 +194,25 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
 def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
     material, count = loaded(name), 4096
     bs, weight, counts = drawn(material, wi, count)
-    value, pdf = material.eval_pdf(RADIANCE, interaction(opaque_wi(wi)), bs.wo)
+    value, pdf = (wide(x, count) for x in material.eval_pdf(RADIANCE, interaction(opaque_wi(wi)), bs.wo))
+    claimed, kind = wide(bs.pdf, count), np.broadcast_to(np.array(bs.sampled_type), (count,))
     np.testing.assert_allclose(np.linalg.norm(wide(bs.wo, count)[:, weight.max(axis=0) > 0], axis=0), 1, atol=1e-5)
-    claimed, pdf, value = wide(bs.pdf, count)[counts], wide(pdf, count)[counts], wide(value, count)[:, counts]
+    # Lost samples claim no density that `pdf` doesn't know: mixtures would count on it.
+    any_smooth = (kind & int(BSDFFlags.Smooth) != 0) & (claimed > 0)
     # At grazing angles rounding is amplified.
-    close = np.isclose(pdf, claimed, rtol=1e-3) & np.isclose(value, weight[:, counts] * claimed, rtol=2e-3).all(axis=0)
-    assert counts.sum() - close.sum() <= 0.01 * counts.sum()
+    right = np.isclose(pdf, claimed, rtol=1e-3)
+    assert np.sum(any_smooth & ~right) <= 0.01 * np.sum(any_smooth)
+    if name not in BIASED:
+        right = np.isclose(value, weight * claimed, rtol=2e-3).all(axis=0)
+        assert np.sum(counts & ~right) <= 0.01 * counts.sum()
 
 
 # ---------------------------------------------------------------- energy and reciprocity
+
+
+BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04, "roughdielectric-all facets": 1.14}
+"""What reflects more than it receives, at low angles. Coat and sheen are just added to what lies below; for the
+rough glass see BIASED."""
 
 
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
@@ -204,16 +222,17 @@ def test_energy(name: str, wi: Any) -> None:
     weight = drawn(loaded(name), wi, COUNT, ctx=IMPORTANCE)[1]
     assert np.isfinite(weight).all()
     assert weight.min() >= 0
-    limit = ENERGY.get(name, 1.0)
+    limit = BRIGHTER.get(name, 1.0)
     assert (weight.mean(axis=1) <= limit + 4 * weight.std(axis=1) / np.sqrt(COUNT) + 1e-3).all()
 
 
-ENERGY: dict[str, float] = {}
-"""Materials that may reflect more than they receive, and how much."""
-
 NOT_RECIPROCAL: dict[str, str] = {
-    "bumpmap": "tilted normals",
-    "normalmap": "tilted normals",
+    "bumpmap-diffuse": "tilted normals",
+    "bumpmap-gold": "tilted normals",
+    "normalmap-diffuse": "tilted normals",
+    "normalmap-gold": "tilted normals",
+    "principledthin-everything": "a condition of the specular transmission, as in Mitsuba",
+    "principledthin-pane": "a condition of the specular transmission, as in Mitsuba",
 }
 
 
@@ -229,7 +248,7 @@ def test_reciprocity(name: str) -> None:
     back = material.eval(IMPORTANCE, interaction(wo), wi) / dr.abs(wi.z)
     there, back = wide(there, count), wide(back, count)
     equal = np.isclose(there, back, rtol=2e-3, atol=1e-5).all(axis=0)
-    reason = NOT_RECIPROCAL.get(name, NOT_RECIPROCAL.get(plugin_of(name)))
+    reason = NOT_RECIPROCAL.get(name)
     if reason is not None:
         assert equal.mean() < 0.99, f"is reciprocal, in spite of {reason}: remove it from NOT_RECIPROCAL"
     else:
