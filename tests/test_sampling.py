@@ -1,7 +1,7 @@
-"""Every plugin and warp that samples, tested by what it claims of itself.
+"""Warps, shapes, emitters, filters, textures and samplers, tested by what they claim of themselves.
 
 The tests are parametrised over the registry: a new plugin is tested as soon as it is registered.
-If it needs parameters, or has interesting ones, add a line to EXAMPLES.
+If it needs parameters, or has interesting ones, add a line to EXAMPLES. For BSDFs see test_bsdf_sampling.py.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ import djpt
 from djpt import warp
 from djpt.description import registry
 from djpt.frame import Frame3f
-from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, SurfaceInteraction3f, has_flag
+from djpt.records import DirectionSample3f, SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 
 COUNT = 2**18
 
-DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.5, 0.1]}}
 SHEARED = T([[1, 0.5, 0, 0.2], [0, 0.8, 0.3, 0], [0.1, 0, 0.6, 2], [0, 0, 0, 1]])
 BLOB = np.linalg.norm(np.indices((8, 8, 8)) - 3.4, axis=0)[..., None] - 2.5
 
@@ -44,21 +43,6 @@ def mesh_file() -> str:
 
 
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
-    "diffuse": [{}, {"reflectance": 1.0}, DIFFUSE],
-    "twosided": [{"inner": DIFFUSE}, {"front": DIFFUSE, "back": {"type": "diffuse", "reflectance": 0.2}}],
-    "mask": [{"nested": DIFFUSE, "opacity": 0.7}],
-    # Tilted normals aren't reciprocal: see tests/test_bump_normal.py.
-    "bumpmap": [{"inner": DIFFUSE, "heights": {"type": "checkerboard"}}],
-    "normalmap": [{"inner": DIFFUSE, "normalmap": {"type": "rgb", "value": [0.5, 0.5, 1.0]}}],
-    "blendbsdf": [{"first": DIFFUSE, "second": {"type": "phong", "exponent": 5.0}, "weight": 0.3}],
-    "phong": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 60.0, "diffuse_reflectance": 0.1}],
-    "blinn": [{}, {"exponent": 0.5, "specular_reflectance": 0.5}, {"exponent": 40.0, "diffuse_reflectance": 0.1}],
-    # The narrow lobes of smoother surfaces fall through the grids of these tests.
-    "plastic": [{}, {"nonlinear": True, "int_ior": 1.9, "diffuse_reflectance": 1.0}],
-    "roughconductor": [{"alpha": 0.6, "distribution": "ggx"}, {"alpha_u": 0.7, "alpha_v": 0.5, "material": "Au"},
-                       {"alpha": 0.6, "sample_visible": False}],
-    "roughdielectric": [{"alpha": 0.5, "distribution": "ggx"}, {"alpha_u": 0.7, "alpha_v": 0.5}],
-    "roughplastic": [],  # has a table, which only kernels see: tests/test_rough_materials.py
     "constant": [{}, {"radiance": 3.0}],
     "point": [{"position": [0.3, 0.2, 2.0], "intensity": 5.0}],
     "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
@@ -83,7 +67,10 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "ply": [{"filename": mesh_file(), "face_normals": True}],
     # Meshes of other files are sampled by the same code, and these two are no lights.
     "obj": [], "serialized": [], "shapegroup": [], "instance": [],
+    "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],
+    "mesh_attribute": [],  # only meshes have any: tests/test_textures.py
     "spectrum": [{"value": 0.4}],
+    "uniform": [{"value": 0.4}],
     "gaussian": [{}, {"stddev": 0.8}],
     "tent": [{}, {"radius": 2.0}],
     "mitchell": [{}, {"B": 0.1, "C": 0.6}],
@@ -171,9 +158,7 @@ def test_corners_of_the_square_stay_in_the_domain(name: str, arguments: tuple[An
         assert np.abs(values).max() <= 1 + 1e-6
 
 
-# ---------------------------------------------------------------- BSDFs
-
-WI = {"straight": (0, 0, 1), "slanted": (0.6, -0.3, 0.5), "grazing": (0.9, 0.4, 0.02), "behind": (0.3, 0.5, -0.8)}
+# ---------------------------------------------------------------- shapes as lights, and other emitters
 
 
 def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
@@ -196,99 +181,6 @@ def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
 
 def load(description: dict[str, Any]) -> Any:
     return djpt.load_dict(description)
-
-
-def smooth(bsdf: Any) -> bool:
-    """Has it a lobe that isn't a delta? Densities are about those alone."""
-    return bool(has_flag(bsdf.flags(), BSDFFlags.Smooth))
-
-
-def drawn(bsdf: Any, wi: Any, count: int = COUNT) -> tuple[Any, Any, Any]:
-    """(samples, weights, which ones are smooth and not lost)."""
-    s1, x, y = uniform(count, 3, seed=2)
-    bs, weight = bsdf.sample(BSDFContext(), local_frame(wi), s1, Point2f(x, y))
-    counts = (dr.max(weight) > 0) & (bs.pdf > 0) & has_flag(bs.sampled_type, BSDFFlags.Smooth)
-    return bs, weight, counts
-
-
-@pytest.mark.parametrize("wi", WI.values(), ids=WI)
-@pytest.mark.parametrize(("name", "description"), examples("bsdf"))
-class TestBSDF:
-    def test_samples_follow_the_density(self, name: str, description: dict[str, Any], wi: Any) -> None:
-        bsdf, si = load(description), local_frame(wi)
-        bs, _, counts = drawn(bsdf, wi)
-        p, integral = p_value(SPHERE, bs.wo, counts, lambda wo: bsdf.pdf(BSDFContext(), si, wo), fine=32)
-        assert integral <= 1 + 5e-3
-        if smooth(bsdf):
-            assert p > SIGNIFICANCE
-
-    def test_weights_are_values_over_densities(self, name: str, description: dict[str, Any], wi: Any) -> None:
-        bsdf, si = load(description), local_frame(wi)
-        bs, weight, counts = drawn(bsdf, wi, 4096)
-        counts = np.broadcast_to(np.array(counts), (4096,))
-        pdf = np.array(bsdf.pdf(BSDFContext(), si, bs.wo))
-        value = np.array(bsdf.eval(BSDFContext(), si, bs.wo))
-        claimed = np.broadcast_to(np.array(bs.pdf), (4096,))
-        np.testing.assert_allclose(np.broadcast_to(pdf, (4096,))[counts], claimed[counts], rtol=1e-4)
-        product = np.broadcast_to(np.array(weight), (3, 4096)) * claimed
-        np.testing.assert_allclose(np.broadcast_to(value, (3, 4096))[:, counts], product[:, counts], rtol=1e-4)
-        np.testing.assert_allclose(np.linalg.norm(np.array(bs.wo), axis=0), 1, atol=1e-5)
-
-    def test_energy(self, name: str, description: dict[str, Any], wi: Any) -> None:
-        """No more light leaves than arrives, and what is evaluated is what is sampled."""
-        bsdf, si = load(description), local_frame(wi)
-        _, weight, counts = drawn(bsdf, wi)
-        weight = np.broadcast_to(np.array(weight, np.float64), (3, COUNT))
-        assert np.isfinite(weight).all()
-        assert weight.min() >= 0
-        noise = weight.std(axis=1) / np.sqrt(COUNT)
-        assert (weight.mean(axis=1) <= 1 + 4 * noise + 1e-5).all()
-
-        def luminous(wo: Any, channel: int) -> Any:
-            return bsdf.eval(BSDFContext(), si, wo)[channel]
-
-        visible = np.where(np.broadcast_to(np.array(counts), (COUNT,)), weight, 0)
-        for channel in range(3):
-            grid = p_value(SPHERE, Vector3f(0, 0, 1), True, lambda wo, c=channel: luminous(wo, c), fine=32)[1]
-            assert grid == pytest.approx(visible[channel].mean(), abs=4 * noise[channel] + 5e-3)
-
-    def test_reciprocity(self, name: str, description: dict[str, Any], wi: Any) -> None:
-        """f(wi, wo) = f(wo, wi) on one side of the surface."""
-        bsdf = load(description)
-        wo = warp.square_to_uniform_sphere(Point2f(*uniform(1024, seed=5)))
-        there, back = local_frame(wi, 1024), local_frame(wi, 1024)
-        back.wi = wo
-        forward = np.array(bsdf.eval(BSDFContext(), there, wo)) / np.abs(np.array(wo.z))
-        reverse = np.array(bsdf.eval(BSDFContext(), back, there.wi)) / np.abs(np.array(there.wi.z))
-        same_side = np.broadcast_to(np.array(wo.z * there.wi.z > 0), (1024,))
-        np.testing.assert_allclose(forward[:, same_side], reverse[:, same_side], rtol=1e-4, atol=1e-6)
-
-    def test_combined_calls_agree(self, name: str, description: dict[str, Any], wi: Any) -> None:
-        bsdf, si, ctx = load(description), local_frame(wi), BSDFContext()
-        s1, x, y, a, b = uniform(512, 5, seed=6)
-        wo = warp.square_to_uniform_sphere(Point2f(a, b))
-        value, pdf, bs, weight = bsdf.eval_pdf_sample(ctx, si, wo, s1, Point2f(x, y))
-        alone, alone_weight = bsdf.sample(ctx, si, s1, Point2f(x, y))
-        for one, other in [
-            (value, bsdf.eval(ctx, si, wo)),
-            (pdf, bsdf.pdf(ctx, si, wo)),
-            (bsdf.eval_pdf(ctx, si, wo)[0], value),
-            (bsdf.eval_pdf(ctx, si, wo)[1], pdf),
-            (bs.wo, alone.wo),
-            (bs.pdf, alone.pdf),
-            (weight, alone_weight),
-        ]:
-            np.testing.assert_allclose(np.array(one), np.array(other), rtol=1e-6)
-        assert np.array(value).min() >= 0
-        assert np.array(pdf).min() >= 0
-
-    def test_albedo_is_between_black_and_white(self, name: str, description: dict[str, Any], wi: Any) -> None:
-        albedo = np.array(load(description).eval_diffuse_reflectance(local_frame(wi)))
-        assert (albedo >= 0).all()
-        assert (albedo <= 1 + 1e-6).all()
-
-
-# ---------------------------------------------------------------- shapes as lights, and other emitters
 
 
 def lit(**emitters: Any) -> Any:
