@@ -169,8 +169,8 @@ class _Vertex:
 
         g = self.surface.smith_g1_over_cos(wo) * dr.abs(wo.z)
         if not self.surface.sample_visible:
-            # Mitsuba's weight is that of the unscaled surface, too.
-            g *= self.g1_i * dr.abs(cos_i) * dr.rcp(dr.select(ok, m.z, 1))
+            # Mitsuba 3.9.1 leaves out that the facets were drawn from a rougher surface: it is up to 14 % brighter.
+            g *= d * self.g1_i * dr.abs(cos_i) * dr.rcp(dr.select(ok, density, 1))
         through = self.tint_t * dr.square(eta_ti) if self.radiance else self.tint_t
         weight = dr.select(reflected, self.tint_r, through) * g
         sampled_type = dr.select(

@@ -33,10 +33,6 @@ LEVEL = sidak(0.01, len(NAMES) * len(WI))
 RADIANCE, IMPORTANCE = BSDFContext(), BSDFContext(TransportMode.Importance)
 
 
-BIASED = {"roughdielectric-all facets"}
-"""Weights that aren't value / density, as in Mitsuba: what is sampled is a rougher surface than what is weighted."""
-
-
 @functools.cache
 def loaded(name: str) -> Any:
     return in_kernel(bsdf(name))
@@ -101,11 +97,9 @@ def check_density(name: str, wi: Any, count: int) -> None:
     assert integrals[0].sum() <= 1 + error(name)
     observed = partition.count(bs.wo, counts)
     assert probability_of_counts(observed, int(count - counts.sum()), integrals[0], error(name)) > LEVEL
-    if name in BIASED:
-        return
     visible = np.where(counts, weight, 0)
     noise = 5 * visible.std(axis=1) / np.sqrt(count)
-    np.testing.assert_array_less(np.abs(visible.mean(axis=1) - integrals[1:].sum(axis=1)), noise + 1e-3)
+    np.testing.assert_array_less(np.abs(visible.mean(axis=1) - integrals[1:].sum(axis=1)), noise + 0.3 * error(name) + 1e-4)
 
 
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
@@ -202,17 +196,15 @@ def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
     # At grazing angles rounding is amplified.
     right = np.isclose(pdf, claimed, rtol=1e-3)
     assert np.sum(any_smooth & ~right) <= 0.01 * np.sum(any_smooth)
-    if name not in BIASED:
-        right = np.isclose(value, weight * claimed, rtol=2e-3).all(axis=0)
-        assert np.sum(counts & ~right) <= 0.01 * counts.sum()
+    right = np.isclose(value, weight * claimed, rtol=2e-3).all(axis=0)
+    assert np.sum(counts & ~right) <= 0.01 * counts.sum()
 
 
 # ---------------------------------------------------------------- energy and reciprocity
 
 
-BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04, "roughdielectric-all facets": 1.14}
-"""What reflects more than it receives, at low angles. Coat and sheen are just added to what lies below; for the
-rough glass see BIASED."""
+BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04}
+"""What reflects more than it receives, at low angles: coat and sheen are just added to what lies below."""
 
 
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)

