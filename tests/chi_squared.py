@@ -101,7 +101,7 @@ class Partition:
     `low`, `high` are (bins, 2). Its corners lie on cos theta = 0, where densities often end.
     """
 
-    def __init__(self, directions: Any, share: float = 1 / 200, depth: int = 14) -> None:
+    def __init__(self, directions: Any, share: float = 1 / 200, depth: int = 12) -> None:
         """Rectangles are split that hold more than this `share` of the directions."""
         points = _unit_coordinates(directions)
         limit = share * len(points)
@@ -135,7 +135,7 @@ class Partition:
             points = points[~here]
         return np.concatenate(parts)
 
-    def integrate(self, function: Callable[[Any], np.ndarray], tolerance: float = 2e-6, depth: int = 9) -> np.ndarray:
+    def integrate(self, function: Callable[[Any], np.ndarray], tolerance: float = 2e-6, depth: int = 7) -> np.ndarray:
         """Integrals over the rectangles of functions of the direction, (functions, bins), by adaptive Gauss quadrature.
 
         `tolerance`: of each piece that a rectangle is divided into.
@@ -163,7 +163,7 @@ class Partition:
         return total
 
 
-BASE = (4, 8)
+BASE = (16, 32)
 """Rectangles that a `Partition` starts with."""
 
 

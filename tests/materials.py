@@ -180,7 +180,7 @@ SETS: dict[str, Callable[[], dict[str, Description]]] = {
         "deltas": {"first": {"type": "conductor", "material": "Cu"}, "second": {"type": "dielectric"}, "weight": 0.4},
         "mirror": {"first": DIFFUSE, "second": {"type": "conductor"}, "weight": 0.4},
         "nested": {
-            "first": {"type": "blendbsdf", "weight": 0.8, "a": DIFFUSE, "b": {"type": "twosided", "inner": BLUE}},
+            "first": {"type": "twosided", "inner": {"type": "blendbsdf", "weight": 0.8, "a": DIFFUSE, "b": BLUE}},
             "second": {"type": "roughdielectric", "alpha": 0.4},
             "weight": 0.5,
         },

@@ -99,7 +99,8 @@ def check_density(name: str, wi: Any, count: int) -> None:
     assert probability_of_counts(observed, int(count - counts.sum()), integrals[0], error(name)) > LEVEL
     visible = np.where(counts, weight, 0)
     noise = 5 * visible.std(axis=1) / np.sqrt(count)
-    np.testing.assert_array_less(np.abs(visible.mean(axis=1) - integrals[1:].sum(axis=1)), noise + 0.3 * error(name) + 1e-4)
+    difference = np.abs(visible.mean(axis=1) - integrals[1:].sum(axis=1))
+    np.testing.assert_array_less(difference, noise + 0.3 * error(name) + 1e-4)
 
 
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
