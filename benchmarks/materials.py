@@ -17,10 +17,8 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 from material_scenes import five_materials, glass_and_gold, many_colours
 from mesh_scenes import write_bumpy_sphere
 from meshes import image_row
