@@ -48,12 +48,6 @@ class Diffuse(BSDF):
         sampled_type = UInt32(int(BSDFFlags.DiffuseReflection))
         return BSDFSample3f(wo, pdf, Float(1), sampled_type, UInt32(0)), weight
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:

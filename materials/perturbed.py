@@ -104,12 +104,6 @@ class PerturbedBSDF(BSDF):
         weight = dr.select(ok, weight * self._shadowing(frame, wo), 0)
         return dataclasses.replace(bs, wo=wo, pdf=dr.select(ok, bs.pdf, 0)), weight
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:

@@ -97,12 +97,6 @@ class PrincipledBase(BSDF):
     ) -> tuple[BSDFSample3f, Color3f]:
         return self._sampled(self._look_up(si, active), ctx, si.wi, sample1, sample2)
 
-    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return self.eval_pdf(ctx, si, wo, active)[1]
-
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
