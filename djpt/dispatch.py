@@ -27,7 +27,7 @@ from djpt.lookup import Flat, Members, Numbers, Rows, opaque
 from djpt.tables import Buffer, channels_of
 from djpt.types import Bool, UInt32
 
-__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "opaque_copy", "structure"]
+__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "structure"]
 
 P = TypeVar("P", bound=Plugin)
 
@@ -218,14 +218,6 @@ def representative(plugin: Any, tree: dict[str, Any], slot: UInt32, lookup: Look
         else:
             value = lookup(node, slot)
         setattr(clone, name, value)
-    return clone
-
-
-def opaque_copy(plugin: P) -> P:
-    """A copy of one plugin whose own values are opaque."""
-    clone = copy.copy(plugin)
-    for name in plugin.values:
-        setattr(clone, name, opaque(getattr(plugin, name)))
     return clone
 
 

@@ -18,6 +18,7 @@ from djpt.records import (
     BSDFFlags,
     BSDFSample3f,
     DirectionSample3f,
+    Ray3f,
     SurfaceInteraction3f,
     has_flag,
 )
@@ -164,6 +165,16 @@ class EmitterPtr:
         ds, weight = scene.lights.call(self.index, scene.lookup, lambda e: e.sample_direction(p, sample, active), None)
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        """A ray that leaves the emitter; weight 0 where there is none."""
+        scene = self._scene
+        ray, weight = scene.lights.call(
+            self.index, scene.lookup, lambda e: e.sample_ray(position_sample, direction_sample, active), None
+        )
+        return ray, dr.select(self.is_valid() & active, weight, 0)
 
     def pdf_direction(
         self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True

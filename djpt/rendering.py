@@ -108,8 +108,8 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
     warn_of_delta(scene, integrator)
-    spp = spp or sensor.sampler.sample_count
-    scene = scene.seen_from(sensor.to_world.translation())
+    spp = sensor.sampler.round_count(spp or sensor.sampler.sample_count)
+    scene = scene.seen_from(sensor.viewpoint()).choosing_emitters(integrator.emitter_choice)
     job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress)
     if job.samples > MAX_SAMPLES:
         raise RenderError(

@@ -12,16 +12,19 @@ import numpy as np
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.dispatch import Detached, Ensemble, Lookup
-from djpt.emitters import Area, Emitter, PointLight
+from djpt.emitters import Emitter
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.geometry.contents import unseen
 from djpt.geometry.parity import is_inside
 from djpt.interior import Interior
+from djpt.light_choice import EmitterChoice, make_choice
+from djpt.lookup import Members
 from djpt.materials import BSDF, Diffuse
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
+    RAY_EPSILON,
     BSDFFlags,
     DirectionSample3f,
     EmitterFlags,
@@ -30,6 +33,7 @@ from djpt.records import (
     SurfaceInteraction3f,
     has_flag,
 )
+from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.textures import Texture
 from djpt.textures.mesh_attribute import check_attributes
@@ -54,11 +58,19 @@ class Scene(Plugin):
         self.named.sort(key=lambda entry: order[entry[0]])
 
         self._shapes: list[Shape] = self._of_kind("shape")
-        self._sensors = self._of_kind("sensor")
         integrators = self._of_kind("integrator")
         if len(integrators) > 1:
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
+        self._sensors: list[Sensor] = []
+        for _, plugin in self.named:
+            if plugin.kind == "sensor":
+                self._sensors.append(plugin)
+            elif plugin.kind == "shape" and plugin.sensor is not None:
+                self._sensors.append(adopt_sensor(plugin))
+        for sensor in self._sensors:
+            if sensor.on_shape and sensor.shape is None:
+                raise SceneError(f"{sensor.id}: this sensor must be nested in a shape")
         # Light sampling numbers emitters in the order of the description, those of shapes included.
         self._emitters: list[Emitter] = []
         for _, plugin in self.named:
@@ -67,8 +79,8 @@ class Scene(Plugin):
             elif plugin.kind == "shape" and plugin.emitter is not None:
                 self._emitters.append(adopt(plugin))
         for emitter in self._emitters:
-            if isinstance(emitter, Area) and emitter.shape is None:
-                raise SceneError(f"{emitter.id}: an 'area' emitter must be nested in a shape")
+            if emitter.on_shape and emitter.shape is None:
+                raise SceneError(f"{emitter.id}: this emitter must be nested in a shape")
         infinite = [i for i, e in enumerate(self._emitters) if has_flag(e.flags(), EmitterFlags.Infinite)]
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
@@ -80,8 +92,8 @@ class Scene(Plugin):
 
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
-        points = [e.position for e in self._emitters if isinstance(e, PointLight)]
-        self.geometry = Geometry(self._shapes, points, self._environment is not None)
+        self._from_infinity = [i for i, e in enumerate(self._emitters) if is_at_infinity(e)]
+        self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
 
         bsdfs: list[BSDF] = []
         self.bsdf_of_shape: list[int] = []
@@ -101,15 +113,35 @@ class Scene(Plugin):
             self._light_of_shape.append(none if shape.emitter is None else self._emitters.index(shape.emitter))
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
+        self._at_infinity = Members(self._from_infinity, none)
         self._use_bsdfs(bsdfs or [black(f"{self.id}.bsdf")])
         check_attributes(self)
+        self._set_bounds()
         self._prepare()
+        self._choices: dict[str, EmitterChoice] = {}
+        self._choice_name = "uniform"
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_body = UInt32(self.interior.outside)
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
         self.interior = Interior(self)
+
+    def _light_positions(self) -> list[Point3f]:
+        return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
+
+    def _set_bounds(self) -> None:
+        """Tell sensors and emitters how large the scene is."""
+        low, high = self.geometry.bounding_box()
+        if (low > high).any():
+            low = high = np.zeros(3)
+        center = 0.5 * (low + high)
+        # Mitsuba's rule.
+        radius = max(RAY_EPSILON, float(np.linalg.norm(high - center)) * (1 + RAY_EPSILON))
+        for emitter in self._emitters:
+            emitter.set_bounds(center, radius)
+        for sensor in self._sensors:
+            sensor.set_bounds(center, radius)
 
     def _prepare(self) -> None:
         """Build all tables, after the scene was compiled or edited."""
@@ -137,8 +169,12 @@ class Scene(Plugin):
         shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
         if shapes:
             self.geometry.move(shapes)
-        if any(isinstance(plugin, PointLight) for plugin in changed):
-            self.geometry.move_points([e.position for e in self._emitters if isinstance(e, PointLight)])
+        if any(isinstance(plugin, Emitter) for plugin in changed):
+            self.geometry.move_points(self._light_positions())
+        if shapes:
+            self._set_bounds()
+        if shapes or any(plugin.kind in ("emitter", "texture") for plugin in changed):
+            self._choices.clear()
         self._prepare()
 
     def with_lookup(self, lookup: Lookup) -> Scene:
@@ -147,8 +183,18 @@ class Scene(Plugin):
         view.lookup = lookup
         return view
 
-    def seen_from(self, p: np.ndarray) -> Scene:
-        """A view of this scene for rays that start near the point `p` (3,): a camera's."""
+    def choosing_emitters(self, choice: str) -> Scene:
+        """A view of this scene whose emitters are chosen in another way: see `djpt.light_choice`."""
+        if choice == self._choice_name:
+            return self
+        view = copy.copy(self)
+        view._choice_name = choice
+        return view
+
+    def seen_from(self, p: np.ndarray | None) -> Scene:
+        """A view of this scene for rays that start near the point `p` (3,): a camera's. None: outside of all bodies."""
+        if p is None:
+            return self
         self.geometry.seen_from(p)
         if not self.interior.exists:
             return self
@@ -158,7 +204,7 @@ class Scene(Plugin):
 
     # ---- contents ----------------------------------------------------------------------
 
-    def sensors(self) -> list[Any]:
+    def sensors(self) -> list[Sensor]:
         """All sensors, in the order of the description."""
         return list(self._sensors)
 
@@ -243,10 +289,10 @@ class Scene(Plugin):
 
     def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
         """The ray from `si` to the emitter sample `ds`."""
-        if self._environment is None:
+        if not self._from_infinity:
             return si.spawn_ray_to(ds.p)
         to_point, to_sky = si.spawn_ray_to(ds.p), si.spawn_ray(ds.d)
-        return dr.select(ds.emitter_index == self._environment, to_sky, to_point)
+        return dr.select(self._at_infinity.contain(ds.emitter_index), to_sky, to_point)
 
     def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
         """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
@@ -295,35 +341,48 @@ class Scene(Plugin):
         test_visibility: bool = True,
         active: Bool | bool = True,
     ) -> tuple[DirectionSample3f, Color3f]:
-        """Choose an emitter uniformly, sample a direction towards it; weight = radiance / pdf.
+        """Choose an emitter, sample a direction towards it; weight = radiance / pdf.
 
-        `ds.pdf` includes the probability 1 / n of choosing the emitter. `sample.x` chooses and is
-        then stretched for use in the emitter.
+        `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then
+        stretched for use in the emitter.
         """
-        count = len(self._emitters)
-        if count == 0:
+        if not self._emitters:
             nothing = DirectionSample3f(
                 ref.p, ref.n, Point2f(0), Vector3f(0, 0, 1), Float(0), Float(0), Float(0), Bool(False), UInt32(0)
             )
             return nothing, Color3f(0)
-        index = UInt32(0)
-        if count > 1:
-            scaled = sample.x * count
-            index = dr.minimum(UInt32(scaled), count - 1)
-            sample = Point2f(scaled - Float(index), sample.y)
-        ds, weight = EmitterPtr(self, index).sample_direction(ref, sample, active)
-        if count > 1:
-            ds.pdf, ds.weight, weight = ds.pdf * (1 / count), ds.weight * count, weight * count
+        choice = self.emitter_choice
+        index, inverse, u = choice.choose(ref.p, ref.n, sample.x)
+        ds, weight = EmitterPtr(self, index).sample_direction(ref, Point2f(u, sample.y), active)
+        if choice.count > 1:
+            probability = choice.probability(ref.p, ref.n, index)
+            ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
         if test_visibility:
             weight = dr.select(self.unoccluded(self.shadow_ray(ref, ds)), weight, 0)
         return ds, weight
 
     def pdf_emitter_direction(
-        self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
+        self,
+        ref: SurfaceInteraction3f | Point3f,
+        ds: DirectionSample3f,
+        active: Bool | bool = True,
+        n: Vector3f | None = None,
     ) -> Float:
-        """Density of `sample_emitter_direction` at `ds`."""
+        """Density of `sample_emitter_direction` at `ds`; `n` is the normal at `ref`, if that is a mere point."""
         pdf = EmitterPtr(self, ds.emitter_index).pdf_direction(ref, ds, active)
-        return pdf * (1 / len(self._emitters)) if len(self._emitters) > 1 else pdf
+        if len(self._emitters) < 2:
+            return pdf
+        if isinstance(ref, SurfaceInteraction3f):
+            return pdf * self.emitter_choice.probability(ref.p, ref.n, ds.emitter_index)
+        return pdf * self.emitter_choice.probability(ref, n, ds.emitter_index)
+
+    @property
+    def emitter_choice(self) -> EmitterChoice:
+        """How emitters are chosen."""
+        name = self._choice_name
+        if name not in self._choices:
+            self._choices[name] = make_choice(name, self._emitters)
+        return self._choices[name]
 
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
@@ -332,13 +391,31 @@ KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
 
 def adopt(shape: Shape) -> Emitter:
     """The emitter nested in a shape, told which shape it is."""
-    emitter = shape.emitter
-    if not isinstance(emitter, Area):
-        raise SceneError(f"{shape.id}: only an 'area' emitter can be nested in a shape")
+    emitter: Emitter = shape.emitter
+    if not emitter.on_shape:
+        raise SceneError(f"{shape.id}: a shape can't carry '{emitter.id}': only area lights can be nested in shapes")
     if emitter.shape not in (None, shape):
         raise SceneError(f"{shape.id}: its emitter already belongs to '{emitter.shape.id}'")
     emitter.shape = shape
     return emitter
+
+
+def adopt_sensor(shape: Shape) -> Sensor:
+    """The sensor nested in a shape, told which shape it is."""
+    sensor: Sensor = shape.sensor
+    if not sensor.on_shape:
+        raise SceneError(f"{shape.id}: only an 'irradiancemeter' can be nested in a shape, found '{sensor.id}'")
+    if sensor.shape not in (None, shape):
+        raise SceneError(f"{shape.id}: its sensor already belongs to '{sensor.shape.id}'")
+    sensor.shape = shape
+    return sensor
+
+
+def is_at_infinity(emitter: Emitter) -> bool:
+    """Does its light arrive from beyond the scene?"""
+    flags = emitter.flags()
+    beyond = has_flag(flags, EmitterFlags.Infinite) or has_flag(flags, EmitterFlags.DeltaDirection)
+    return beyond and not emitter.on_shape
 
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission

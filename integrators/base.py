@@ -13,7 +13,7 @@ from djpt.description.properties import Properties
 from djpt.lanewide import wide
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -37,6 +37,8 @@ class Integrator(Plugin):
     """Is every image black without an emitter? `render` then refuses."""
     shows_delta = True
     """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
+    emitter_choice = "uniform"
+    """How light sampling chooses emitters: see `djpt.light_choice`."""
     writes_color = True
     """False if the image consists of AOVs alone."""
 
@@ -69,6 +71,8 @@ class PathState:
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
     """Vertices so far."""
+    n: Normal3f | None = None
+    """Geometric normal of the previous vertex; None if the choice of emitters doesn't look at it."""
     covered: Bool | None = None
     """Has a vertex been met that isn't a mere opening (a null interface)? None in scenes without such."""
     body: UInt32 | None = None

@@ -9,6 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator, mis_weight
+from djpt.light_choice import CHOICES
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float
@@ -26,7 +27,7 @@ class Direct(Integrator):
     the densities times the share of samples of each strategy.
 
     Parameters: `shading_samples` (sets both counts, default 1), or `emitter_samples` and
-    `bsdf_samples` (0 turns a strategy off), `hide_emitters`.
+    `bsdf_samples` (0 turns a strategy off), `hide_emitters`, `emitter_choice` (see `Path`).
     """
 
     needs_light = True
@@ -40,6 +41,7 @@ class Direct(Integrator):
         self.bsdf_samples = props.integer("bsdf_samples", both, low=0, high=1024)
         if self.emitter_samples + self.bsdf_samples == 0:
             raise SceneError(f"{props.node}: 'emitter_samples' and 'bsdf_samples' can't both be 0")
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
         self.shows_delta = self.bsdf_samples > 0
 
     def sample(

@@ -8,10 +8,11 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState, Vertex, mis_weight
+from djpt.light_choice import CHOICES
 from djpt.minmax import maximum, minimum
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -29,7 +30,9 @@ class Path(PathIntegrator):
     (w_b) against light sampling (w_e).
 
     Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1; 1 shows only
-    lights, 0 nothing), `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`.
+    lights, 0 nothing), `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`,
+    `emitter_choice` (`uniform`, default: as Mitsuba, by `sampling_weight`; `power`: by the emitters' power;
+    `tree`: by power, distance and orientation, for many lights).
 
     J. Kajiya 1986; E. Veach and L. Guibas 1995. Draws, weights and termination are those of
     Mitsuba's `path`, number by number.
@@ -43,6 +46,7 @@ class Path(PathIntegrator):
         super().__init__(props)
         self.max_depth = props.integer("max_depth", self.default_max_depth, low=-1)
         self.rr_depth = props.integer("rr_depth", 5, low=1)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
 
     @property
     def longest_path(self) -> int:
@@ -55,6 +59,7 @@ class Path(PathIntegrator):
             bsdf_pdf=Float(0),
             eta=Float(1) if scene.refracts else None,
             depth=UInt32(0),
+            n=Normal3f(0) if scene.emitter_choice.looks_at_normal else None,
             covered=Bool(False) if scene.has_null else None,
             body=scene.camera_body if scene.interior.exists else None,
         )
@@ -71,7 +76,7 @@ class Path(PathIntegrator):
 
         # ---------------------- Emission ----------------------
         ds = DirectionSample3f.between(state.p, ray, si)
-        emitter_pdf = scene.pdf_emitter_direction(state.p, ds)
+        emitter_pdf = scene.pdf_emitter_direction(state.p, ds, n=state.n)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, emitter_pdf), 1)
         emitted = throughput * mis * si.emitter(scene).eval(si)
         if self.hide_emitters:
@@ -120,6 +125,7 @@ class Path(PathIntegrator):
             bsdf_pdf=dr.select(delta, 0, bs.pdf),
             eta=eta,
             depth=state.depth + 1,
+            n=None if state.n is None else si.n,
             covered=None if state.covered is None else covered,
             body=body,
         )

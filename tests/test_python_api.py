@@ -18,6 +18,7 @@ from djpt.integrators import Integrator
 from djpt.materials import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, has_flag
 from djpt.rfilters.base import ReconstructionFilter
+from djpt.samplers import SampleIndex
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.validation import agreement
 from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
@@ -387,7 +388,9 @@ def test_queries_from_a_script() -> None:
 
 
 def test_sampler_and_warp_from_a_script() -> None:
-    stream = djpt.load_dict({"type": "independent"}).stream(UInt32(0), dr.arange(UInt32, 1000))
+    stream = djpt.load_dict({"type": "independent"}).stream(
+        UInt32(0), SampleIndex(dr.arange(UInt32, 1000), UInt32(0), UInt32(1), UInt32(1))
+    )
     d = square_to_uniform_sphere(stream.next_2d())
     np.testing.assert_allclose(np.linalg.norm(np.array(d), axis=0), 1, atol=1e-6)
 

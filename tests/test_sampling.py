@@ -23,6 +23,7 @@ from djpt import warp
 from djpt.description import registry
 from djpt.frame import Frame3f
 from djpt.records import DirectionSample3f, SurfaceInteraction3f
+from djpt.samplers import SampleIndex
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 
@@ -350,7 +351,7 @@ def test_textures_have_the_mean_they_claim(name: str, description: dict[str, Any
 def test_streams_are_uniform_and_independent(name: str, description: dict[str, Any]) -> None:
     """Means, variances and correlations within a stream and between neighbouring ones."""
     sampler, n = load(description), 2**16
-    stream = sampler.stream(UInt32(5), dr.arange(UInt32, n))
+    stream = sampler.stream(UInt32(5), SampleIndex(dr.arange(UInt32, n), UInt32(0), UInt32(1), UInt32(1)))
     numbers = [stream.next_1d(), *stream.next_2d(), stream.next_1d(), *stream.next_2d()]
     table = np.array([np.array(x) for x in numbers], np.float64)
     assert table.min() >= 0
@@ -359,15 +360,19 @@ def test_streams_are_uniform_and_independent(name: str, description: dict[str, A
     np.testing.assert_allclose(table.var(axis=1), 1 / 12, atol=6 * np.sqrt(1 / 180 / n))
     between = np.corrcoef(np.concatenate([table, np.roll(table, 1, axis=1)]))
     assert np.abs(between - np.eye(12)).max() < 6 / np.sqrt(n)
-    other = sampler.stream(UInt32(6), dr.arange(UInt32, n)).next_1d()
+    other = sampler.stream(UInt32(6), SampleIndex(dr.arange(UInt32, n), UInt32(0), UInt32(1), UInt32(1))).next_1d()
     assert abs(np.corrcoef(table[0], np.array(other))[0, 1]) < 6 / np.sqrt(n)
 
 
 def test_inactive_lanes_do_not_advance() -> None:
     sampler = djpt.load_dict({"type": "independent"})
-    index = dr.arange(UInt32, 8)
+    number = dr.arange(UInt32, 8)
+    index = SampleIndex(number, UInt32(0), UInt32(1), UInt32(1))
     masked, plain = sampler.stream(UInt32(0), index), sampler.stream(UInt32(0), index)
-    even = (index & 1) == 0
+        sampler.stream(UInt32(0), SampleIndex(index, UInt32(0), UInt32(1), UInt32(1))),
+        sampler.stream(UInt32(0), SampleIndex(index, UInt32(0), UInt32(1), UInt32(1))),
+    )
+    even = (number & 1) == 0
     masked.next_1d(even)
     first, second = plain.next_1d(), plain.next_1d()
     np.testing.assert_array_equal(np.array(masked.next_1d()), np.array(dr.select(even, second, first)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
@@ -23,14 +21,13 @@ class Area(Emitter):
     """
 
     children = ("radiance", "shape")
+    on_shape = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         if "to_world" in props:
             raise SceneError(f"{props.node}: an area light has no 'to_world'; move the shape that carries it")
         self.radiance = props.texture("radiance", 1.0, low=0.0)
-        self.shape: Any = None
-        """Set by the scene: the shape that shines."""
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.sampling_weight)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from djpt.description.numeric import non_negative
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
+from djpt.emitters.bounds import LightBounds
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f
 
 __all__ = ["Emitter"]
@@ -23,6 +27,9 @@ class Emitter(Plugin):
     """
 
     kind: ClassVar[str] = "emitter"
+    on_shape: ClassVar[bool] = False
+    """Must it be nested in a shape? The scene then sets `shape`."""
+    shape: Any = None
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -41,6 +48,25 @@ class Emitter(Plugin):
         """The `EmitterFlags`."""
         return int(EmitterFlags.Empty)
 
+    # ---- on the host -------------------------------------------------------------------
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        """Called with the scene's bounding sphere, and again when it changes; for light from infinity."""
+
+    def power(self) -> float:
+        """The light that it sends out, in W, averaged over the colours.
+
+        For light from infinity: what enters the scene's bounding sphere. An estimate will do: it guides
+        the choice of emitters (see `djpt.light_choice`).
+        """
+        raise NotImplementedError
+
+    def bounds(self) -> LightBounds | None:
+        """Where its light comes from and goes to; None for light from infinity."""
+        raise NotImplementedError
+
+    # ---- in kernels --------------------------------------------------------------------
+
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """Radiance that leaves `si` (for an environment: that arrives along the missing ray) towards `si.wi`."""
         raise NotImplementedError
@@ -56,4 +82,13 @@ class Emitter(Plugin):
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         """Density of `sample_direction` at `ds`; 0 for delta emitters."""
+        raise NotImplementedError
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        """A ray that leaves the emitter, and its weight: radiance times cosine over the density.
+
+        The mean of the weight is the emitter's power. The ray carries no offset from the surface.
+        """
         raise NotImplementedError

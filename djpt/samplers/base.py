@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar, Protocol
+
+import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.types import Bool, Float, Point2f, UInt32
 
-__all__ = ["SampleStream", "Sampler"]
+__all__ = ["SampleIndex", "SampleStream", "Sampler"]
+
+
+@dataclass
+class SampleIndex:
+    """Which sample of an image: the k-th of `spp` samples of a pixel."""
+
+    pixel: UInt32
+    """Counted row by row over the sampled grid."""
+    k: UInt32
+    spp: UInt32
+    width: UInt32
+    """Pixels in a row of the grid."""
+
+    @property
+    def number(self) -> UInt32:
+        """Pixel * spp + k: the number of the sample in the image."""
+        return dr.fma(self.pixel, self.spp, self.k)
 
 
 class SampleStream(Protocol):
@@ -27,8 +47,8 @@ class SampleStream(Protocol):
 class Sampler(Plugin):
     """Makes a `SampleStream` per sample.
 
-    The stream of a sample depends on (seed, sample index) alone, where the sample index is
-    pixel * spp + sample: that makes an image independent of how lanes are filled.
+    The stream of a sample depends on the seed and its `SampleIndex` alone: that makes an image
+    independent of how lanes are filled.
 
     Parameters: `sample_count` (samples per pixel when `render` isn't told, default 4), `seed`
     (added to render's seed, default 0).
@@ -41,6 +61,13 @@ class Sampler(Plugin):
         self.sample_count = props.integer("sample_count", 4, low=1)
         self.seed = props.integer("seed", 0, low=0, high=0xFFFFFFFF)
 
-    def stream(self, seed: UInt32, index: UInt32) -> SampleStream:
-        """The stream of sample number `index`."""
+    def round_count(self, spp: int) -> int:
+        """The number of samples per pixel that is taken if `spp` (1 or more) are asked for: not less."""
+        return spp
+
+    def stream(self, seed: UInt32, index: SampleIndex) -> SampleStream:
+        """The stream of a sample; its first two numbers place the sample on its pixel.
+
+        `seed` is the sum of `render`'s and the sampler's own.
+        """
         raise NotImplementedError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from djpt.hashing import sample_tea_32
-from djpt.samplers.base import Sampler
+from djpt.samplers.base import SampleIndex, Sampler
 from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
 
 __all__ = ["Independent", "IndependentStream"]
@@ -39,11 +39,11 @@ class IndependentStream:
 class Independent(Sampler):
     """Every number independent of all others: the streams of Mitsuba's `independent`.
 
-    The generator of sample i is seeded by the two words of `sample_tea_32(seed, i)`.
+    The generator of sample number i is seeded by the two words of `sample_tea_32(seed, i)`.
     """
 
-    def stream(self, seed: UInt32, index: UInt32) -> IndependentStream:
-        v0, v1 = sample_tea_32(seed, index)
+    def stream(self, seed: UInt32, index: SampleIndex) -> IndependentStream:
+        v0, v1 = sample_tea_32(seed, index.number)
         # The constructor of PCG32 adds a lane counter to the sequence number, which inside a
         # symbolic loop counts the loop's lanes whatever `size` says: so seed by hand.
         rng = PCG32()

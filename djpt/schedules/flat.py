@@ -118,7 +118,7 @@ def restart(ended: Bool, fresh: PathState, state: PathState) -> PathState:
     def either(field: Any) -> Any:
         mine = getattr(state, field.name)
         # The previous vertex is never looked at before there is one: its density is 0.
-        if mine is None or field.name == "p":
+        if mine is None or field.name in ("p", "n"):
             return mine
         return dr.select(ended, getattr(fresh, field.name), mine)
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
 
-from djpt.dispatch import opaque_copy
+from djpt.dispatch import Detached, Ensemble
 from djpt.films import HDRFilm
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f
-from djpt.samplers import Sampler, SampleStream
+from djpt.samplers import SampleIndex, Sampler, SampleStream
 from djpt.scene import Scene
+from djpt.sensors import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
 
 __all__ = ["Band", "Job", "Progress"]
@@ -64,7 +65,8 @@ class Job:
         self._origin = Point2f(*(dr.opaque(Float, n - border) for n in self.film.crop_offset))
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size]
         self._inverse_crop = Point2f(*inverse)
-        self._camera = opaque_copy(self.sensor)
+        self._camera = camera(self.sensor)
+        self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
 
     def with_scene(self, scene: Scene) -> Job:
         """The same job over another view of the scene."""
@@ -86,7 +88,7 @@ class Job:
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
-        return self.sampler.stream(self.seed_value, dr.fma(pixel, self.spp_value, k))
+        return self.sampler.stream(self.seed_value, SampleIndex(pixel, k, self.spp_value, self.width_value))
 
     def coordinates(self, pixel: UInt32) -> tuple[Float, Float]:
         """Column and row of a pixel of the grid."""
@@ -100,8 +102,9 @@ class Job:
         """
         stream = self.stream(pixel, k)
         offset = stream.next_2d()
+        aperture = stream.next_2d() if self.sensor.needs_aperture_sample else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return stream, self._camera.sample_ray(position * self._inverse_crop), offset
+        return stream, self._camera.sample_ray(position * self._inverse_crop, aperture), offset
 
     def on_film(self, column: Float, row: Float) -> Point2f:
         """The position on the whole film, in pixels, of the corner of a pixel of the grid."""
@@ -113,9 +116,28 @@ class Job:
 
     def channels(self, color: Color3f, valid: Bool, aovs: list[Float]) -> list[Float]:
         """What one sample stores."""
-        return (self.film.channels(color, valid) if self.integrator.writes_color else []) + aovs
+        return (self.film.channels(self._measured(color), valid) if self.integrator.writes_color else []) + aovs
+
+    def tangent_channels(self, color: Color3f) -> list[Float]:
+        """The derivative of `channels` in the direction of a change of the colour."""
+        return self.film.tangent_channels(self._measured(color))
+
+    def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
+        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
+        return self._measured(self.film.color_adjoint(channels))
+
+    def _measured(self, color: Color3f) -> Color3f:
+        return color if self._weight is None else color * self._weight
 
     def bands(self, pixels: int) -> list[Band]:
         """The grid in bands of whole rows of about `pixels` pixels."""
         rows = max(1, pixels // self.width)
         return [Band(y, min(rows, self.height - y)) for y in range(0, self.height, rows)]
+
+
+def camera(sensor: Sensor) -> Sensor:
+    """A copy of a sensor whose values, and those of its children, are opaque."""
+    ensemble, values = Ensemble([sensor]), Detached()
+    # Long tables must exist before a kernel's loop asks for them.
+    values.prepare(ensemble.leaves())
+    return ensemble.groups[0].at(UInt32(0), values)

@@ -129,7 +129,7 @@ def backward_constant(
     lanes = interleaved(job, Band(0, job.height), begin, end)
     numbering = numbering_of(job, parameters)
     accumulator = Accumulator(parameters, numbering, values, dr.width(lanes.pixel))
-    delta = job.film.color_adjoint([dr.gather(Float, a, lanes.pixel) for a in adjoints])
+    delta = job.color_adjoint([dr.gather(Float, a, lanes.pixel) for a in adjoints])
     sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, delta, None))
     dr.eval(sums, k)
     return accumulator.gradients(sums)
@@ -148,7 +148,7 @@ def backward_samples(
     """Gradients of the parameters from one adjoint per sample of a band, [k - begin][pixel] per channel."""
 
     def adjoint(slot: UInt32, active: Bool) -> Color3f:
-        return job.film.color_adjoint([dr.gather(Float, a, slot, active) for a in adjoints])
+        return job.color_adjoint([dr.gather(Float, a, slot, active) for a in adjoints])
 
     numbering = numbering_of(job, parameters)
     if machine:

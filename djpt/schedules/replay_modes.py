@@ -147,7 +147,7 @@ class Forward(Mode):
     def hand_over(
         self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
     ) -> tuple[Color3f, list[Float]]:
-        channels, sums = job.film.tangent_channels(walk.delta), walk.sums
+        channels, sums = job.tangent_channels(walk.delta), walk.sums
         if self.store is None:
             sums = [s + dr.select(finished & counts, c, 0) for s, c in zip(sums, channels, strict=True)]
         else:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from djpt.description.numeric import as_number
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
@@ -26,6 +29,13 @@ class Sensor(Plugin):
     """
 
     kind: ClassVar[str] = "sensor"
+    on_shape: ClassVar[bool] = False
+    """Must it be nested in a shape? The scene then sets `shape`."""
+    shape: Any = None
+    needs_aperture_sample = False
+    """Do rays depend on more than the film position? Two more numbers per sample are then drawn, after the film's."""
+    weight = 1.0
+    """What radiance is multiplied by to give what the sensor measures; the same for all its rays."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -67,12 +77,22 @@ class Sensor(Plugin):
         """Recompute what kernels read; ``film`` is among the keys if the film's size or crop changed."""
         raise NotImplementedError
 
+    # ---- on the host -------------------------------------------------------------------
+
+    def viewpoint(self) -> NDArray[np.float64] | None:
+        """The point (3,) near which all rays start; None if they start in many places."""
+        return self.to_world.translation()
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        """Called with the scene's bounding sphere, and again when it changes; for sensors that are far away."""
+
     # ---- in kernels --------------------------------------------------------------------
 
-    def sample_ray(self, film_position: Point2f, active: Bool | bool = True) -> Ray3f:
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         """The ray through a position in [0, 1]^2 of the film's crop window, y downwards.
 
-        Reads only `values`. The ray's `d` has unit length; it covers near to far clip.
+        `aperture_sample` in [0, 1)^2 is random only for sensors with `needs_aperture_sample`. The ray's
+        `d` has unit length; it covers near to far clip.
         """
         raise NotImplementedError
 

@@ -103,7 +103,7 @@ class Perspective(Sensor):
 
     # ---- in kernels --------------------------------------------------------------------
 
-    def sample_ray(self, film_position: Point2f, active: Bool | bool = True) -> Ray3f:
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         # Unit distance along the optical axis: lengths of this vector convert depth to distance.
         d = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
         length_squared = dr.squared_norm(d)

@@ -68,6 +68,7 @@ class Shape(Plugin):
         super().__init__(props)
         self.bsdf: Any = props.child("bsdf")
         self.emitter: Any = props.child("emitter")
+        self.sensor: Any = props.child("sensor")
         self.flip_normals = props.boolean("flip_normals", False)
         # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
         self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
@@ -80,6 +81,8 @@ class Shape(Plugin):
             callback.put("bsdf", self.bsdf)
         if self.emitter is not None:
             callback.put("emitter", self.emitter)
+        if self.sensor is not None:
+            callback.put("sensor", self.sensor)
         callback.put("silhouette_sampling_weight", self.silhouette_sampling_weight)
         self.traverse_geometry(callback)
 

@@ -1,0 +1,24 @@
+"""Which emitter to sample: one way of choosing per file."""
+
+from collections.abc import Sequence
+
+from djpt.emitters.base import Emitter
+from djpt.light_choice.base import EmitterChoice
+from djpt.light_choice.uniform import UniformChoice
+from djpt.light_choice.weighted import WeightedChoice
+
+__all__ = ["CHOICES", "EmitterChoice", "UniformChoice", "WeightedChoice", "make_choice"]
+
+CHOICES = ("uniform", "power")
+
+
+def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
+    """The way of choosing with one of the names in `CHOICES`.
+
+    `sampling_weight`s count as in Mitsuba: as soon as one of them isn't 1.
+    """
+    if name == "power":
+        return WeightedChoice(emitters, by_power=True)
+    if any(e.sampling_weight != 1 for e in emitters):
+        return WeightedChoice(emitters, by_power=False)
+    return UniformChoice(emitters)
