@@ -369,9 +369,6 @@ def test_inactive_lanes_do_not_advance() -> None:
     number = dr.arange(UInt32, 8)
     index = SampleIndex(number, UInt32(0), UInt32(1), UInt32(1))
     masked, plain = sampler.stream(UInt32(0), index), sampler.stream(UInt32(0), index)
-        sampler.stream(UInt32(0), SampleIndex(index, UInt32(0), UInt32(1), UInt32(1))),
-        sampler.stream(UInt32(0), SampleIndex(index, UInt32(0), UInt32(1), UInt32(1))),
-    )
     even = (number & 1) == 0
     masked.next_1d(even)
     first, second = plain.next_1d(), plain.next_1d()
