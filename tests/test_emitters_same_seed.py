@@ -1,0 +1,20 @@
+"""Each emitter over a floor with two spheres: equal seeds, equal pixels, djpt against Mitsuba."""
+
+from __future__ import annotations
+
+import pytest
+from emitters import NAMES, entry
+from lit_floor import floor_scene
+from renders import ours, theirs
+
+from djpt.validation import agreement
+
+pytest.importorskip("mitsuba")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_equal_pixels(name: str) -> None:
+    scene = floor_scene({"light": entry(name)})
+    share = agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share
+    print(f"{name}: {share:.4f}")
+    assert share >= 0.95
