@@ -21,7 +21,8 @@ from djpt.geometry.parity import is_inside
 from djpt.interior import Interior
 from djpt.light_choice import EmitterChoice, make_choice
 from djpt.lookup import Members
-from djpt.materials import BSDF, Diffuse
+from djpt.materials import BSDF
+from djpt.nesting import black, collect, default_bsdf
 from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
     RAY_EPSILON,
@@ -62,25 +63,10 @@ class Scene(Plugin):
         if len(integrators) > 1:
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
-        self._sensors: list[Sensor] = []
-        for _, plugin in self.named:
-            if plugin.kind == "sensor":
-                self._sensors.append(plugin)
-            elif plugin.kind == "shape" and plugin.sensor is not None:
-                self._sensors.append(adopt_sensor(plugin))
-        for sensor in self._sensors:
-            if sensor.on_shape and sensor.shape is None:
-                raise SceneError(f"{sensor.id}: this sensor must be nested in a shape")
+        plugins = [plugin for _, plugin in self.named]
+        self._sensors: list[Sensor] = collect("sensor", plugins)
         # Light sampling numbers emitters in the order of the description, those of shapes included.
-        self._emitters: list[Emitter] = []
-        for _, plugin in self.named:
-            if plugin.kind == "emitter":
-                self._emitters.append(plugin)
-            elif plugin.kind == "shape" and plugin.emitter is not None:
-                self._emitters.append(adopt(plugin))
-        for emitter in self._emitters:
-            if emitter.on_shape and emitter.shape is None:
-                raise SceneError(f"{emitter.id}: this emitter must be nested in a shape")
+        self._emitters: list[Emitter] = collect("emitter", plugins)
         infinite = [i for i, e in enumerate(self._emitters) if has_flag(e.flags(), EmitterFlags.Infinite)]
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
@@ -389,28 +375,6 @@ KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
 """What may stand at the top level of a scene."""
 
 
-def adopt(shape: Shape) -> Emitter:
-    """The emitter nested in a shape, told which shape it is."""
-    emitter: Emitter = shape.emitter
-    if not emitter.on_shape:
-        raise SceneError(f"{shape.id}: a shape can't carry '{emitter.id}': only area lights can be nested in shapes")
-    if emitter.shape not in (None, shape):
-        raise SceneError(f"{shape.id}: its emitter already belongs to '{emitter.shape.id}'")
-    emitter.shape = shape
-    return emitter
-
-
-def adopt_sensor(shape: Shape) -> Sensor:
-    """The sensor nested in a shape, told which shape it is."""
-    sensor: Sensor = shape.sensor
-    if not sensor.on_shape:
-        raise SceneError(f"{shape.id}: only an 'irradiancemeter' can be nested in a shape, found '{sensor.id}'")
-    if sensor.shape not in (None, shape):
-        raise SceneError(f"{shape.id}: its sensor already belongs to '{sensor.shape.id}'")
-    sensor.shape = shape
-    return sensor
-
-
 def is_at_infinity(emitter: Emitter) -> bool:
     """Does its light arrive from beyond the scene?"""
     flags = emitter.flags()
@@ -429,14 +393,3 @@ def reads_uv(plugin: Plugin) -> bool:
         return isinstance(plugin, Texture) and not plugin.is_constant
     children = [getattr(plugin, name) for name in plugin.children]
     return any(reads_uv(child) for child in children if isinstance(child, Plugin) and child.kind != "shape")
-
-
-def default_bsdf(shape: Shape) -> BSDF:
-    """The BSDF of a shape that has none: grey 0.5, black if it emits."""
-    name = f"{shape.id}.bsdf"
-    return black(name) if shape.emitter is not None else Diffuse(Properties("diffuse", name, {"reflectance": 0.5}))
-
-
-def black(name: str) -> BSDF:
-    """A surface that reflects nothing."""
-    return Diffuse(Properties("diffuse", name, {"reflectance": 0.0}))
