@@ -11,8 +11,18 @@ from typing import Any
 from djpt.scenes.analytic import furnace
 from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres
 from djpt.scenes.gallery import shader_ball
+from djpt.scenes.stage import sky, stage
 
-__all__ = ["SCENES", "cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "furnace", "shader_ball"]
+__all__ = [
+    "SCENES",
+    "cornell_box",
+    "cornell_box_boxfilter",
+    "cornell_box_spheres",
+    "furnace",
+    "shader_ball",
+    "sky",
+    "stage",
+]
 
 SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "cornell_box": cornell_box,
@@ -20,5 +30,6 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "cornell_box_spheres": cornell_box_spheres,
     "furnace": furnace,
     "shader_ball": shader_ball,
+    "stage": stage,
 }
 """The built-in scenes by name, for the command line. Each call makes a new dict."""
