@@ -11,10 +11,10 @@ import drjit as dr
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.lookup import as_float
-from djpt.materials.base import BSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, fresnel_diffuse_reflectance, reflect
 from djpt.materials.ior import check_eta, ior
+from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
@@ -24,7 +24,7 @@ __all__ = ["Plastic"]
 INV_PI = 1 / math.pi
 
 
-class Plastic(BSDF):
+class Plastic(SharedWorkBSDF):
     """A mirror with the reflectance F(theta_i) of a dielectric over a diffuse base; black from behind.
 
     The base shines through the interface twice and light is trapped between both:
@@ -59,38 +59,14 @@ class Plastic(BSDF):
     def flags(self) -> int:
         return int(BSDFFlags.DeltaReflection | BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        return _Vertex(self, si, active).sample(sample1, sample2)
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        return _Vertex(self, si, active).eval_pdf(wo)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        vertex = _Vertex(self, si, active)
-        return *vertex.eval_pdf(wo), *vertex.sample(sample1, sample2)
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return PlasticAtPoint(self, si, active)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.diffuse_reflectance.eval(si, active)
 
 
-class _Vertex:
+class PlasticAtPoint:
     """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
 
     def __init__(self, bsdf: Plastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:

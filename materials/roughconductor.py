@@ -8,18 +8,18 @@ import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
-from djpt.materials.base import BSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
+from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 __all__ = ["RoughConductor"]
 
 
-class RoughConductor(BSDF):
+class RoughConductor(SharedWorkBSDF):
     """f = F(wi, m) D(m) G(wi, wo, m) / (4 cos theta_i cos theta_o) with the half vector m; black from behind.
 
     F is the reflectance of a conductor of index eta + i k, D and G are those of
@@ -61,35 +61,11 @@ class RoughConductor(BSDF):
     def flags(self) -> int:
         return int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        return _Vertex(self, si, active).sample(sample2)
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        return _Vertex(self, si, active).eval_pdf(wo)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        vertex = _Vertex(self, si, active)
-        return *vertex.eval_pdf(wo), *vertex.sample(sample2)
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return RoughConductorAtPoint(self, si, active)
 
 
-class _Vertex:
+class RoughConductorAtPoint:
     """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
 
     def __init__(self, bsdf: RoughConductor, si: SurfaceInteraction3f, active: Bool | bool) -> None:
@@ -117,7 +93,7 @@ class _Vertex:
         pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
         return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
 
-    def sample(self, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
         m = self.surface.sample_normal(self.wi, sample2)
         cos = dr.dot(self.wi, m)
         wo = reflect(self.wi, m)

@@ -10,18 +10,18 @@ import drjit as dr
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.lookup import as_float
-from djpt.materials.base import BSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
+from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 __all__ = ["RoughDielectric"]
 
 
-class RoughDielectric(BSDF):
+class RoughDielectric(SharedWorkBSDF):
     """Reflection and refraction by microfacets with Fresnel reflectance F, from both sides.
 
     With i = abs(dot(wi, m)), o = abs(dot(wo, m)), D and G of `MicrofacetDistribution` and the index eta
@@ -82,35 +82,11 @@ class RoughDielectric(BSDF):
         lobes = BSDFFlags.GlossyReflection | BSDFFlags.GlossyTransmission
         return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        return _Vertex(self, ctx, si, active).sample(sample1, sample2)
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        return _Vertex(self, ctx, si, active).eval_pdf(wo)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        vertex = _Vertex(self, ctx, si, active)
-        return *vertex.eval_pdf(wo), *vertex.sample(sample1, sample2)
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return RoughDielectricAtPoint(self, ctx, si, active)
 
 
-class _Vertex:
+class RoughDielectricAtPoint:
     """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
 
     def __init__(self, bsdf: RoughDielectric, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:

@@ -14,11 +14,11 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.lookup import as_float, opaque
-from djpt.materials.base import BSDF
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.microfacet import MicrofacetDistribution, distribution_name
+from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.textures.allowed import Allowed
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
@@ -34,7 +34,7 @@ KNOTS = 64
 ROUGHNESS = Allowed(0.0, 1.0, low_open=True)
 
 
-class RoughPlastic(BSDF):
+class RoughPlastic(SharedWorkBSDF):
     """A rough dielectric's reflection over a diffuse base; black from behind.
 
     With F, D, G and m as for `RoughConductor`, but the F of a dielectric:
@@ -138,38 +138,14 @@ class RoughPlastic(BSDF):
         ends = self.coat_at(index, active)
         return dr.lerp(ends.x, ends.y, x - Float(index))
 
-    def sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[BSDFSample3f, Color3f]:
-        return _Vertex(self, si, active).sample(sample1, sample2)
-
-    def eval_pdf(
-        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
-    ) -> tuple[Color3f, Float]:
-        return _Vertex(self, si, active).eval_pdf(wo)
-
-    def eval_pdf_sample(
-        self,
-        ctx: BSDFContext,
-        si: SurfaceInteraction3f,
-        wo: Vector3f,
-        sample1: Float,
-        sample2: Point2f,
-        active: Bool | bool = True,
-    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        vertex = _Vertex(self, si, active)
-        return *vertex.eval_pdf(wo), *vertex.sample(sample1, sample2)
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return RoughPlasticAtPoint(self, si, active)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.diffuse_reflectance.eval(si, active)
 
 
-class _Vertex:
+class RoughPlasticAtPoint:
     """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
 
     def __init__(self, bsdf: RoughPlastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:
