@@ -15,6 +15,8 @@ from djpt.types import Float, Point2f, Vector3f
 __all__ = [
     "square_to_cosine_hemisphere",
     "square_to_cosine_hemisphere_pdf",
+    "square_to_tent",
+    "square_to_tent_pdf",
     "square_to_uniform_cone",
     "square_to_uniform_cone_pdf",
     "square_to_uniform_disk_concentric",
@@ -96,6 +98,22 @@ def square_to_uniform_cone(sample: Point2f, cos_cutoff: Float) -> Vector3f:
 def square_to_uniform_cone_pdf(v: Vector3f, cos_cutoff: Float) -> Float:
     """1 / (2 pi (1 - cos_cutoff)) inside the cone, else 0."""
     return dr.select(v.z >= cos_cutoff, dr.rcp(2 * math.pi * (1 - cos_cutoff)), 0)
+
+
+def square_to_tent(sample: Point2f) -> Point2f:
+    """Two tents over [-1, 1], each with the density 1 - abs(x): what bilinear interpolation weighs a node with."""
+    return Point2f(_tent(sample.x), _tent(sample.y))
+
+
+def _tent(sample: Float) -> Float:
+    centred = sample - 0.5
+    return dr.mulsign(1 - dr.safe_sqrt(dr.fma(dr.abs(centred), -2, 1)), centred)
+
+
+def square_to_tent_pdf(p: Point2f) -> Float:
+    """(1 - abs(x)) (1 - abs(y)) on [-1, 1]^2, per unit area."""
+    x, y = 1 - dr.abs(p.x), 1 - dr.abs(p.y)
+    return dr.select((x > 0) & (y > 0), x * y, 0)
 
 
 def square_to_uniform_triangle(sample: Point2f) -> Point2f:

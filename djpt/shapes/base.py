@@ -20,7 +20,7 @@ from djpt.records import DirectionSample3f, PositionSample3f
 from djpt.transforms import as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["Face", "Hit", "Shape"]
+__all__ = ["Face", "Hit", "Shape", "towards"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,8 @@ class Shape(Plugin):
     """Does it have an inside, that every path to the outside leaves through the surface?"""
     has_area: ClassVar[bool] = True
     """Is its area known, so that points can be drawn uniformly? Else `sample_direction` draws directions instead."""
+    has_parameterization: ClassVar[bool] = False
+    """Is every (u, v) of the unit square one point, so that `eval_parameterization` exists?"""
     canonical: ClassVar[str | None] = None
     """Its name in `djpt.geometry.canonical`, if `to_world` maps one of the shapes there to it."""
     of_triangles: ClassVar[bool] = False
@@ -144,29 +146,20 @@ class Shape(Plugin):
         """A point uniform in area: pdf = 1 / area."""
         raise NotImplementedError
 
+    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+        """The point at (u, v) of the unit square, if the shape `has_parameterization`.
+
+        `pdf` is the density per unit area that points have whose uv are uniform: 1 / norm(dp/du x dp/dv), or 0
+        where that is infinite.
+        """
+        raise NotImplementedError
+
     def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
         """A point of the shape as seen from `ref`; by default from `sample_position`.
 
         pdf = dist^2 / (area abs(cos)), the area density converted to solid angle at `ref`.
         """
-        ps = self.sample_position(sample)
-        to_p = ps.p - ref
-        dist_squared = dr.squared_norm(to_p)
-        inv_dist = dr.rsqrt(dist_squared)
-        d = to_p * inv_dist
-        weight = dr.abs(dr.dot(d, ps.n)) * dr.square(inv_dist) * self.surface_area()
-        ok = (weight > 0) & (dist_squared > 0)
-        return DirectionSample3f(
-            ps.p,
-            ps.n,
-            ps.uv,
-            d,
-            dist_squared * inv_dist,
-            dr.select(ok, dr.rcp(weight), 0),
-            dr.select(ok, weight, 0),
-            Bool(False),
-            UInt32(0),
-        )
+        return towards(self.sample_position(sample), self.surface_area(), ref)
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         """Density with which `sample_direction` gives `ds`."""
@@ -180,3 +173,27 @@ class Shape(Plugin):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         """The number that Mitsuba gives to the primitive under a point; 0 for single-primitive shapes."""
         return UInt32(0)
+
+
+def towards(ps: PositionSample3f, inverse_pdf: Float, ref: Point3f) -> DirectionSample3f:
+    """A point sampled on a surface as seen from `ref`; `inverse_pdf` is 1 / (density per unit area).
+
+    pdf = dist^2 / (inverse_pdf abs(cos)), per unit solid angle at `ref`.
+    """
+    to_p = ps.p - ref
+    dist_squared = dr.squared_norm(to_p)
+    inv_dist = dr.rsqrt(dist_squared)
+    d = to_p * inv_dist
+    weight = dr.abs(dr.dot(d, ps.n)) * dr.square(inv_dist) * inverse_pdf
+    ok = (weight > 0) & (dist_squared > 0)
+    return DirectionSample3f(
+        ps.p,
+        ps.n,
+        ps.uv,
+        d,
+        dist_squared * inv_dist,
+        dr.select(ok, dr.rcp(weight), 0),
+        dr.select(ok, weight, 0),
+        Bool(False),
+        UInt32(0),
+    )

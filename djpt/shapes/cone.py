@@ -32,6 +32,7 @@ class Cone(Revolution):
     uv = (phi / 2 pi, z) with z from 0 at the apex to 1 at the rim, phi as for the cylinder. Normals point outwards.
     """
 
+    has_parameterization = True
     values = dict.fromkeys(
         ("center", "axis_x", "axis_y", "axis_z", "slope", "cos", "sin", "length", "side", "area"), HIDDEN
     )
@@ -133,6 +134,11 @@ class Cone(Revolution):
         z = v * self.length
         p = dr.fma(outward, z * self.slope, dr.fma(self.axis_z, z, self.center))
         return PositionSample3f(p, self._tilted(outward), Point2f(sample.y, v), dr.rcp(self.area))
+
+    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+        ps = self.sample_position(Point2f(dr.square(uv.y), uv.x))
+        stretch = 2 * uv.y * self.area
+        return PositionSample3f(ps.p, ps.n, uv, dr.select(stretch > 0, dr.rcp(stretch), 0))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         across, z = self.across(p)

@@ -34,6 +34,7 @@ class Cylinder(Revolution):
     also those of sampled points: Mitsuba 3.9.1 samples a reflected cylinder with normals that point inwards.
     """
 
+    has_parameterization = True
     canonical = "cylinder"
     values = dict.fromkeys(("center", "axis_x", "axis_y", "axis_z", "radius", "length", "side", "area"), HIDDEN)
 
@@ -99,6 +100,9 @@ class Cylinder(Revolution):
         n = self.radial(sample.y)
         p = dr.fma(n, self.radius, dr.fma(self.axis_z, (sample.x - 0.5) * self.length, self.center))
         return PositionSample3f(p, n * self.side, Point2f(sample.y, sample.x), dr.rcp(self.area))
+
+    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+        return self.sample_position(Point2f(uv.y, uv.x))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         across, z = self.across(p)

@@ -30,6 +30,7 @@ class Disk(Shape):
     It shines and shades on the side of the transformed +z axis; dp/du points away from the centre.
     """
 
+    has_parameterization = True
     canonical = "disk"
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
     statics = ()
@@ -124,6 +125,12 @@ class Disk(Shape):
         local = square_to_uniform_disk_concentric(sample)
         p = dr.fma(self.edge_u, local.x, dr.fma(self.edge_v, local.y, self.center))
         return PositionSample3f(p, self.normal, polar_uv(local.x, local.y, dr.norm(local)), dr.rcp(self.area))
+
+    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+        sin, cos = dr.sincos(2 * math.pi * uv.y)
+        p = dr.fma(self.edge_u, uv.x * cos, dr.fma(self.edge_v, uv.x * sin, self.center))
+        stretch = 2 * uv.x * self.area
+        return PositionSample3f(p, self.normal, uv, dr.select(stretch > 0, dr.rcp(stretch), 0))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         cos, sin, r = self._polar(p)

@@ -28,6 +28,7 @@ class Rectangle(Shape):
     It shines and shades on the side of the transformed +z axis.
     """
 
+    has_parameterization = True
     canonical = "rectangle"
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
     statics = ("flip_normals",)
@@ -93,6 +94,9 @@ class Rectangle(Shape):
         x, y = dr.fma(2, sample.x, -1), dr.fma(2, sample.y, -1)
         p = dr.fma(self.edge_u, x, dr.fma(self.edge_v, y, self.center))
         return PositionSample3f(p, self.normal, sample, dr.rcp(self.area))
+
+    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+        return self.sample_position(uv)
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         local = p - self.center

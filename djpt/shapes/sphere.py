@@ -35,6 +35,7 @@ class Sphere(Shape):
     """
 
     closed = True
+    has_parameterization = True
     canonical = "sphere"
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
@@ -114,6 +115,14 @@ class Sphere(Shape):
         d = self.axis_x * local.x + self.axis_y * local.y + self.axis_z * local.z
         p = dr.fma(d, self.radius, self.center)
         return PositionSample3f(p, -d if self.flip_normals else d, self._uv(local), dr.rcp(self.area))
+
+    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+        sin_phi, cos_phi = dr.sincos(2 * math.pi * uv.x)
+        sin, cos = dr.sincos(math.pi * uv.y)
+        d = self.axis_x * (sin * cos_phi) + self.axis_y * (sin * sin_phi) + self.axis_z * cos
+        stretch = (0.5 * math.pi) * sin * self.area
+        pdf = dr.select(stretch > 0, dr.rcp(stretch), 0)
+        return PositionSample3f(dr.fma(d, self.radius, self.center), -d if self.flip_normals else d, uv, pdf)
 
     def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
         """Outside: uniform in the cone that the sphere subtends. Inside: uniform in area.

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from djpt.description.plugin import Plugin
 from djpt.textures.allowed import Allowed
-from djpt.types import Bool, Color3f, Float, Vector2f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector2f
 
 __all__ = ["Texture"]
 
@@ -36,6 +36,17 @@ class Texture(Plugin):
         if self.is_constant:
             return Vector2f(0)
         raise NotImplementedError
+
+    def prepare_sampling(self) -> None:
+        """Build what `sample_position` needs; a light with this radiance asks for it, on the host."""
+
+    def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
+        """A point (u, v) of the unit square where the texture is bright, and its density; by default uniform."""
+        return sample, Float(1)
+
+    def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
+        """Density of `sample_position` per unit of uv, for points of the unit square. Detached."""
+        return Float(1)
 
     def mean(self) -> Float:
         """The average over the texture's domain and channels."""

@@ -12,13 +12,16 @@ from djpt.color import LUMINANCE
 from djpt.description.numeric import is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.distributions import DiscreteDistribution2D
 from djpt.errors import ParameterError, SceneError
 from djpt.lookup import as_float
 from djpt.minmax import maximum, minimum
 from djpt.textures.allowed import Allowed
+from djpt.textures.brightness import cell_weights, luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 from djpt.textures.uv import UVTexture
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
+from djpt.warp import square_to_tent
 
 __all__ = ["Bitmap"]
 
@@ -45,7 +48,8 @@ class Bitmap(UVTexture):
 
     values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "resolution": HIDDEN, "average": HIDDEN}
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
-    statics = ("channels", "filter_type", "wrap_mode")
+    children = ("distribution",)
+    statics = ("channels", "filter_type", "wrap_mode", "tents")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -57,6 +61,10 @@ class Bitmap(UVTexture):
         self._allowed = Allowed()
         # In kernels a `djpt.tables.Table` stands in its place.
         self.data: Any = load_texels(props, raw, half)
+        self.distribution: DiscreteDistribution2D | None = None
+        """Cells of the unit square by their brightness, if the texture is that of a light."""
+        self.tents = False
+        """Are the cells texels, and interpolated as these are?"""
         self._measure()
 
     # ---- on the host -------------------------------------------------------------------
@@ -69,10 +77,26 @@ class Bitmap(UVTexture):
             colour = numbers_of(self.data).mean(axis=(0, 1), dtype=np.float64)
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
 
+    def prepare_sampling(self) -> None:
+        """Texels are the cells, as in Mitsuba, unless `to_uv` moves them: Mitsuba 3.9.1 ignores that."""
+        height, width, _ = self.data.shape
+        plain = np.array_equal(self.to_uv.matrix, np.eye(4))
+        self.tents = plain and self.filter_type == "bilinear"
+        if not is_readable():
+            weights = np.ones((height, width))
+        else:
+            weights = luminance(numbers_of(self.data)) if plain else cell_weights(self, (width, height))
+        if self.distribution is None:
+            self.distribution = DiscreteDistribution2D(f"{self.id}.distribution", weights)
+        else:
+            self.distribution.set(weights)
+
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)
         if "data" in keys:
             self._measure()
+        if self.distribution is not None and {"data", "to_uv"} & set(keys):
+            self.prepare_sampling()
 
     def restrict(self, allowed: Allowed, where: str) -> None:
         allowed.require(numbers_of(self.data), where)
@@ -109,6 +133,41 @@ class Bitmap(UVTexture):
         gradient = Vector2f(lerp(f10 - f00, f11 - f01, t), lerp(f01 - f00, f11 - f10, s))
         return self.chain(gradient * self.resolution)
 
+    def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
+        """By brightness: a cell, then uniform in it, or by the tents of bilinear interpolation."""
+        if self.distribution is None:
+            return super().sample_position(sample, active)
+        column, row, rest = self.distribution.sample(sample, active)
+        if self.tents:
+            rest = square_to_tent(rest) + 0.5
+        place = (Point2f(Float(column), Float(row)) + rest) * dr.rcp(self._cells())
+        uv = Point2f(self._inside(place.x), self._inside(place.y))
+        return uv, self.pdf_position(uv, active)
+
+    def _inside(self, u: Float) -> Float:
+        """Tents about the border's texels reach out of the unit square: if the texture repeats, to its other side."""
+        if not self.tents:
+            return minimum(u, Float(1 - 2.0**-24))
+        if self.wrap_mode == "repeat":
+            return dr.select(u < 0, u + 1, dr.select(u > 1, u - 1, u))
+        return dr.select(u < 0, -u, dr.select(u > 1, 2 - u, u))
+
+    def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
+        if self.distribution is None:
+            return super().pdf_position(uv, active)
+        if self.tents:
+            (s, t), columns, rows = self._around(uv)
+            f00, f10, f01, f11 = (self.distribution.density(x, y, active) for y in rows for x in columns)
+            return lerp(lerp(f00, f10, s), lerp(f01, f11, s), t)
+        cells = self._cells()
+        column, row = (UInt32(minimum(maximum(dr.floor(uv[k] * cells[k]), 0), cells[k] - 1)) for k in range(2))
+        return self.distribution.density(column, row, active)
+
+    def _cells(self) -> Vector2f:
+        """How many cells there are along u and v."""
+        assert self.distribution is not None
+        return Vector2f(Float(self.distribution.columns), Float(self.distribution.rows))
+
     def mean(self) -> Float:
         """The luminance of the average texel, as in Mitsuba."""
         return self.average
@@ -128,13 +187,18 @@ class Bitmap(UVTexture):
 
     def _corners(self, si: Any, active: Bool | bool) -> tuple[Point2f, list[Any]]:
         """The four texels about a point, and where it lies between them: along u (s) and v (t)."""
-        place = dr.fma(self.uv(si), self.resolution, -0.5)
+        share, columns, rows = self._around(self.uv(si))
+        return share, [self._texel(x, y, active) for y in rows for x in columns]
+
+    def _around(self, uv: Point2f) -> tuple[Point2f, list[UInt32], list[UInt32]]:
+        """Columns and rows of these texels."""
+        place = dr.fma(uv, self.resolution, -0.5)
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
         rows = [self._wrap(first.y + k, 1) for k in range(2)]
         # Infinite places, too, need a share: NaN would spread.
         share = Point2f(*(maximum(place[k] - first[k], Float(0)) for k in range(2)))
-        return share, [self._texel(x, y, active) for y in rows for x in columns]
+        return share, columns, rows
 
     def _wrap(self, i: Float, axis: int) -> UInt32:
         """The number of a texel along an axis; `i` is whole, but may lie outside."""

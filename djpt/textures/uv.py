@@ -48,7 +48,8 @@ class UVTexture(Texture):
             callback.put(name, getattr(self, name), flags)
         callback.put("to_uv", self.to_uv)
         for name in self.children:
-            callback.put(name, getattr(self, name))
+            if isinstance(child := getattr(self, name), Texture):
+                callback.put(name, child)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name != "to_uv":

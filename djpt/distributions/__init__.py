@@ -1,0 +1,7 @@
+"""Densities given by numbers, and how to draw from them."""
+
+from __future__ import annotations
+
+from djpt.distributions.discrete_2d import DiscreteDistribution2D
+
+__all__ = ["DiscreteDistribution2D"]

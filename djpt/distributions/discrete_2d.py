@@ -1,0 +1,112 @@
+"""Choosing a cell of a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.lookup import as_float
+from djpt.minmax import maximum
+from djpt.types import Bool, Float, Point2f, TensorXf, UInt32
+
+__all__ = ["DiscreteDistribution2D"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+LEAST = 2.0**-33
+"""Stands for a sample of 0, so that a cell of weight 0 in the corner isn't chosen."""
+
+
+class DiscreteDistribution2D(Plugin):
+    """Chooses a cell of a grid with a probability proportional to its weight: a row first, then a column of it.
+
+    Args:
+        name: for messages.
+        weights: (rows, columns), not negative; if all are 0, all count the same.
+
+    A child of the plugin that it serves; nothing of it shows in `traverse`. Both steps invert running sums
+    (Pharr, Jakob and Humphreys, "Physically Based Rendering", 4th ed., A.5).
+    """
+
+    kind = "distribution"
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("rows", "columns", "total"), HIDDEN)
+    tables: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("marginal", "conditional", "relative"), HIDDEN)
+    children = ()
+    statics = ("steps",)
+
+    # In kernels a `djpt.tables.Table` stands in the place of these tensors.
+    marginal: Any
+    """Running sums of the rows' weights, (rows,)."""
+    conditional: Any
+    """Running sums along each row, (rows, columns)."""
+    relative: Any
+    """The weights over their mean: densities over the unit square."""
+
+    def __init__(self, name: str, weights: NDArray[Any]) -> None:
+        self.id = name
+        self.steps = (0, 0)
+        self.set(weights)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        """Nothing can be edited."""
+
+    def set(self, weights: NDArray[Any]) -> None:
+        """Take other weights, also of another shape."""
+        weights = np.asarray(weights, np.float64)
+        mean = weights.mean()
+        relative = weights / mean if mean > 0 else np.ones(weights.shape)
+        along = np.cumsum(relative, axis=1)
+        marginal = np.cumsum(along[:, -1])
+        self.marginal, self.conditional, self.relative = (
+            TensorXf(np.ascontiguousarray(table, np.float32)) for table in (marginal, along, relative)
+        )
+        rows, columns = weights.shape
+        self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
+        self.total = as_float(float(np.float32(marginal[-1])))
+        # Never fewer: an edit to and fro compiles one kernel.
+        needed = ((rows - 1).bit_length(), (columns - 1).bit_length())
+        self.steps = (max(self.steps[0], needed[0]), max(self.steps[1], needed[1]))
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def sample(self, sample: Point2f, active: Bool | bool = True) -> tuple[UInt32, UInt32, Point2f]:
+        """Choose a cell: its column, its row, and what is left of the sample, uniform in the unit square again."""
+        y = maximum(sample.y, Float(LEAST)) * self.total
+        row, low, high = search(self.marginal, UInt32(0), self.rows, y, self.steps[0], active)
+        y = (y - low) * dr.select(high > low, dr.rcp(high - low), 0)
+        first = row * self.columns
+        x = maximum(sample.x, Float(LEAST)) * entry(self.conditional, first + (self.columns - 1), active)
+        column, low, high = search(self.conditional, first, self.columns, x, self.steps[1], active)
+        x = (x - low) * dr.select(high > low, dr.rcp(high - low), 0)
+        return column, row, Point2f(x, y)
+
+    def density(self, column: UInt32, row: UInt32, active: Bool | bool = True) -> Float:
+        """The density in a cell if points are uniform within it, per unit of area: the square has the area 1."""
+        return entry(self.relative, row * self.columns + column, active)
+
+
+def search(
+    table: Any, first: UInt32, count: UInt32, wanted: Float, steps: int, active: Bool | bool
+) -> tuple[UInt32, Float, Float]:
+    """The first of `count` running sums that isn't below `wanted`: its number, the sum before it, and itself."""
+    below = UInt32(0)
+    for k in reversed(range(steps)):
+        probe = below + (1 << k)
+        inside = (probe < count) & active
+        further = inside & (entry(table, first + (probe - 1), inside) < wanted)
+        below = dr.select(further, probe, below)
+    before = below > 0
+    low = dr.select(before, entry(table, first + below - dr.select(before, UInt32(1), UInt32(0)), active), 0)
+    return below, low, entry(table, first + below, active)
+
+
+def entry(table: Any, index: UInt32, active: Bool | bool) -> Float:
+    """A number of a table; outside of kernels there are only tensors."""
+    if dr.is_tensor_v(table):
+        return dr.gather(Float, table.array, index, active)
+    number: Float = table.at(index, active)
+    return number
