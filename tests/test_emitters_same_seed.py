@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from emitters import NAMES, entry
+from emitters import NAMES, UNLIKE_MITSUBA, entry
 from lit_floor import floor_scene
 from renders import ours, theirs
 
@@ -12,7 +12,7 @@ from djpt.validation import agreement
 pytest.importorskip("mitsuba")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in UNLIKE_MITSUBA])
 def test_equal_pixels(name: str) -> None:
     scene = floor_scene({"light": entry(name)})
     share = agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share
