@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 from djpt.emitters.base import Emitter
 from djpt.light_choice.base import EmitterChoice
+from djpt.light_choice.tree import TreeChoice
 from djpt.light_choice.uniform import UniformChoice
 from djpt.light_choice.weighted import WeightedChoice
 
-__all__ = ["CHOICES", "EmitterChoice", "UniformChoice", "WeightedChoice", "make_choice"]
+__all__ = ["CHOICES", "EmitterChoice", "TreeChoice", "UniformChoice", "WeightedChoice", "make_choice"]
 
-CHOICES = ("uniform", "power")
+CHOICES = ("uniform", "power", "tree")
 
 
 def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
@@ -19,6 +20,8 @@ def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
     """
     if name == "power":
         return WeightedChoice(emitters, by_power=True)
+    if name == "tree":
+        return TreeChoice(emitters)
     if any(e.sampling_weight != 1 for e in emitters):
         return WeightedChoice(emitters, by_power=False)
     return UniformChoice(emitters)
