@@ -82,10 +82,7 @@ class Bitmap(UVTexture):
         height, width, _ = self.data.shape
         plain = np.array_equal(self.to_uv.matrix, np.eye(4))
         self.tents = plain and self.filter_type == "bilinear"
-        if not is_readable():
-            weights = np.ones((height, width))
-        else:
-            weights = luminance(numbers_of(self.data)) if plain else cell_weights(self, (width, height))
+        weights = luminance(numbers_of(self.data)) if plain else cell_weights(self, (width, height))
         if self.distribution is None:
             self.distribution = DiscreteDistribution2D(f"{self.id}.distribution", weights)
         else:
@@ -95,7 +92,8 @@ class Bitmap(UVTexture):
         super().parameters_changed(keys)
         if "data" in keys:
             self._measure()
-        if self.distribution is not None and {"data", "to_uv"} & set(keys):
+        # While `dr.freeze` records, the old density stays: less fitting, but a density.
+        if self.distribution is not None and {"data", "to_uv"} & set(keys) and is_readable():
             self.prepare_sampling()
 
     def restrict(self, allowed: Allowed, where: str) -> None:
@@ -113,6 +111,8 @@ class Bitmap(UVTexture):
                 pixels = numbers_of(texels)
                 check_texels(pixels)
                 self._allowed.require(pixels)
+            elif self.distribution is not None and texels.shape != self.data.shape:
+                raise SceneError("must keep its size on a light while 'dr.freeze' records")
         except SceneError as error:
             raise ParameterError(f"{self.id}.data: {error}") from None
         return texels
