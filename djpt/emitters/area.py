@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.base import Emitter
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import area_of, box_of, mean_of, normals_of
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmitterFlags, PositionSample3f, SurfaceInteraction3f
+from djpt.frame import Frame3f
+from djpt.records import DirectionSample3f, EmitterFlags, PositionSample3f, Ray3f, SurfaceInteraction3f
 from djpt.shapes.base import towards
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Area"]
 
@@ -45,6 +53,15 @@ class Area(Emitter):
     def flags(self) -> int:
         return int(EmitterFlags.Surface)
 
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self._scene = (center - radius, center + radius)
+
+    def power(self) -> float:
+        return math.pi * mean_of(self.radiance) * area_of(self.shape, self._scene)
+
+    def bounds(self) -> LightBounds:
+        return LightBounds(*box_of(self.shape), *normals_of(self.shape), math.pi / 2, self.power())
+
     @property
     def follows_texture(self) -> bool:
         """Are points drawn by the radiance, not by the shape?"""
@@ -78,3 +95,16 @@ class Area(Emitter):
         pdf = self.radiance.pdf_position(ds.uv) * self.shape.eval_parameterization(ds.uv).pdf
         pdf *= dr.square(ds.dist) * dr.rcp(cos)
         return dr.select((cos > 0) & dr.isfinite(pdf), pdf, 0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        if not self.shape.has_area:
+            raise SceneError(f"{self.shape.id}: no rays can be drawn from this shape, since its area isn't known")
+        if self.follows_texture:
+            ps, inverse_pdf = self._sample_texture(position_sample)
+        else:
+            ps, inverse_pdf = self.shape.sample_position(position_sample), self.shape.surface_area()
+        d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(direction_sample))
+        # Cosine and density leave pi.
+        return Ray3f(ps.p, d), self.radiance.eval(ps, active) * (math.pi * inverse_pdf)

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import ClassVar
 
 import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
 
+from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.base import Emitter
-from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import mean_of, number
+from djpt.frame import Frame3f
+from djpt.lookup import as_float, as_vector
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
-from djpt.warp import square_to_uniform_sphere
+from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 
 __all__ = ["ConstantBackground"]
 
@@ -23,6 +32,8 @@ class ConstantBackground(Emitter):
     Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
     """
 
+    # Of the sphere about the scene.
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("center", "radius"), ParamFlags.NonDifferentiable)
     children = ("radiance",)
 
     def __init__(self, props: Properties) -> None:
@@ -30,6 +41,20 @@ class ConstantBackground(Emitter):
         self.radiance = props.texture("radiance", 1.0, low=0.0)
         if not self.radiance.is_constant:
             raise props.error("radiance", "can't vary: this light has no surface")
+        self.set_bounds(np.zeros(3), 1.0)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("radiance", self.radiance)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self.center, self.radius = as_vector(center), as_float(radius)
+
+    def power(self) -> float:
+        return mean_of(self.radiance) * (2 * math.pi * number(self.radius)) ** 2
+
+    def bounds(self) -> LightBounds | None:
+        return None
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite)
@@ -57,3 +82,12 @@ class ConstantBackground(Emitter):
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(INV_FOUR_PI)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        outward = square_to_uniform_sphere(position_sample)
+        d = Frame3f.from_normal(-outward).to_world(square_to_cosine_hemisphere(direction_sample))
+        ray = Ray3f(dr.fma(outward, self.radius, self.center), d)
+        # Cosine and densities, 1 / (4 pi r^2) and cos / pi, leave (2 pi r)^2.
+        return ray, self.radiance.eval(ray, active) * dr.square(2 * math.pi * self.radius)

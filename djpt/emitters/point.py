@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import drjit as dr
+import numpy as np
 
+from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.emitters.base import Emitter
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import mean_of
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmitterFlags, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.warp import square_to_uniform_sphere
 
-__all__ = ["PointLight"]
+__all__ = ["PointLight", "towards_point"]
 
 
 class PointLight(Emitter):
@@ -40,6 +46,13 @@ class PointLight(Emitter):
         if not self.intensity.is_constant:
             raise props.error("intensity", "can't vary: this light has no surface")
 
+    def power(self) -> float:
+        return 4 * math.pi * mean_of(self.intensity)
+
+    def bounds(self) -> LightBounds:
+        at = as_array(dr.detach(self.position))
+        return LightBounds(at, at, np.array([0.0, 0.0, 1.0]), math.pi, math.pi / 2, self.power())
+
     def flags(self) -> int:
         return int(EmitterFlags.DeltaPosition)
 
@@ -49,22 +62,26 @@ class PointLight(Emitter):
     def sample_direction(
         self, ref: Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        to_light = self.position - ref
-        dist_squared = dr.squared_norm(to_light)
-        inv_dist = dr.rsqrt(dist_squared)
-        d = to_light * inv_dist
-        ds = DirectionSample3f(
-            self.position,
-            -d,
-            Point2f(0),
-            d,
-            dist_squared * inv_dist,
-            Float(1),
-            Float(1),
-            Bool(True),
-            UInt32(0),
-        )
-        return ds, self.intensity.eval(ds, active) * dr.select(dist_squared > 0, dr.square(inv_dist), 0)
+        ds, falloff = towards_point(self.position, ref)
+        return ds, self.intensity.eval(ds, active) * falloff
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        ray = Ray3f(self.position, square_to_uniform_sphere(direction_sample))
+        return ray, self.intensity.eval(ray, active) * (4 * math.pi)
+
+
+def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, Float]:
+    """The only sample that there is of a light at a point, and 1 / dist^2."""
+    to_light = position - ref
+    dist_squared = dr.squared_norm(to_light)
+    inv_dist = dr.rsqrt(dist_squared)
+    d = to_light * inv_dist
+    ds = DirectionSample3f(
+        position, -d, Point2f(0), d, dist_squared * inv_dist, Float(1), Float(1), Bool(True), UInt32(0)
+    )
+    return ds, dr.select(dist_squared > 0, dr.square(inv_dist), 0)

@@ -1,0 +1,68 @@
+"""How large, how bright and how curved something that shines is: numbers on the host."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import as_array
+from djpt.shapes import Mesh, Shape
+from djpt.textures import Texture
+
+__all__ = ["area_of", "box_of", "mean_of", "normals_of", "number"]
+
+Vector = NDArray[np.float64]
+
+
+def number(value: Any) -> float:
+    """What a width-1 array holds."""
+    return float(as_array(dr.detach(value)))
+
+
+def mean_of(texture: Texture) -> float:
+    """The average of a texture over uv and colours."""
+    return number(texture.mean())
+
+
+def box_of(shape: Shape) -> tuple[Vector, Vector]:
+    """The corners of the box about a shape; infinite for planes."""
+    low, high = np.array([shape.interval(unit) for unit in np.eye(3)]).T
+    return low, high
+
+
+def area_of(shape: Shape, scene: tuple[Vector, Vector]) -> float:
+    """The area of a shape. If it is unknown, that of the box about its part in the box `scene`."""
+    if shape.has_area:
+        return number(shape.surface_area())
+    low, high = box_of(shape)
+    x, y, z = np.maximum(np.minimum(high, scene[1]) - np.maximum(low, scene[0]), 0)
+    return float(2 * (x * y + y * z + z * x))
+
+
+def normals_of(shape: Shape) -> tuple[Vector, float]:
+    """A cone that holds a shape's normals: its axis, and the angle between axis and side in radians."""
+    if shape.plane() is not None and hasattr(shape, "normal"):
+        return as_array(dr.detach(shape.normal)), 0.0
+    if isinstance(shape, Mesh):
+        normals = mesh_normals(shape)
+        axis = normals.sum(axis=0)
+        length = float(np.linalg.norm(axis))
+        if length > 1e-3 * len(normals):
+            axis /= length
+            return axis, math.acos(min(max(float((normals @ axis).min()), -1.0), 1.0))
+    return np.array([0.0, 0.0, 1.0]), math.pi
+
+
+def mesh_normals(mesh: Mesh) -> Vector:
+    """Unit normals of all faces, and of all vertices if they have any: (N, 3)."""
+    a, b, c = np.moveaxis(mesh.positions.astype(np.float64)[mesh.indices], 1, 0)
+    normals = np.cross(b - a, c - a)
+    if mesh.normals is not None:
+        normals = np.concatenate([normals, mesh.normals])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = (normals / np.where(lengths > 0, lengths, 1))[lengths[:, 0] > 0]
+    return -normals if mesh.flip_normals else normals
