@@ -1,0 +1,120 @@
+"""What all path tracers from the camera share: depth, Russian roulette, and the way to the next vertex."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.minmax import maximum, minimum
+from djpt.records import BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["UnidirectionalPath", "roulette"]
+
+UNBOUNDED = 0xFFFFFFFF
+
+
+class UnidirectionalPath(PathIntegrator):
+    """Walks from the camera, one BSDF sample per vertex; subclasses say what a vertex contributes.
+
+    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1; 1 shows only
+    lights, 0 nothing), `hide_emitters`.
+    """
+
+    default_max_depth = -1
+    covers_sky = True
+    """Does an environment count as covered (alpha 1)?"""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.max_depth = props.integer("max_depth", self.default_max_depth, low=-1)
+
+    @property
+    def longest_path(self) -> int:
+        return self.max_depth
+
+    def start(self, scene: Scene) -> PathState:
+        return PathState(
+            p=Point3f(0),
+            throughput=Color3f(1),
+            bsdf_pdf=Float(0),
+            eta=Float(1) if scene.refracts else None,
+            depth=UInt32(0),
+            n=Normal3f(0) if scene.emitter_choice.looks_at_normal else None,
+            covered=Bool(False) if scene.has_null else None,
+            body=scene.camera_body if scene.interior.exists else None,
+        )
+
+    # ---- pieces of a vertex ------------------------------------------------------------
+
+    def arriving(self, scene: Scene, state: PathState, si: SurfaceInteraction3f) -> Color3f | None:
+        """The share of light that gets from `si` to the previous vertex; None: all of it, everywhere."""
+        return None if state.body is None else scene.interior.transmittance(scene.lookup, state.body, si.t)
+
+    def from_light(
+        self, scene: Scene, state: PathState, si: SurfaceInteraction3f, to_light: Vector3f, dist: Float, light: Color3f
+    ) -> Color3f:
+        """The sampled light, as far as it gets from the emitter to `si`."""
+        if state.body is None:
+            return light
+        body = scene.interior.beyond(si, to_light, state.body)
+        return light * scene.interior.transmittance(scene.lookup, body, dist)
+
+    def shown(self, state: PathState, si: SurfaceInteraction3f, emitted: Color3f) -> Color3f:
+        """The light of a vertex, without what `hide_emitters` and `max_depth` 0 take away."""
+        if self.hide_emitters:
+            # Openings don't bring the sky back.
+            straight = state.depth == 0 if state.covered is None else ~state.covered
+            emitted = dr.select(straight & ~si.is_valid(), 0, emitted)
+        return Color3f(0) if self.max_depth == 0 else emitted
+
+    def proceeds(self, state: PathState, si: SurfaceInteraction3f) -> Bool:
+        """Is there a surface, and an edge left to reach one more vertex?"""
+        return si.is_valid() & (state.depth + 1 < (UNBOUNDED if self.max_depth < 0 else self.max_depth))
+
+    def next_state(
+        self, scene: Scene, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f, throughput: Color3f
+    ) -> PathState:
+        """The state of a path that leaves `si` as `bs` says."""
+        passes = has_flag(bs.sampled_type, BSDFFlags.Null)
+        return PathState(
+            p=si.p,
+            throughput=throughput,
+            bsdf_pdf=dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf),
+            eta=None if state.eta is None else state.eta * bs.eta,
+            depth=state.depth + 1,
+            n=None if state.n is None else si.n,
+            covered=None if state.covered is None else self.covered(state, si, passes),
+            body=None if state.body is None else scene.interior.beyond(si, bs.wo, state.body),
+        )
+
+    def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
+        """Has the path met a surface that it didn't merely pass straight through, this vertex included?"""
+        if state.covered is None:
+            return (state.depth > 0) | si.is_valid()
+        return state.covered | (si.is_valid() & ~passes)
+
+    def counts(self, scene: Scene, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
+        """Does the sample count as covered, if the path ends here?"""
+        sky = self.covers_sky and scene.environment() is not None and not self.hide_emitters
+        covered = self.covered(state, si, has_flag(bs.sampled_type, BSDFFlags.Null))
+        return (covered | sky) & Bool(self.max_depth != 0)
+
+
+def roulette(sampler: SampleStream, throughput: Color3f, eta: Float | None, begins: Bool) -> tuple[Color3f, Bool]:
+    """Russian roulette where it `begins`: survive with the probability min(largest throughput eta^2, 0.95).
+
+    Returns the throughput of survivors, and who survives: nobody whose throughput is 0.
+    """
+    largest = maximum(maximum(throughput.x, throughput.y), throughput.z)
+    # Radiance that has been refracted is scaled by 1 / eta^2, which says nothing about its importance.
+    survival = minimum(largest if eta is None else largest * dr.square(eta), Float(0.95))
+    survives = ~begins | (sampler.next_1d() < survival)
+    return dr.select(begins, throughput * dr.rcp(survival), throughput), (largest > 0) & survives
