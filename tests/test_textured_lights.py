@@ -288,6 +288,42 @@ def test_directions_are_mitsubas(kind: str) -> None:
     assert np.isclose(np.array(pdf), np.array(density), rtol=1e-3, atol=1e-3).mean() > 0.995
 
 
+# ---------------------------------------------------------------- rays from the light
+
+
+@pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
+def test_rays_carry_the_power(description: dict[str, Any]) -> None:
+    """The mean weight is pi times the integral of radiance over area; rays start on the surface, on its front."""
+    scene = lit(light=description)
+    emitter, shape = scene.emitters()[0], scene.shapes()[0]
+    ray, weight = emitter.sample_ray(Point2f(*uniform(COUNT)), Point2f(*uniform(COUNT, seed=1)))
+    found = np.array(weight, np.float64)
+    ps = shape.sample_position(Point2f(*uniform(COUNT, seed=2)))
+    radiance = np.array(emitter.radiance.eval(ps), np.float64) * math.pi * float(shape.surface_area()[0])
+    sigma = np.hypot(found.std(axis=1), radiance.std(axis=1)) / math.sqrt(COUNT)
+    assert (np.abs(found.mean(axis=1) - radiance.mean(axis=1)) < 4 * sigma + 1e-3 * radiance.mean(axis=1)).all()
+    si = scene.ray_intersect(djpt.Ray3f(ray.o + 1e-2 * ray.d, -ray.d, Float(2e-2)))
+    hit = np.array(si.valid)
+    assert hit.mean() > 0.95
+    assert np.abs(np.array(si.p - ray.o))[:, hit].max() < 2e-3
+    assert (np.array(dr.dot(si.sh_frame.n, ray.d)) > 0)[hit].mean() > 0.999
+
+
+def test_rays_are_mitsubas() -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    mine = lit(light=shining({"type": "rectangle", "to_world": SHEARED}, bitmap())).emitters()[0]
+    place = mi.ScalarTransform4f(SHEARED.matrix.tolist())
+    other = mi.load_dict({"type": "scene", "light": shining({"type": "rectangle", "to_world": place}, bitmap())})
+    first, second = uniform(4096), uniform(4096, seed=1)
+    ray, weight = mine.sample_ray(Point2f(*first), Point2f(*second))
+    expected, value = other.emitters()[0].sample_ray(0.0, 0.5, mi.Point2f(*first), mi.Point2f(*second))
+    np.testing.assert_allclose(np.array(ray.d), np.array(expected.d), atol=1e-4)
+    # Mitsuba moves the origin off the surface.
+    np.testing.assert_allclose(np.array(ray.o), np.array(expected.o), atol=2e-3)
+    assert np.isclose(np.array(weight), np.array(value), rtol=1e-3, atol=1e-3).mean() > 0.995
+
+
 # ---------------------------------------------------------------- images
 
 
