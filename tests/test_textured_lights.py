@@ -462,3 +462,23 @@ def test_one_texture_for_a_light_and_a_wall() -> None:
     np.testing.assert_allclose(
         np.array(djpt.render(loaded, spp=4)), np.array(djpt.render(djpt.load_dict(scene), spp=4)), rtol=1e-5
     )
+
+
+@pytest.mark.parametrize("shapes", [((5, 7, 3), (5, 7, 3)), ((5, 7, 3), (6, 8, 3)), ((5, 7, 3), (40, 3, 1))], ids=str)
+def test_lights_keep_their_pictures_apart(shapes: Any) -> None:
+    """Two lights that are traced as one, or as two."""
+    pytest.importorskip("mitsuba")
+
+    def scene() -> dict[str, Any]:
+        there = T().look_at(origin=[2, 3, 1.5], target=[0, 0, 0], up=[0, 1, 0]).scale(0.5)
+        places = ({}, {"to_world": there})
+        lamps = [
+            shining(
+                {**RECTANGLE, **place}, bitmap((5 * np.random.default_rng(k).random(shape) ** 3).astype(np.float32))
+            )
+            for k, (shape, place) in enumerate(zip(shapes, places, strict=True))
+        ]
+        return floor_scene({"first": lamps[0], "second": lamps[1]}, size=32)
+
+    mine, other = ours(scene(), 8, 1), theirs(scene(), 8, 1)
+    assert djpt.validation.agreement(mine, other, 1e-3).share >= 0.95
