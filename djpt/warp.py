@@ -21,6 +21,8 @@ __all__ = [
     "square_to_uniform_cone_pdf",
     "square_to_uniform_disk_concentric",
     "square_to_uniform_disk_concentric_pdf",
+    "square_to_uniform_hemisphere",
+    "square_to_uniform_hemisphere_pdf",
     "square_to_uniform_sphere",
     "square_to_uniform_sphere_pdf",
     "square_to_uniform_triangle",
@@ -85,6 +87,23 @@ def square_to_uniform_sphere(sample: Point2f) -> Vector3f:
 def square_to_uniform_sphere_pdf(v: Vector3f) -> Float:
     """1 / (4 pi)."""
     return dr.full(Float, INV_PI / 4, dr.width(v))
+
+
+def square_to_uniform_hemisphere(sample: Point2f) -> Vector3f:
+    """Uniform direction on the upper hemisphere: z = 1 - r^2, r the radius of a point of the concentric disk.
+
+    Equal areas of the disk lift to equal areas of the sphere (Archimedes).
+    """
+    p = square_to_uniform_disk_concentric(sample)
+    r_squared = dr.squared_norm(p)
+    scale = dr.sqrt(2 - r_squared)
+    z = 1 - r_squared
+    return Vector3f(p.x * scale, p.y * scale, dr.select(z > 0, z, 0))
+
+
+def square_to_uniform_hemisphere_pdf(v: Vector3f) -> Float:
+    """1 / (2 pi) on the upper hemisphere, else 0."""
+    return dr.select(v.z >= 0, Float(INV_PI / 2), 0)
 
 
 def square_to_uniform_cone(sample: Point2f, cos_cutoff: Float) -> Vector3f:

@@ -11,11 +11,27 @@ from djpt.integrators.base import Integrator, PathIntegrator, PathState, Vertex
 from djpt.integrators.depth import Depth
 from djpt.integrators.direct import Direct
 from djpt.integrators.path import Path
+from djpt.integrators.path_naive import PathNaive
+from djpt.integrators.path_nee import PathNEE
 from djpt.integrators.prb import PRB
 
-__all__ = ["AOV", "PRB", "Depth", "Direct", "Integrator", "Path", "PathIntegrator", "PathState", "Vertex"]
+__all__ = [
+    "AOV",
+    "PRB",
+    "Depth",
+    "Direct",
+    "Integrator",
+    "Path",
+    "PathIntegrator",
+    "PathNEE",
+    "PathNaive",
+    "PathState",
+    "Vertex",
+]
 
 register_integrator("path", Path)
+register_integrator("path_naive", PathNaive)
+register_integrator("path_nee", PathNEE)
 register_integrator("prb", PRB)
 register_integrator("direct", Direct)
 register_integrator("depth", Depth)

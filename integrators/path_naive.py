@@ -1,0 +1,115 @@
+"""Path tracing as in a first lecture: bounce about until a light is hit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.integrators.base import PathState, Vertex
+from djpt.integrators.unidirectional import UnidirectionalPath, roulette
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
+from djpt.warp import (
+    square_to_cosine_hemisphere,
+    square_to_cosine_hemisphere_pdf,
+    square_to_uniform_hemisphere,
+    square_to_uniform_hemisphere_pdf,
+)
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["PathNaive"]
+
+SMOOTH_TRANSMISSION = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission
+
+
+class PathNaive(UnidirectionalPath):
+    """Light found by chance: no light sampling, and directions that know nothing of the material.
+
+    Estimates L = sum over vertices k of T_k Le_k, T_k the product of f abs(cos) / p, where p is uniform, 1 / (2 pi),
+    or cosine-weighted, cos / pi, over the hemisphere that the path arrived from.
+
+    Mirrors and smooth glass can't be found that way and are followed; at a surface that has other lobes as well, a
+    coin decides. Another coin chooses the side where light passes through in all directions (rough glass).
+
+    Leaves out point, spot and directional lights: no path meets them.
+
+    Parameters: `hemisphere` (`uniform` or `cosine`, default `cosine`), `max_depth` (see `Path`, default -1),
+    `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`.
+
+    J. Kajiya, "The Rendering Equation", SIGGRAPH 1986.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.hemisphere = props.string("hemisphere", "cosine", choices=("uniform", "cosine"))
+        self.rr_depth = props.integer("rr_depth", 5, low=1)
+
+    def vertex(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        arriving = self.arriving(scene, state, si)
+        throughput = state.throughput if arriving is None else state.throughput * arriving
+
+        # ---------------------- Emission ----------------------
+        emitted = self.shown(state, si, throughput * si.emitter(scene).eval(si))
+        proceed = self.proceeds(state, si)
+
+        # ---------------- Hemisphere sampling -----------------
+        bsdf = si.bsdf()
+        flags = bsdf.flags()
+        wo, pdf = self.direction(si, sampler, has_flag(flags, SMOOTH_TRANSMISSION))
+        value, _, bs, mirrored = bsdf.eval_pdf_sample(
+            BSDFContext(), si, wo, sampler.next_1d(), sampler.next_2d(), proceed
+        )
+        smooth, mirrors = has_flag(flags, BSDFFlags.Smooth), has_flag(flags, BSDFFlags.Delta)
+        both = smooth & mirrors
+        follows = mirrors & (~smooth | (sampler.next_1d() < 0.5))
+        scattered = value * dr.select(pdf > 0, dr.rcp(pdf), 0)
+        # The coin's side that follows mirrors has nothing to show for the other lobes.
+        mirrored = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), mirrored, 0)
+        weight = dr.select(follows, mirrored, scattered) * dr.select(both, Float(2), 1)
+        if arriving is not None:
+            weight = weight * arriving
+        chosen = BSDFSample3f(
+            wo=dr.select(follows, bs.wo, wo),
+            pdf=dr.select(follows, bs.pdf, pdf),
+            # Known for mirrored directions only; roulette is right with any number.
+            eta=dr.select(follows, bs.eta, 1),
+            sampled_type=dr.select(follows, bs.sampled_type, UInt32(int(BSDFFlags.DiffuseReflection))),
+            sampled_component=bs.sampled_component,
+        )
+
+        # ------------------ Russian roulette ------------------
+        eta = None if state.eta is None else state.eta * chosen.eta
+        begins = state.depth + 1 >= self.rr_depth
+        throughput, survives = roulette(sampler, state.throughput * dr.detach(weight), eta, begins)
+
+        # ---------------------- Next vertex -------------------
+        return Vertex(
+            emitted=emitted,
+            reflected=Color3f(0),
+            shadow_ray=si.spawn_ray(ray.d),
+            weight=weight,
+            ray=si.spawn_ray(si.to_world(chosen.wo)),
+            state=self.next_state(scene, state, si, chosen, throughput),
+            active=proceed & survives,
+            valid=self.counts(scene, state, si, chosen),
+        )
+
+    def direction(self, si: SurfaceInteraction3f, sampler: SampleStream, passes: Bool) -> tuple[Vector3f, Float]:
+        """A local direction on the side of `wi` or, where light `passes`, on either side; and its density."""
+        sample = sampler.next_2d()
+        if self.hemisphere == "uniform":
+            wo = square_to_uniform_hemisphere(sample)
+            pdf = square_to_uniform_hemisphere_pdf(wo)
+        else:
+            wo = square_to_cosine_hemisphere(sample)
+            pdf = square_to_cosine_hemisphere_pdf(wo)
+        beyond = passes & (sampler.next_1d() < 0.5)
+        wo.z = dr.select((si.wi.z < 0) ^ beyond, -wo.z, wo.z)
+        return wo, dr.select(passes, 0.5 * pdf, pdf)

@@ -1,0 +1,87 @@
+"""Path tracing as courses teach it: direct light by sampling the lights, indirect light by sampling the surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.integrators.base import PathState, Vertex
+from djpt.integrators.unidirectional import UnidirectionalPath
+from djpt.light_choice import CHOICES
+from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Float
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["PathNEE"]
+
+
+class PathNEE(UnidirectionalPath):
+    """Next event estimation: every vertex asks one light.
+
+    Estimates L = Le_0 + sum over vertices k of T_k f Le V / p_e, T_k the product of f abs(cos) / (p q), where q is the
+    constant chance of surviving a vertex. Every kind of path is counted once, without weights: light that a path
+    runs into counts only as seen by the camera, directly or by mirrors, because light sampling has counted it before.
+
+    Assumes that lights are sampled well: close to a light, or on shiny surfaces that show one, noise is high.
+
+    Parameters: `russian_roulette` (the chance q in (0, 1], default 0.8), `max_depth` (see `Path`, default -1),
+    `hide_emitters`, `emitter_choice` (see `Path`).
+
+    The recursive form with a fixed q is that of many courses, such as L. Yan's GAMES101 (2020); the idea of next event
+    estimation is older than graphics: R. Coveyou, V. Cain and K. Yost, "Adjoint and Importance in Monte Carlo
+    Application", 1967.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.russian_roulette = props.float("russian_roulette", 0.8, low=0.0, high=1.0, low_open=True)
+        if self.russian_roulette == 1 and self.max_depth < 0:
+            raise props.error(
+                "russian_roulette", "must be less than 1 if 'max_depth' is unbounded: paths would never end"
+            )
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+
+    def vertex(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        arriving = self.arriving(scene, state, si)
+        throughput = state.throughput if arriving is None else state.throughput * arriving
+
+        # ---------------------- Emission ----------------------
+        seen = state.bsdf_pdf == 0
+        emitted = self.shown(state, si, dr.select(seen, throughput * si.emitter(scene).eval(si), 0))
+        proceed = self.proceeds(state, si)
+
+        # ------------------- Light sampling -------------------
+        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False)
+        to_light = si.to_local(ds.d)
+
+        # -------------------- BSDF sampling -------------------
+        value, _, bs, weight = si.bsdf().eval_pdf_sample(
+            BSDFContext(), si, to_light, sampler.next_1d(), sampler.next_2d(), proceed
+        )
+        light = self.from_light(scene, state, si, to_light, ds.dist, light)
+        reflected = dr.select(proceed, throughput * value * light, 0)
+        if arriving is not None:
+            weight = weight * arriving
+
+        # ------------------ Russian roulette ------------------
+        survives = sampler.next_1d() < self.russian_roulette
+        throughput = state.throughput * dr.detach(weight) * Float(1 / self.russian_roulette)
+
+        # ---------------------- Next vertex -------------------
+        return Vertex(
+            emitted=emitted,
+            reflected=reflected,
+            shadow_ray=scene.shadow_ray(si, ds),
+            weight=weight,
+            ray=si.spawn_ray(si.to_world(bs.wo)),
+            state=self.next_state(scene, state, si, bs, throughput),
+            active=proceed & survives & (dr.max(throughput) > 0),
+            valid=self.counts(scene, state, si, bs),
+        )
