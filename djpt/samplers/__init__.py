@@ -3,7 +3,24 @@
 from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex, Sampler, SampleStream
 from djpt.samplers.independent import Independent
+from djpt.samplers.ldsampler import LDSampler
+from djpt.samplers.multijitter import Multijitter
+from djpt.samplers.orthogonal import Orthogonal
+from djpt.samplers.stratified import Stratified
 
-__all__ = ["Independent", "SampleIndex", "SampleStream", "Sampler"]
+__all__ = [
+    "Independent",
+    "LDSampler",
+    "Multijitter",
+    "Orthogonal",
+    "SampleIndex",
+    "SampleStream",
+    "Sampler",
+    "Stratified",
+]
 
 register_sampler("independent", Independent)
+register_sampler("ldsampler", LDSampler)
+register_sampler("multijitter", Multijitter)
+register_sampler("orthogonal", Orthogonal)
+register_sampler("stratified", Stratified)

@@ -8,8 +8,7 @@ from djpt.hashing import sample_tea_32
 from djpt.samplers.base import SampleIndex, Sampler
 from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
 
-__all__ = ["Independent", "IndependentStream"]
-
+__all__ = ["Independent", "IndependentStream", "copy_of", "generator"]
 
 MULTIPLIER = 0x5851F42D4C957F2D
 
@@ -24,9 +23,7 @@ class IndependentStream:
             self.rng = rng
 
     def clone(self) -> IndependentStream:
-        rng = PCG32()
-        rng.state, rng.inc = UInt64(self.rng.state), UInt64(self.rng.inc)
-        return IndependentStream(rng)
+        return IndependentStream(copy_of(self.rng))
 
     def next_1d(self, active: Bool | bool = True) -> Float:
         return self.rng.next_float32(Bool(active))
@@ -43,10 +40,22 @@ class Independent(Sampler):
     """
 
     def stream(self, seed: UInt32, index: SampleIndex) -> IndependentStream:
-        v0, v1 = sample_tea_32(seed, index.number)
-        # The constructor of PCG32 adds a lane counter to the sequence number, which inside a
-        # symbolic loop counts the loop's lanes whatever `size` says: so seed by hand.
-        rng = PCG32()
-        rng.inc = (UInt64(v1) << 1) | 1
-        rng.state = (rng.inc + UInt64(v0)) * MULTIPLIER + rng.inc
-        return IndependentStream(rng)
+        return IndependentStream(generator(seed, index.number))
+
+
+def generator(seed: UInt32, number: UInt32) -> PCG32:
+    """The generator of sample `number` of an image."""
+    v0, v1 = sample_tea_32(seed, number)
+    # The constructor of PCG32 adds a lane counter to the sequence number, which inside a
+    # symbolic loop counts the loop's lanes whatever `size` says: so seed by hand.
+    rng = PCG32()
+    rng.inc = (UInt64(v1) << 1) | 1
+    rng.state = (rng.inc + UInt64(v0)) * MULTIPLIER + rng.inc
+    return rng
+
+
+def copy_of(rng: PCG32) -> PCG32:
+    """A generator that continues with the same numbers."""
+    copy = PCG32()
+    copy.state, copy.inc = UInt64(rng.state), UInt64(rng.inc)
+    return copy
