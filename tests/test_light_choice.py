@@ -152,5 +152,5 @@ def test_no_light_is_an_error() -> None:
 
 
 def test_misspelt_choice() -> None:
-    with pytest.raises(djpt.SceneError, match="emitter_choice.*'tee'.*'tree'"):
+    with pytest.raises(djpt.SceneError, match=r"emitter_choice.*'tee'.*'tree'"):
         djpt.load_dict({"type": "path", "emitter_choice": "tee"})

@@ -83,6 +83,8 @@ class TreeChoice(EmitterChoice):
         else:
             self._words, self._root = own_copy(np.zeros((1, 16), np.uint32)), dr.opaque(UInt32, NOWHERE)
         self._places = own_copy(places)
+        # Of those without power as well: an edit of that must not change the code.
+        self._oriented = any(b.theta_o < np.pi for b in bounds if b is not None)
         # What is structure must not follow from powers, which edits change.
         self._groups = None
         if from_infinity:
@@ -98,7 +100,7 @@ class TreeChoice(EmitterChoice):
 
         def step(at: Descent) -> tuple[Descent]:
             left, right = children(self._words, at.link)
-            a, b = left.importance(p, n), right.importance(p, n)
+            a, b = (child.importance(p, n, self._oriented) for child in (left, right))
             total = a + b
             threshold = at.u * total
             # Rounding must not lead to a child of importance 0.
@@ -134,7 +136,7 @@ class TreeChoice(EmitterChoice):
 
         def step(link: UInt32, probability: Float) -> tuple[UInt32, Float]:
             left, right = children(self._words, link)
-            a, b = left.importance(p, n), right.importance(p, n)
+            a, b = (child.importance(p, n, self._oriented) for child in (left, right))
             to_left = place < link
             mine = dr.select(to_left, a, b)
             probability = dr.select(mine > 0, probability * (mine * dr.rcp(a + b)), 0)

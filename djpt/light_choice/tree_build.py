@@ -167,7 +167,7 @@ def best_split(lights: Lights, members: Ints, node: Ints, bins: Ints, nodes: int
     shape = (nodes, 3, BINS)
 
     def added(values: Floats) -> Floats:
-        return np.bincount(key, values[of], nodes * 3 * BINS).reshape(shape)
+        return np.asarray(np.bincount(key, values[of], nodes * 3 * BINS), np.float64).reshape(shape)
 
     def largest(values: Floats) -> Floats:
         result = np.full((nodes * 3 * BINS, *values.shape[1:]), -np.inf)
