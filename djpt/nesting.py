@@ -27,7 +27,7 @@ def collect(kind: str, plugins: Iterable[Plugin]) -> list[Any]:
             if plugin.on_shape and plugin.shape is None:  # type: ignore[attr-defined]
                 raise SceneError(f"{plugin.id}: this {kind} must be nested in a shape")
             found.append(plugin)
-        elif isinstance(plugin, Shape) and getattr(plugin, kind) is not None:
+        elif isinstance(plugin, Shape) and getattr(plugin, kind, None) is not None:
             found.append(adopt(plugin, getattr(plugin, kind)))
     return found
 
