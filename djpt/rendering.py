@@ -72,6 +72,8 @@ def render(
     parameters = attached_parameters(scene)
     if not parameters:
         return primal_image(job, chosen, pass_spp)
+    if not job.integrator.differentiable:
+        raise RenderError(f"'{type(job.integrator).__name__}' can't be differentiated; use 'path' or 'prb'")
     gradient_job = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None)
     machine = chosen == "machine"
     return differentiable_image(gradient_job, parameters, lambda: primal_image(job, chosen, pass_spp), machine)
@@ -107,6 +109,7 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
+    integrator.check_scene(scene)
     warn_of_delta(scene, integrator)
     spp = sensor.sampler.round_count(spp or sensor.sampler.sample_count)
     scene = scene.seen_from(sensor.viewpoint()).choosing_emitters(integrator.emitter_choice)

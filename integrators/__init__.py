@@ -10,25 +10,34 @@ from djpt.integrators.aov import AOV
 from djpt.integrators.base import Integrator, PathIntegrator, PathState, Vertex
 from djpt.integrators.depth import Depth
 from djpt.integrators.direct import Direct
+from djpt.integrators.distributed import Distributed
 from djpt.integrators.path import Path
 from djpt.integrators.path_naive import PathNaive
 from djpt.integrators.path_nee import PathNEE
 from djpt.integrators.prb import PRB
+from djpt.integrators.raycast import Raycast
+from djpt.integrators.whitted import Whitted
 
 __all__ = [
     "AOV",
     "PRB",
     "Depth",
     "Direct",
+    "Distributed",
     "Integrator",
     "Path",
     "PathIntegrator",
     "PathNEE",
     "PathNaive",
     "PathState",
+    "Raycast",
     "Vertex",
+    "Whitted",
 ]
 
+register_integrator("raycast", Raycast)
+register_integrator("whitted", Whitted)
+register_integrator("distributed", Distributed)
 register_integrator("path", Path)
 register_integrator("path_naive", PathNaive)
 register_integrator("path_nee", PathNEE)

@@ -37,6 +37,10 @@ class Integrator(Plugin):
     """Is every image black without an emitter? `render` then refuses."""
     shows_delta = True
     """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
+    differentiable = True
+    """Can its code be differentiated? If not, `render` refuses parameters with gradients."""
+    starts_at_lights = False
+    """Are rays traced from emitters? Those that shine in one direction only are seen in no other way."""
     emitter_choice = "uniform"
     """How light sampling chooses emitters: see `djpt.light_choice`."""
     writes_color = True
@@ -45,6 +49,9 @@ class Integrator(Plugin):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
+
+    def check_scene(self, scene: Scene) -> None:
+        """Raise `RenderError` if there is nothing in the scene that this integrator can show."""
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True

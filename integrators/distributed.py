@@ -1,0 +1,142 @@
+"""Distributed ray tracing: many rays where Whitted's algorithm has one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.integrators.base import Integrator, mis_weight
+from djpt.integrators.ray_stack import Branch, RayStack
+from djpt.lanewide import wide
+from djpt.light_choice import CHOICES
+from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, Normal3f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["Distributed"]
+
+
+class Distributed(Integrator):
+    """At every surface `split` rays go on and `light_samples` go to the lights.
+
+    Estimates L = Le + 1/m sum of w_e f Le V / p_e + 1/n sum of f abs(cos) / p L(next), where the Le of the next
+    surface is weighted by w_b; w_e and w_b are the power heuristic of m p_e against n p. Soft shadows, blurred
+    reflections and refractions, depth of field (with a `thinlens`) come from where the rays are sent.
+
+    The work grows as split^max_depth: good for the first bounces, hopeless for many. Leaves out paths of more than
+    `max_depth` edges.
+
+    Parameters: `split` (rays that go on from a surface, 1 to 16, default 4), `light_samples` (1 to 16, default 4),
+    `max_depth` (edges of the longest path, default 3, at most 16), `hide_emitters`, `emitter_choice` (see `Path`).
+
+    R. Cook, T. Porter and L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984.
+    """
+
+    needs_light = True
+    differentiable = False
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.split = props.integer("split", 4, low=1, high=16)
+        self.light_samples = props.integer("light_samples", 4, low=1, high=16)
+        self.max_depth = props.integer("max_depth", 3, low=1, high=16)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        lanes = dr.width(ray, sampler)
+        stack = RayStack((self.split - 1) * self.max_depth)
+        camera = Branch(ray, ray.o, Normal3f(0), Color3f(1), Float(0), UInt32(0), UInt32(scene.camera_body))
+        start = Walk(
+            branch=wide(camera, lanes),
+            sampler=sampler,
+            size=dr.zeros(UInt32, lanes),
+            radiance=dr.zeros(Color3f, lanes),
+            covered=dr.full(Bool, False, lanes),
+            active=Bool(active) & dr.full(Bool, True, lanes),
+        )
+
+        def body(walk: Walk) -> tuple[Walk]:
+            branch, interior = walk.branch, scene.interior
+            first = branch.depth == 0
+            pi = scene.closest_hit(branch.ray, through_lights=first if self.hide_emitters else None)
+            si = scene.surface_interaction(branch.ray, pi)
+            throughput = branch.throughput
+            if interior.exists:
+                throughput = throughput * interior.transmittance(scene.lookup, branch.body, si.t)
+
+            # ---------------------- Emission ----------------------
+            ds = DirectionSample3f.between(branch.p, branch.ray, si)
+            emitter_pdf = scene.pdf_emitter_direction(branch.p, ds, n=branch.n)
+            mis = mis_weight(branch.bsdf_pdf * self.split, emitter_pdf * self.light_samples)
+            emitted = si.emitter(scene).eval(si) * dr.select(branch.bsdf_pdf > 0, mis, 1)
+            if self.hide_emitters:
+                emitted = dr.select(first & ~si.is_valid(), 0, emitted)
+            radiance = walk.radiance + throughput * emitted
+            proceed = si.is_valid() & (branch.depth + 1 < self.max_depth)
+
+            # ------------------- Light sampling -------------------
+            for _ in range(self.light_samples):
+                arrived = self.direct(scene, walk.sampler, si, branch.body, proceed)
+                radiance += throughput * arrived * (1 / self.light_samples)
+
+            # -------------------- BSDF sampling -------------------
+            # The last of the rays goes on, the others wait.
+            size, goes_on, ahead = walk.size, Bool(False), branch
+            for _ in range(self.split):
+                bs, weight = si.bsdf().sample(
+                    BSDFContext(), si, walk.sampler.next_1d(), walk.sampler.next_2d(), proceed
+                )
+                size = stack.push(size, ahead, goes_on)
+                ahead = Branch(
+                    ray=si.spawn_ray(si.to_world(bs.wo)),
+                    p=si.p,
+                    n=si.n,
+                    throughput=throughput * weight * (1 / self.split),
+                    bsdf_pdf=dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf),
+                    depth=branch.depth + 1,
+                    body=interior.beyond(si, bs.wo, branch.body) if interior.exists else branch.body,
+                )
+                goes_on = proceed & (dr.max(ahead.throughput) > 0)
+
+            # ---------------------- Next branch --------------------
+            size, waiting, waited = stack.pop(size, ~goes_on)
+            covered = walk.covered | (si.is_valid() & first)
+            branch = dr.select(goes_on, ahead, waiting)
+            return (Walk(branch, walk.sampler, size, radiance, covered, goes_on | waited),)
+
+        (end,) = dr.while_loop((start,), lambda walk: walk.active, body, label="distributed")
+        return end.radiance, end.covered, []
+
+    def direct(
+        self, scene: Scene, sampler: SampleStream, si: SurfaceInteraction3f, body: UInt32, active: Bool
+    ) -> Color3f:
+        """Light of one sampled emitter, weighted against the rays that go on."""
+        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), active=active)
+        to_light = si.to_local(ds.d)
+        value, pdf = si.bsdf().eval_pdf(BSDFContext(), si, to_light, active)
+        mis = dr.select(ds.delta, 1, mis_weight(ds.pdf * self.light_samples, pdf * self.split))
+        if scene.interior.exists:
+            there = scene.interior.beyond(si, to_light, body)
+            light = light * scene.interior.transmittance(scene.lookup, there, ds.dist)
+        return value * light * mis
+
+
+@dataclass
+class Walk:
+    """Loop state."""
+
+    branch: Branch
+    sampler: SampleStream
+    size: UInt32
+    """Branches on the stack."""
+    radiance: Color3f
+    covered: Bool
+    active: Bool

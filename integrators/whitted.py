@@ -1,0 +1,151 @@
+"""Recursive ray tracing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.errors import RenderError
+from djpt.integrators.base import Integrator
+from djpt.integrators.ray_stack import Branch, RayStack
+from djpt.lanewide import wide
+from djpt.pointers import EmitterPtr
+from djpt.records import BSDFContext, BSDFFlags, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["Whitted"]
+
+LAST = 1 - 2.0**-24
+"""The largest number that a sampler gives: with it a BSDF chooses its last lobe, with 0 its first."""
+
+MIDDLE = Point2f(0.5)
+
+
+class Whitted(Integrator):
+    """Mirrors and panes are followed, everything else is lit by the lamps alone.
+
+    L = Le + sum over lights of f cos Li V + R L(reflected) + T L(refracted): the two lobes of a pane are both followed,
+    with their Fresnel reflectance and transmittance, down to `max_depth` surfaces.
+
+    Assumes that lights are points: of an area light a single, fixed point is used (the middle of a rectangle), so
+    shadows are hard. Leaves out all light that reaches a surface by way of another one, so no light behind glass, no
+    caustics, no indirect light; environments are seen, also in mirrors, but don't light surfaces. A rendered
+    pixel has no noise but that of its edges.
+
+    Parameters: `max_depth` (surfaces that a ray may meet one after the other, default 8), `hide_emitters`.
+
+    T. Whitted, "An improved illumination model for shaded display", CACM 23(6), 1980.
+    """
+
+    needs_light = True
+    differentiable = False
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.max_depth = props.integer("max_depth", 8, low=1, high=64)
+
+    def check_scene(self, scene: Scene) -> None:
+        if all(has_flag(emitter.flags(), EmitterFlags.Infinite) for emitter in scene.emitters()):
+            raise RenderError(
+                "'whitted' can't light a scene by its environment alone: add a point, spot, directional or area "
+                "light, or use 'path'"
+            )
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        lanes = dr.width(ray, sampler)
+        stack = RayStack(self.max_depth)
+        camera = Branch(ray, ray.o, Normal3f(0), Color3f(1), Float(0), UInt32(0), UInt32(scene.camera_body))
+        start = Walk(
+            wide(camera, lanes),
+            dr.zeros(UInt32, lanes),
+            dr.zeros(Color3f, lanes),
+            dr.full(Bool, False, lanes),
+            Bool(active) & dr.full(Bool, True, lanes),
+        )
+
+        def body(walk: Walk) -> tuple[Walk]:
+            branch = walk.branch
+            first = branch.depth == 0
+            through = first if self.hide_emitters else None
+            pi = scene.closest_hit(branch.ray, through_lights=through)
+            si = scene.surface_interaction(branch.ray, pi)
+            hit = si.is_valid()
+            interior = scene.interior
+            throughput = branch.throughput
+            if interior.exists:
+                throughput *= interior.transmittance(scene.lookup, branch.body, si.t)
+
+            # ---------------------- Emission ----------------------
+            emitted = si.emitter(scene).eval(si)
+            if self.hide_emitters:
+                emitted = dr.select(first & ~hit, 0, emitted)
+            radiance = walk.radiance + throughput * (emitted + dr.select(hit, self.lit(scene, si), 0))
+
+            # --------------- Reflection and refraction -------------
+            proceed = hit & (branch.depth + 1 < self.max_depth)
+            lobes = []
+            for choice in (0.0, LAST):
+                bs, weight = si.bsdf().sample(BSDFContext(), si, Float(choice), MIDDLE, proceed)
+                followed = Branch(
+                    ray=si.spawn_ray(si.to_world(bs.wo)),
+                    p=si.p,
+                    n=si.n,
+                    throughput=throughput * weight * bs.pdf,
+                    bsdf_pdf=Float(0),
+                    depth=branch.depth + 1,
+                    body=interior.beyond(si, bs.wo, branch.body) if interior.exists else branch.body,
+                )
+                mirrored = proceed & has_flag(bs.sampled_type, BSDFFlags.Delta) & (dr.max(followed.throughput) > 0)
+                lobes.append((followed, mirrored, bs.sampled_type))
+            (one, follow_one, type_one), (other, follow_other, type_other) = lobes
+            # A mirror has one lobe, and so has a pane at total reflection.
+            follow_other &= ~follow_one | (type_one != type_other)
+
+            # ---------------------- Next branch --------------------
+            size = stack.push(walk.size, other, follow_one & follow_other)
+            goes_on = follow_one | follow_other
+            size, waiting, waited = stack.pop(size, ~goes_on)
+            return (
+                Walk(
+                    branch=dr.select(follow_one, one, dr.select(follow_other, other, waiting)),
+                    size=size,
+                    radiance=radiance,
+                    covered=walk.covered | (hit & first),
+                    active=goes_on | waited,
+                ),
+            )
+
+        (end,) = dr.while_loop((start,), lambda walk: walk.active, body, label="whitted")
+        return end.radiance, end.covered, []
+
+    def lit(self, scene: Scene, si: SurfaceInteraction3f) -> Color3f:
+        """What the lamps send to the eye by the surface's smooth lobes."""
+        lamps = [i for i, e in enumerate(scene.emitters()) if not has_flag(e.flags(), EmitterFlags.Infinite)]
+        total = Color3f(0)
+        for lamp in lamps:
+            ds, light = EmitterPtr(scene, UInt32(lamp)).sample_direction(si, MIDDLE)
+            value = si.bsdf().eval(BSDFContext(), si, si.to_local(ds.d), si.is_valid())
+            free = scene.unoccluded(scene.shadow_ray(si, ds))
+            total += dr.select(free, value * light, 0)
+        return total
+
+
+@dataclass
+class Walk:
+    """Loop state."""
+
+    branch: Branch
+    size: UInt32
+    """Branches on the stack."""
+    radiance: Color3f
+    covered: Bool
+    active: Bool
