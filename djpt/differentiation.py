@@ -21,7 +21,6 @@ from djpt.dispatch import Attached, Detached
 from djpt.errors import RenderError
 from djpt.films.reconstruction import add_samples, sample_adjoints, spread
 from djpt.hashing import sample_tea_32
-from djpt.integrators import PathIntegrator
 from djpt.replay import Parameter
 from djpt.schedules import replay, wave
 from djpt.schedules.job import Band, Job
@@ -56,7 +55,7 @@ def differentiable_image(
 
     Paths are replayed in the machine schedule or in the flat one.
     """
-    if isinstance(job.integrator, PathIntegrator):
+    if job.integrator.stepwise:
         derivative: Derivative = ReplayDerivative(job, parameters, machine)
     else:
         derivative = AttachedDerivative(job, parameters)

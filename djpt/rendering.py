@@ -10,7 +10,7 @@ from typing import Any
 from djpt.description.properties import Properties
 from djpt.differentiation import differentiable_image, gradient_seed
 from djpt.errors import RenderError, near_miss
-from djpt.integrators import Integrator, Path, PathIntegrator
+from djpt.integrators import Integrator, Path
 from djpt.records import BSDFFlags, has_flag
 from djpt.replay import attached_parameters
 from djpt.scene import Scene
@@ -163,7 +163,7 @@ def choose_schedule(schedule: str, job: Job) -> Schedule:
     """The schedule that was asked for, or the fastest that is possible."""
     if schedule not in SCHEDULES:
         raise RenderError(f"unknown schedule '{schedule}'{near_miss(str(schedule), SCHEDULES)}")
-    stepwise, has_tree = isinstance(job.integrator, PathIntegrator), job.scene.geometry.triangles is not None
+    stepwise, has_tree = job.integrator.stepwise, job.scene.geometry.triangles is not None
     if schedule in ("flat", "machine") and not stepwise:
         raise RenderError(
             f"the integrator '{type(job.integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"

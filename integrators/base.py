@@ -37,6 +37,8 @@ class Integrator(Plugin):
     """Is every image black without an emitter? `render` then refuses."""
     shows_delta = True
     """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
+    stepwise = False
+    """Does it advance vertex by vertex (see `PathIntegrator`), so that schedules are free in how they fill lanes?"""
     differentiable = True
     """Can its code be differentiated? If not, `render` refuses parameters with gradients."""
     starts_at_lights = False
@@ -119,6 +121,7 @@ class PathIntegrator(Integrator):
     """
 
     needs_light = True
+    stepwise = True
 
     @property
     def longest_path(self) -> int:
@@ -147,12 +150,22 @@ class PathIntegrator(Integrator):
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
+        parts, valid = self.walk(scene, sampler, ray, active)
+        return parts[0], valid, []
+
+    def walk(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True, bounces: int = 0
+    ) -> tuple[list[Color3f], Bool]:
+        """All vertices of one path per lane: radiance and whether it is covered.
+
+        With `bounces` = n, the radiance comes in n parts: by how often light was scattered, 0 to n - 1 times.
+        """
         lanes = dr.width(ray, sampler)
         start = PathLoop(
             ray=wide(ray, lanes),
             sampler=sampler,
             state=wide(self.start(scene), lanes),
-            radiance=dr.zeros(Color3f, lanes),
+            radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
             valid=dr.full(Bool, False, lanes),
             active=Bool(active) & dr.full(Bool, True, lanes),
         )
@@ -161,12 +174,19 @@ class PathIntegrator(Integrator):
             si = self.trace(scene, lane.state, lane.ray)
             v = self.vertex(scene, lane.sampler, lane.state, lane.ray, si)
             visible = scene.unoccluded(v.shadow_ray)
-            radiance = lane.radiance + v.emitted + dr.select(visible, v.reflected, 0)
+            reflected, depth = dr.select(visible, v.reflected, 0), lane.state.depth
+            if bounces:
+                radiance = [
+                    r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))
+                    for k, r in enumerate(lane.radiance)
+                ]
+            else:
+                radiance = [lane.radiance[0] + v.emitted + reflected]
             valid = dr.select(v.active, lane.valid, v.valid)
             return (PathLoop(v.ray, lane.sampler, v.state, radiance, valid, v.active),)
 
         (end,) = dr.while_loop((start,), lambda lane: lane.active, body, label=type(self).__name__)
-        return end.radiance, end.valid, []
+        return end.radiance, end.valid
 
 
 @dataclass
@@ -176,7 +196,7 @@ class PathLoop:
     ray: Ray3f
     sampler: SampleStream
     state: PathState
-    radiance: Color3f
+    radiance: list[Color3f]
     valid: Bool
     active: Bool
 

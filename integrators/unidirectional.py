@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -9,7 +10,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.minmax import maximum, minimum
-from djpt.records import BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
+from djpt.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
 
@@ -20,12 +21,18 @@ __all__ = ["UnidirectionalPath", "roulette"]
 
 UNBOUNDED = 0xFFFFFFFF
 
+MAX_BOUNCES = 32
+"""Images that one render gives at most."""
+
 
 class UnidirectionalPath(PathIntegrator):
     """Walks from the camera, one BSDF sample per vertex; subclasses say what a vertex contributes.
 
     Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1; 1 shows only
-    lights, 0 nothing), `hide_emitters`.
+    lights, 0 nothing), `hide_emitters`, `bounces` (default false).
+
+    With `bounces` there is one image more for each term of the Neumann series L = E + K E + K^2 E + ..: light that was
+    scattered k times, in the channels `bounce<k>.R` and so on, k = 0 .. max_depth - 1. Their sum is the image.
     """
 
     default_max_depth = -1
@@ -35,6 +42,25 @@ class UnidirectionalPath(PathIntegrator):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.max_depth = props.integer("max_depth", self.default_max_depth, low=-1)
+        self.bounces = props.boolean("bounces", False)
+        if self.bounces and not 0 < self.max_depth <= MAX_BOUNCES:
+            raise props.error("bounces", f"needs a 'max_depth' from 1 to {MAX_BOUNCES}, found {self.max_depth}")
+        # The images of the bounces are sums of their own: they take another way than the usual one.
+        self.stepwise = self.differentiable = not self.bounces
+
+    def aov_names(self) -> Sequence[str]:
+        return [f"bounce{k}.{c}" for k in range(self.max_depth) for c in "RGB"] if self.bounces else []
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        if not self.bounces:
+            return super().sample(scene, sampler, ray, active)
+        parts, valid = self.walk(scene, sampler, ray, active, bounces=self.max_depth)
+        color = parts[0]
+        for part in parts[1:]:
+            color = color + part
+        return color, valid, [component for part in parts for component in (part.x, part.y, part.z)]
 
     @property
     def longest_path(self) -> int:
