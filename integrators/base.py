@@ -37,6 +37,8 @@ class Integrator(Plugin):
     """Is every image black without an emitter? `render` then refuses."""
     shows_delta = True
     """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
+    starts_at_lights = False
+    """Are rays traced from emitters? Those that shine in one direction only are seen in no other way."""
     emitter_choice = "uniform"
     """How light sampling chooses emitters: see `djpt.light_choice`."""
     writes_color = True
