@@ -74,7 +74,7 @@ def area_lights(count: int = 1000, size: int = 128) -> dict[str, Any]:
         light = {"type": "area", "radiance": colour(rng, 100.0)}
         half = rng.uniform(0.02, 0.08)
         if k % 4:
-            target = p + [*rng.normal(0, 0.7, 2), -1]
+            target = p + np.array([*rng.normal(0, 0.7, 2), -1])
             at = T().look_at(origin=p.tolist(), target=target.tolist(), up=[0.1, 1, 0]).scale(half)
             scene[f"light{k}"] = {"type": "rectangle", "to_world": at, "emitter": light}
         else:

@@ -11,7 +11,7 @@ from djpt.description.properties import Properties
 from djpt.differentiation import differentiable_image, gradient_seed
 from djpt.errors import RenderError, near_miss
 from djpt.integrators import Integrator, Path
-from djpt.records import BSDFFlags, has_flag
+from djpt.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
@@ -111,6 +111,7 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene)
     warn_of_delta(scene, integrator)
+    warn_of_unseen_lights(scene, integrator)
     spp = sensor.sampler.round_count(spp or sensor.sampler.sample_count)
     scene = scene.seen_from(sensor.viewpoint()).choosing_emitters(integrator.emitter_choice)
     job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress)
@@ -131,6 +132,19 @@ def warn_of_delta(scene: Scene, integrator: Integrator) -> None:
         warnings.warn(
             f"'{type(integrator).__name__}' without BSDF samples can't show mirrors, smooth glass or openings: "
             f"these lobes of {', '.join(names)} stay black",
+            stacklevel=4,
+        )
+
+
+def warn_of_unseen_lights(scene: Scene, integrator: Integrator) -> None:
+    """Tell once of lights that no path from the camera meets."""
+    if integrator.starts_at_lights or not integrator.needs_light:
+        return
+    names = [e.id for e in scene.emitters() if e.on_shape and has_flag(e.flags(), EmitterFlags.DeltaDirection)]
+    if names:
+        warnings.warn(
+            f"'{type(integrator).__name__}' can't show light that leaves a surface in one direction only: "
+            f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black",
             stacklevel=4,
         )
 

@@ -4,10 +4,27 @@ from djpt.description.registry import register_emitter
 from djpt.emitters.area import Area
 from djpt.emitters.base import Emitter
 from djpt.emitters.constant import ConstantBackground
+from djpt.emitters.directional import DirectionalEmitter
+from djpt.emitters.directionalarea import DirectionalArea
+from djpt.emitters.envmap import EnvironmentMap
 from djpt.emitters.point import PointLight
+from djpt.emitters.spot import SpotLight
 
-__all__ = ["Area", "ConstantBackground", "Emitter", "PointLight"]
+__all__ = [
+    "Area",
+    "ConstantBackground",
+    "DirectionalArea",
+    "DirectionalEmitter",
+    "Emitter",
+    "EnvironmentMap",
+    "PointLight",
+    "SpotLight",
+]
 
 register_emitter("area", Area)
 register_emitter("point", PointLight)
 register_emitter("constant", ConstantBackground)
+register_emitter("directional", DirectionalEmitter)
+register_emitter("directionalarea", DirectionalArea)
+register_emitter("envmap", EnvironmentMap)
+register_emitter("spot", SpotLight)

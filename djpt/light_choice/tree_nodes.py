@@ -49,7 +49,10 @@ among 1000 lights over a floor the variance is then four times larger.
 """
 
 BOUND_SHARE = 0.3
-"""Of a cosine's largest value in the sphere, against its value at the centre. Bounds alone would double the variance."""
+"""Of a cosine's largest value in the sphere; the rest is its value at the centre.
+
+Bounds alone have 1.6 times the variance.
+"""
 
 LEAST_EMISSION, LEAST_RECEPTION = 0.01, 0.03
 """Cosines count at least this much.

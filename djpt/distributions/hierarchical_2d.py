@@ -1,0 +1,170 @@
+"""Densities that interpolate a grid of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.lookup import as_vector
+from djpt.minmax import maximum, minimum
+from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
+
+__all__ = ["Hierarchical2D"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+LEAST = 2.0**-33
+"""Stands for a sample of 0, which would lead into cells of weight 0."""
+TINY = 1e-37
+
+Numbers = NDArray[np.float64]
+
+
+class Hierarchical2D(Plugin):
+    """Samples a density that interpolates numbers bilinearly, by going down a quadtree over the cells between them.
+
+    Each step decides on an upper or lower half, then on its left or right half, with the sample's two numbers
+    (P. Clarberg, W. Jarosz, T. Akenine-Moeller and H. W. Jensen, "Wavelet Importance Sampling: Efficiently
+    Evaluating Products of Complex Functions", SIGGRAPH 2005). Stretching what is left of the sample after every
+    step is put off to the end: until then it stays what it was, in an interval that shrinks.
+
+    Args:
+        name: for messages.
+        values: (rows + 1, columns + 1), at the corners of rows x columns cells; not negative, not all 0.
+
+    A child of the plugin that it serves; nothing of it shows in `traverse`.
+    """
+
+    kind = "distribution"
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("columns", "root"), HIDDEN)
+    tables: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("splits", "corners"), HIDDEN)
+    children = ()
+    statics = ("levels",)
+
+    # In kernels a `djpt.tables.Table` stands in the place of these tensors.
+    splits: Any
+    """The tree from its root down: per node the shares of the upper half, and of the left half of either, and 0."""
+    corners: Any
+    """The density at the corners of each cell: upper left, upper right, lower left, lower right."""
+
+    def __init__(self, name: str, values: NDArray[Any]) -> None:
+        self.id = name
+        self.set(values)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        """Nothing can be edited."""
+
+    def set(self, values: NDArray[Any]) -> None:
+        """Take other numbers, also of another shape."""
+        corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]], -1).astype(np.float64)
+        mass = corners.mean(axis=-1)
+        self.corners = packets(corners / mass.mean())
+        rows, columns = mass.shape
+        self.columns = dr.opaque(UInt32, columns)
+        self.levels = ((rows - 1).bit_length(), (columns - 1).bit_length())
+        """How often rows and columns can be halved."""
+        full = np.zeros((1 << self.levels[0], 1 << self.levels[1]))
+        full[:rows, :columns] = mass
+        nodes = []
+        while full.size > 1:
+            node, full = halved(full)
+            nodes.append(node)
+        tree = np.concatenate(nodes[::-1] or [np.zeros((1, 4))])
+        self.splits = packets(tree)
+        self.root = as_vector(tree[0, :3])
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def sample(self, sample: Point2f, active: Bool | bool = True) -> tuple[UInt32, UInt32, Point2f, Float]:
+        """Column and row of a cell, a place in it in [0, 1]^2, and the density there."""
+        x, y = maximum(sample.x, Float(LEAST)), maximum(sample.y, Float(LEAST))
+        # `x` and `y` are uniform in intervals from 0 to these.
+        width, height = Float(1), Float(1)
+        column, row = UInt32(0), UInt32(0)
+        first = 0
+        for level in reversed(range(max(self.levels))):
+            halvings = tuple(max(count - 1 - level, 0) for count in self.levels)
+            if first == 0:
+                node: Any = self.root
+            else:
+                node = entry(self.splits, first + ((row << halvings[1]) | column), active)
+            first += 1 << sum(halvings)
+            share = node.y
+            if level < self.levels[0]:
+                lower, y, height = below(y, height, node.x)
+                row = (row << 1) | dr.select(lower, UInt32(1), UInt32(0))
+                share = dr.select(lower, node.z, node.y)
+            if level < self.levels[1]:
+                right, x, width = below(x, width, share)
+                column = (column << 1) | dr.select(right, UInt32(1), UInt32(0))
+        # Rounding may have left `x` and `y` just beyond their ends.
+        x, y = minimum(x * dr.rcp(width), Float(1)), minimum(y * dr.rcp(height), Float(1))
+        f = entry(self.corners, row * self.columns + column, active)
+        y = linear(f.x + f.y, f.z + f.w, y)
+        a, b = lerp(f.x, f.z, y), lerp(f.y, f.w, y)
+        x = linear(a, b, x)
+        return column, row, Point2f(x, y), lerp(a, b, x)
+
+    def density(self, column: UInt32, row: UInt32, place: Point2f, active: Bool | bool = True) -> Float:
+        """The density at a place of a cell, per unit of area: all cells together have the area 1."""
+        f = entry(self.corners, row * self.columns + column, active)
+        return lerp(lerp(f.x, f.y, place.x), lerp(f.z, f.w, place.x), place.y)
+
+
+# ---- on the host ---------------------------------------------------------------------------
+
+
+def packets(numbers: Numbers) -> TensorXf:
+    """Rows of four numbers as a table."""
+    return TensorXf(np.ascontiguousarray(numbers, np.float32).reshape(-1, 1, 4))
+
+
+def halved(mass: Numbers) -> tuple[Numbers, Numbers]:
+    """Nodes (N, 4) over cells in twos or, where there are several rows and columns, in fours; and their masses."""
+    rows, columns = mass.shape
+    tall, wide = min(rows, 2), min(columns, 2)
+    blocks = np.zeros((max(rows // 2, 1), 2, max(columns // 2, 1), 2))
+    blocks[:, :tall, :, :wide] = mass.reshape(-1, tall, max(columns // 2, 1), wide)
+    halves = blocks.sum(axis=3)
+    total = halves.sum(axis=1)
+    nodes = np.zeros((*total.shape, 4))
+    # Where there is no mass, no sample arrives.
+    nodes[..., 0] = np.divide(halves[:, 0], total, out=nodes[..., 0], where=total > 0)
+    shares = np.divide(blocks[..., 0], halves, out=np.zeros_like(halves), where=halves > 0)
+    nodes[..., 1], nodes[..., 2] = shares[:, 0], shares[:, 1]
+    return nodes.reshape(-1, 4), total
+
+
+# ---- in kernels ----------------------------------------------------------------------------
+
+
+def below(x: Float, width: Float, share: Float) -> tuple[Bool, Float, Float]:
+    """Is `x`, of the interval from 0 to `width`, beyond a share of it? And the rest of both.
+
+    0 < x <= width holds for the rest as well, however this is rounded: parts of share 0 are never chosen.
+    """
+    split = width * share
+    beyond = x > split
+    return beyond, dr.select(beyond, x - split, x), dr.select(beyond, width - split, split)
+
+
+def linear(a: Float, b: Float, sample: Float) -> Float:
+    """A number in [0, 1] with a density that goes from `a` to `b`, proportionally."""
+    root = dr.sqrt(dr.fma(sample, dr.square(b) - dr.square(a), dr.square(a)))
+    return minimum(sample * (a + b) * dr.rcp(maximum(a + root, Float(TINY))), Float(1))
+
+
+def lerp(a: Float, b: Float, t: Float) -> Float:
+    """From `a` to `b`."""
+    return dr.fma(b - a, t, a)
+
+
+def entry(table: Any, index: UInt32, active: Bool | bool) -> Any:
+    """Four numbers of a table; outside of kernels there are only tensors."""
+    if dr.is_tensor_v(table):
+        return dr.gather(Array4f, table.array, index, active)
+    return table.at(index, active)

@@ -1,0 +1,111 @@
+"""Parallel light from infinitely far away."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import mean_of, number
+from djpt.emitters.oriented import OrientedEmitter
+from djpt.errors import SceneError
+from djpt.frame import coordinate_system
+from djpt.lookup import as_float, as_vector
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.transforms import ScalarTransform4f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.warp import square_to_uniform_disk_concentric
+
+__all__ = ["DirectionalEmitter"]
+
+
+class DirectionalEmitter(OrientedEmitter):
+    """Light that travels along one direction, everywhere: a plane across it receives `irradiance`.
+
+    Parameters: `irradiance` (texture, W m^-2, default 1, not negative, can't vary), and `direction` (in which the
+    light travels; any length but 0) or `to_world` (the light travels along its +z axis; default identity).
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **OrientedEmitter.values,
+        # Of the sphere about the scene.
+        **dict.fromkeys(("center", "radius"), ParamFlags.NonDifferentiable),
+    }
+    children = ("irradiance",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if "direction" in props:
+            if "to_world" in props:
+                raise SceneError(f"{props.node}: give 'direction' or 'to_world', not both")
+            direction = props.vector("direction")
+            if not direction.any():
+                raise props.error("direction", "must not be zero")
+            self.to_world = looking_along(direction)
+            self._place()
+        self.irradiance = props.texture("irradiance", 1.0, low=0.0)
+        if not self.irradiance.is_constant:
+            raise props.error("irradiance", "can't vary: this light has no surface")
+        self.set_bounds(np.zeros(3), 1.0)
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def flags(self) -> int:
+        return int(EmitterFlags.DeltaDirection)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self.center, self.radius = as_vector(center), as_float(radius)
+
+    def power(self) -> float:
+        return math.pi * number(self.radius) ** 2 * mean_of(self.irradiance)
+
+    def bounds(self) -> LightBounds | None:
+        return None
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        ds = DirectionSample3f(
+            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
+            ref - self.forward,
+            self.forward,
+            Point2f(0),
+            -self.forward,
+            Float(dr.inf),
+            Float(1),
+            Float(1),
+            Bool(True),
+            UInt32(0),
+        )
+        return ds, self.irradiance.eval(ds, active)
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        # From a disk as wide as the scene, in front of it.
+        at = square_to_uniform_disk_concentric(position_sample)
+        o = dr.fma(self.local_to_world(Vector3f(at.x, at.y, -1)), self.radius, self.center)
+        ray = Ray3f(o, Vector3f(self.forward))
+        return ray, self.irradiance.eval(ray, active) * (math.pi * dr.square(self.radius))
+
+
+def looking_along(direction: NDArray[np.float64]) -> ScalarTransform4f:
+    """A rotation that takes +z to a direction, the other axes as in Mitsuba."""
+    unit = direction / np.linalg.norm(direction)
+    up = coordinate_system(as_vector(unit))[0]
+    return ScalarTransform4f().look_at(origin=[0, 0, 0], target=unit, up=up)

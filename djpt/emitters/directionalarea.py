@@ -1,0 +1,78 @@
+"""Parallel light from a surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.emitters.base import Emitter
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import area_of, box_of, mean_of, normals_of
+from djpt.errors import SceneError
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["DirectionalArea"]
+
+
+class DirectionalArea(Emitter):
+    """Light that leaves the shape that the emitter is nested in along its normals, and in no other direction.
+
+    Parameters: `radiance` (texture, default 1, not negative): what a unit of area sends out, in W m^-2 (Mitsuba's
+    name for it is kept).
+
+    No ray from a camera or surface point meets the surface head-on, so `eval` and `sample_direction` give 0, as in
+    Mitsuba: only rays from lights (`sample_ray`) show it.
+    """
+
+    children = ("radiance", "shape")
+    on_shape = True
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if "to_world" in props:
+            raise SceneError(f"{props.node}: an area light has no 'to_world'; move the shape that carries it")
+        self.radiance = props.texture("radiance", 1.0, low=0.0)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("radiance", self.radiance)
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def flags(self) -> int:
+        return int(EmitterFlags.Surface | EmitterFlags.DeltaDirection)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self._scene = (center - radius, center + radius)
+
+    def power(self) -> float:
+        return mean_of(self.radiance) * area_of(self.shape, self._scene)
+
+    def bounds(self) -> LightBounds:
+        return LightBounds(*box_of(self.shape), *normals_of(self.shape), 0.0, self.power())
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        d = Vector3f(0, 0, 1)
+        ds = DirectionSample3f(ref + d, -d, Point2f(0), d, Float(1), Float(0), Float(0), Bool(False), UInt32(0))
+        return ds, Color3f(0)
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        if not self.shape.has_area:
+            raise SceneError(f"{self.shape.id}: no rays can be drawn from this shape, since its area isn't known")
+        ps = self.shape.sample_position(position_sample)
+        return Ray3f(ps.p, ps.n), self.radiance.eval(ps, active) * self.shape.surface_area()

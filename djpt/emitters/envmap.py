@@ -1,0 +1,284 @@
+"""Light from a picture of the surroundings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import is_readable, non_negative
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.distributions import Hierarchical2D
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import number
+from djpt.emitters.oriented import OrientedEmitter
+from djpt.errors import ParameterError, SceneError
+from djpt.frame import Frame3f
+from djpt.lookup import as_float, as_vector
+from djpt.minmax import maximum, minimum
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.textures.allowed import Allowed
+from djpt.textures.brightness import luminance
+from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
+from djpt.types import Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.warp import square_to_uniform_disk_concentric
+
+__all__ = ["EnvironmentMap"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+INV_PI = 1 / math.pi
+SPHERE = 2 * math.pi**2
+"""Area of the (phi, theta) rectangle: solid angle is this times sin(theta) times area of the unit square."""
+LEAST_SINE = 2.0**-24
+
+
+class EnvironmentMap(OrientedEmitter):
+    """Radiance from infinity as a picture in latitude and longitude.
+
+    L(d) = scale data(u, v) with d = (sin(phi) sin(theta), cos(theta), -cos(phi) sin(theta)), phi = 2 pi u and
+    theta = pi v in the light's space; +y is up, at the picture's top. Of W x H texels, (i, j) lies at
+    u = (i + 0.5) / W, v = j / (H - 1), and between them radiance is interpolated bilinearly. Directions are
+    sampled by luminance times sin(theta), likewise interpolated: see `djpt.distributions.Hierarchical2D`.
+
+    Parameters: one of
+
+    * `filename`: an exr, hdr, pfm, npy, png or jpg file (8-bit images are sRGB);
+    * `bitmap`: an image in memory (Mitsuba's `Bitmap`, `djpt.Image`, a NumPy array; bytes are sRGB);
+    * `data`: radiance (W m^-2 sr^-1), (H, W, 3) or grey, (H, W) or (H, W, 1);
+
+    and `scale` (default 1, not negative), `to_world` (a rotation or reflection, default identity),
+    `mis_compensation` (default false; true samples only what is brighter than the average: O. Karlik et al., "MIS
+    Compensation: Optimizing Sampling Techniques in Multiple Importance Sampling", SIGGRAPH Asia 2019). At least
+    2 x 3 texels, not negative and not all black.
+
+    The parameter `data` is a `TensorXf` (H, W + 2, 3), as in Mitsuba 3.9: the first column repeats the last texels,
+    and the last column the first ones. These two are never read, so they have no gradients; `update` renews them
+    unless `data` is attached. An edit may change the size.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **OrientedEmitter.values,
+        "scale": ParamFlags.Differentiable,
+        **dict.fromkeys(("columns", "rows", "center", "radius"), HIDDEN),
+    }
+    tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable | ParamFlags.Discontinuous}
+    children = ("distribution",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.mis_compensation = props.boolean("mis_compensation", False)
+        self.scale: Any = Float(props.float("scale", 1.0, low=0.0))
+        # In kernels a `djpt.tables.Table` stands in its place.
+        self.data: Any = with_halo(load_texels(props, raw=False, half=False))
+        self.distribution: Hierarchical2D | None = None
+        try:
+            check_radiance(self.data)
+        except SceneError as error:
+            key = next(key for key in ("filename", "bitmap", "data") if key in props)
+            raise props.error(key, str(error)) from None
+        self._measure()
+        self.set_bounds(np.zeros(3), 1.0)
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("scale", self.scale, self.values["scale"])
+        callback.put("data", self.data, self.tables["data"])
+        callback.put("to_world", self.to_world)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "scale":
+            if is_readable():
+                non_negative(number(value) if dr.is_array_v(value) else value)
+            return value
+        if name != "data":
+            return super().check_parameter(name, value)
+        try:
+            texels = as_texels(value)
+            if texels.shape[2] != 3:
+                raise SceneError(f"must have 3 channels, found {texels.shape[2]}")
+            if is_readable():
+                check_texels(numbers_of(texels))
+                check_radiance(texels)
+        except SceneError as error:
+            raise ParameterError(f"{self.id}.data: {error}") from None
+        return texels
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        super().parameters_changed(keys)
+        if "data" in keys:
+            if is_readable() and not dr.grad_enabled(self.data):
+                self.data = with_halo(texels_of(self.data))
+            self._measure()
+
+    def _measure(self) -> None:
+        """What kernels know of the texels beside themselves."""
+        rows, columns = self.data.shape[0], self.data.shape[1] - 2
+        self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
+        texels = numbers_of(self.data)[:, 1:-1] if is_readable() else np.ones((rows, columns, 3))
+        self._mean = mean_over_sphere(texels)
+        weights = luminance(texels)
+        if self.mis_compensation:
+            weights = without_average(weights)
+        weights *= np.sin(np.linspace(0, math.pi, rows))[:, None]
+        weights[-1] = 0  # pi is rounded
+        # A column more, since the first cell begins at the centre of the first texel and the last one ends there.
+        weights = np.concatenate([weights, weights[:, :1]], axis=1)
+        if self.distribution is None:
+            self.distribution = Hierarchical2D(f"{self.id}.distribution", weights)
+        else:
+            self.distribution.set(weights)
+
+    def flags(self) -> int:
+        return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self.center, self.radius = as_vector(center), as_float(radius)
+
+    def power(self) -> float:
+        return number(self.scale) * self._mean * (2 * math.pi * number(self.radius)) ** 2
+
+    def bounds(self) -> LightBounds | None:
+        return None
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        column, row, place = self._cell(self.world_to_local(-si.wi))
+        return self._radiance(column, row, place, active)
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        local, uv, pdf, weight, radiance = self._sample(sample, active)
+        d = self.local_to_world(local)
+        ds = DirectionSample3f(
+            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
+            ref + d,
+            -d,
+            uv,
+            d,
+            Float(dr.inf),
+            pdf,
+            weight,
+            Bool(False),
+            UInt32(0),
+        )
+        return ds, radiance * weight
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        assert self.distribution is not None
+        d = self.world_to_local(ds.d)
+        density = self.distribution.density(*self._cell(d), active)
+        return density * inverse_sine(d) * (1 / SPHERE)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        local, _, _, weight, radiance = self._sample(direction_sample, active)
+        # From a disk as wide as the scene, in front of it.
+        at = square_to_uniform_disk_concentric(position_sample)
+        d = self.local_to_world(-local)
+        across = Frame3f.from_normal(local).to_world(Vector3f(at.x, at.y, 0))
+        ray = Ray3f(dr.fma(across - d, self.radius, self.center), d)
+        return ray, radiance * (weight * math.pi * dr.square(self.radius))
+
+    def _sample(self, sample: Point2f, active: Bool | bool) -> tuple[Vector3f, Point2f, Float, Float, Color3f]:
+        """A direction in the light's space with its uv, density per solid angle, the inverse of that, and radiance."""
+        assert self.distribution is not None
+        column, row, place, density = self.distribution.sample(sample, active)
+        u = (Float(column) + place.x + 0.5) * dr.rcp(Float(self.columns))
+        v = (Float(row) + place.y) * dr.rcp(Float(self.rows - 1))
+        sin_phi, cos_phi = dr.sincos(u * (2 * math.pi))
+        sin_theta, cos_theta = dr.sincos(v * math.pi)
+        sin_theta = maximum(sin_theta, Float(LEAST_SINE))
+        d = Vector3f(sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta)
+        pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
+        weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
+        return d, Point2f(u, v), pdf, weight, self._radiance(column, row, place, active)
+
+    def _cell(self, d: Vector3f) -> tuple[UInt32, UInt32, Point2f]:
+        """Column and row of the four texels about a local direction, and where it lies between them."""
+        columns, last = Float(self.columns), Float(self.rows - 1)
+        x = dr.fma(dr.atan2(d.x, -d.z), columns * (0.5 * INV_PI), -0.5)
+        y = dr.safe_acos(d.y) * (last * INV_PI)
+        x = dr.select(x < 0, x + columns, x)
+        first = Point2f(minimum(dr.floor(x), columns - 1), minimum(dr.floor(y), last - 1))
+        # The masked-out lanes of a packet may hold anything: no index may lead out of memory.
+        return UInt32(Int32(first.x)), UInt32(Int32(first.y)), Point2f(x - first.x, y - first.y)
+
+    def _radiance(self, column: UInt32, row: UInt32, place: Point2f, active: Bool | bool) -> Color3f:
+        """Between the texels of a column and row and those to the right and below."""
+        stride = self.columns + 2
+        left = dr.fma(row, stride, column + 1)
+        right = dr.select(column + 1 < self.columns, left + 1, left - column)
+        f00, f10, f01, f11 = (self._texel(index, active) for index in (left, right, left + stride, right + stride))
+        upper, lower = lerp(f00, f10, place.x), lerp(f01, f11, place.x)
+        return lerp(upper, lower, place.y) * self.scale
+
+    def _texel(self, index: UInt32, active: Bool | bool) -> Color3f:
+        if dr.is_tensor_v(self.data):  # outside of kernels there is no table
+            return dr.gather(Color3f, self.data.array, index, active)
+        texel: Color3f = self.data.at(index, active)
+        return texel
+
+
+def inverse_sine(d: Vector3f) -> Float:
+    """1 / sin(theta)."""
+    return dr.rsqrt(maximum(dr.fma(d.x, d.x, dr.square(d.z)), Float(LEAST_SINE**2)))
+
+
+def lerp(a: Color3f, b: Color3f, t: Float) -> Color3f:
+    """From `a` to `b`."""
+    return dr.fma(b - a, t, a)
+
+
+# ---- texels --------------------------------------------------------------------------------
+
+
+def with_halo(texels: TensorXf) -> TensorXf:
+    """(H, W, 1 or 3) to (H, W + 2, 3): columns that repeat the texels of the other end, and three channels."""
+    rows, columns, channels = texels.shape
+    index = np.arange(rows * columns * channels, dtype=np.uint32).reshape(texels.shape)
+    index = np.broadcast_to(np.concatenate([index[:, -1:], index, index[:, :1]], axis=1), (rows, columns + 2, 3))
+    return TensorXf(dr.gather(Float, texels.array, UInt32(index.ravel())), index.shape)
+
+
+def texels_of(data: TensorXf) -> TensorXf:
+    """Without the halo."""
+    return TensorXf(np.ascontiguousarray(numbers_of(data)[:, 1:-1]))
+
+
+def check_radiance(data: TensorXf) -> None:
+    """Raise `SceneError` unless (H, W + 2, 3) numbers are a picture that light can come from."""
+    rows, columns = data.shape[0], data.shape[1] - 2
+    if columns < 2 or rows < 3:
+        raise SceneError(f"must have at least 2 x 3 texels, found {columns} x {rows}")
+    texels = numbers_of(data)[:, 1:-1]
+    Allowed(low=0.0).require(texels)
+    if not texels[1:-1].any():
+        raise SceneError("is black, so that no direction can be sampled; for no light leave the emitter away")
+
+
+def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What exceeds the average, unless they are all much the same."""
+    average = weights.mean()
+    if average - weights.min() <= 0.01 * average:
+        return weights
+    return np.maximum(weights - average, 0)
+
+
+def mean_over_sphere(texels: NDArray[Any]) -> float:
+    """The average radiance over all directions and colours, of what is interpolated between texels."""
+    rows = texels.shape[0]
+    step = math.pi / (rows - 1)
+    # Integrals of sin(theta) times the hat of each row.
+    shares = np.sin(np.arange(rows) * step) * (2 * (1 - math.cos(step)) / step)
+    shares[[0, -1]] = 1 - math.sin(step) / step
+    return float(np.average(texels.mean(axis=(1, 2), dtype=np.float64), weights=shares))

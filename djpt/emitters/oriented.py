@@ -1,0 +1,91 @@
+"""What lights with a place and a direction have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.emitters.base import Emitter
+from djpt.errors import SceneError
+from djpt.lookup import as_vector
+from djpt.transforms import ScalarTransform4f, as_transform
+from djpt.types import Point2f, Vector3f
+
+__all__ = ["OnImage", "OrientedEmitter"]
+
+
+class OrientedEmitter(Emitter):
+    """A light that looks along its local +z axis.
+
+    Parameters: `to_world` (rotation, reflection, translation; a uniform scale has no effect; default identity).
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
+        ("position", "left", "up", "forward"), ParamFlags.NonDifferentiable
+    )
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.to_world = props.transform("to_world")
+        try:
+            require_similar(self.to_world)
+        except SceneError as error:
+            raise props.error("to_world", str(error)) from None
+        self._place()
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.sampling_weight)
+        for name, flags in self.values.items():
+            if flags != ParamFlags.NonDifferentiable:
+                callback.put(name, getattr(self, name), flags)
+        for name in self.children:
+            callback.put(name, getattr(self, name))
+        callback.put("to_world", self.to_world)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name != "to_world":
+            return super().check_parameter(name, value)
+        transform = as_transform(value)
+        require_similar(transform)
+        return transform
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        if "to_world" in keys:
+            self._place()
+
+    def _place(self) -> None:
+        """Where the light is, and the unit vectors of its axes, as kernels read them."""
+        linear = self.to_world.matrix[:3, :3]
+        axes = linear / np.linalg.norm(linear, axis=0)
+        self.position: Any = as_vector(self.to_world.translation())
+        self.left, self.up, self.forward = (as_vector(axis) for axis in axes.T)
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def world_to_local(self, v: Vector3f) -> Vector3f:
+        """A vector by its components along the light's axes."""
+        return Vector3f(*(axis.x * v.x + axis.y * v.y + axis.z * v.z for axis in (self.left, self.up, self.forward)))
+
+    def local_to_world(self, v: Vector3f) -> Vector3f:
+        """The inverse."""
+        return self.left * v.x + self.up * v.y + self.forward * v.z
+
+
+class OnImage:
+    """A place of a texture that is projected: all that a texture looks at is its uv."""
+
+    def __init__(self, uv: Point2f) -> None:
+        self.uv = uv
+
+
+def require_similar(transform: ScalarTransform4f) -> None:
+    """Raise `SceneError` if a transform changes angles."""
+    linear = transform.matrix[:3, :3]
+    squares = linear.T @ linear
+    size = squares.trace() / 3
+    if not (np.abs(squares - size * np.eye(3)) <= 1e-3 * size).all() or size == 0:
+        raise SceneError("must not shear, nor scale differently along different axes: a light has no size")

@@ -1,0 +1,123 @@
+"""Light from a point into a cone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.numeric import as_array, as_number, is_readable
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import mean_of, number
+from djpt.emitters.oriented import OnImage, OrientedEmitter
+from djpt.emitters.point import towards_point
+from djpt.errors import ParameterError
+from djpt.minmax import maximum, minimum
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
+from djpt.warp import square_to_uniform_cone
+
+__all__ = ["SpotLight"]
+
+RADIANS = math.pi / 180
+SHARPEST = 1e-6
+"""The cone's edge has at least this width, in radians."""
+
+
+class SpotLight(OrientedEmitter):
+    """Intensity that falls off linearly in the angle theta to the local +z axis, between beam width and cutoff:
+
+        I(theta) = intensity texture(u, v) clamp((cutoff - theta) / (cutoff - beam), 0, 1),
+        (u, v) = 1/2 + (x, y) / (2 z tan(cutoff))   in the direction (x, y, z).
+
+    Parameters: `intensity` (texture, W sr^-1, default 1, not negative, can't vary), `cutoff_angle` (degrees from the
+    axis to the edge, in (0, 90], default 20), `beam_width` (degrees from the axis to where the falloff begins, at most
+    `cutoff_angle`, default 3/4 of it), `texture` (its unit square is about the cone; not negative, default 1),
+    `to_world`.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **OrientedEmitter.values,
+        **dict.fromkeys(("cutoff_angle", "beam_width"), ParamFlags.Differentiable),
+    }
+    children = ("intensity", "texture")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.intensity = props.texture("intensity", 1.0, low=0.0)
+        if not self.intensity.is_constant:
+            raise props.error("intensity", "can't vary: what varies over the cone is the 'texture'")
+        self.texture = props.texture("texture", 1.0, low=0.0)
+        cutoff = props.float("cutoff_angle", 20.0, low=0.0, high=90.0, low_open=True)
+        self.cutoff_angle = Float(cutoff)
+        self.beam_width = Float(props.float("beam_width", 0.75 * cutoff, low=0.0, high=cutoff))
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name in ("cutoff_angle", "beam_width") and is_readable():
+            angle = as_number(dr.detach(value))
+            if not 0 <= angle <= 90 or (angle == 0 and name == "cutoff_angle"):
+                raise ParameterError(f"must lie in {'(' if name == 'cutoff_angle' else '['}0, 90], found {angle:g}")
+            return value
+        return super().check_parameter(name, value)
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        super().parameters_changed(keys)
+        if is_readable():
+            beam, cutoff = number(self.beam_width), number(self.cutoff_angle)
+            if beam > cutoff:
+                raise ParameterError(f"{self.id}: beam_width {beam:g} must be at most cutoff_angle, {cutoff:g}")
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def flags(self) -> int:
+        return int(EmitterFlags.DeltaPosition)
+
+    def power(self) -> float:
+        beam, cutoff = RADIANS * number(self.beam_width), RADIANS * number(self.cutoff_angle)
+        # Of the integral of the falloff over the sphere, 2 pi (1 - (sin cutoff - sin beam) / (cutoff - beam)).
+        slope = (math.sin(cutoff) - math.sin(beam)) / (cutoff - beam) if cutoff > beam else math.cos(cutoff)
+        return 2 * math.pi * (1 - slope) * mean_of(self.intensity) * mean_of(self.texture)
+
+    def bounds(self) -> LightBounds:
+        at, axis = as_array(self.position), as_array(self.forward)
+        return LightBounds(at, at, axis, 0.0, RADIANS * number(self.cutoff_angle), self.power())
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def intensity_towards(self, d: Vector3f, active: Bool | bool) -> Color3f:
+        """I in a local direction of unit length."""
+        cutoff, theta = RADIANS * self.cutoff_angle, dr.safe_acos(d.z)
+        width = maximum(cutoff - RADIANS * self.beam_width, SHARPEST)
+        falloff = minimum(maximum((cutoff - theta) * dr.rcp(width), 0), 1)
+        value = self.intensity.eval(None, active) * falloff
+        if self.texture.is_constant:
+            return value * self.texture.eval(None, active)
+        inside = falloff > 0
+        scale = 0.5 * dr.rcp(dr.tan(cutoff) * dr.select(inside, d.z, 1))
+        at = OnImage(Point2f(dr.fma(d.x, scale, 0.5), dr.fma(d.y, scale, 0.5)))
+        return dr.select(inside, value * self.texture.eval(at, inside & active), 0)
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        ds, falloff = towards_point(self.position, ref)
+        return ds, self.intensity_towards(self.world_to_local(-ds.d), active) * falloff
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        # Uniform in the cone; as in Mitsuba, by the numbers that are for positions elsewhere.
+        cos_cutoff = dr.cos(RADIANS * dr.detach(self.cutoff_angle))
+        d = square_to_uniform_cone(position_sample, cos_cutoff)
+        weight = self.intensity_towards(d, active) * (2 * math.pi * (1 - cos_cutoff))
+        return Ray3f(self.position, self.local_to_world(d)), weight
