@@ -102,6 +102,10 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
         if not 0 <= number < len(sensors):
             raise RenderError(f"the scene has {len(sensors)} sensors; there is no number {number}")
         sensor = sensors[number]
+    elif sensor not in sensors:
+        if sensor.on_shape and sensor.shape is None:
+            raise RenderError(f"'{sensor.id}' must be nested in a shape of the scene to be rendered")
+        sensor.set_bounds(*scene.bounding_sphere())
     integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
         hint = "; load it with djpt.load_dict first" if isinstance(integrator, dict) else ""
@@ -113,6 +117,8 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     warn_of_delta(scene, integrator)
     warn_of_unseen_lights(scene, integrator)
     spp = sensor.sampler.round_count(spp or sensor.sampler.sample_count)
+    for start in sensor.starts():
+        scene.geometry.seen_from(start)
     scene = scene.seen_from(sensor.viewpoint()).choosing_emitters(integrator.emitter_choice)
     job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress)
     if job.samples > MAX_SAMPLES:

@@ -116,14 +116,18 @@ class Scene(Plugin):
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
 
-    def _set_bounds(self) -> None:
-        """Tell sensors and emitters how large the scene is."""
+    def bounding_sphere(self) -> tuple[np.ndarray, float]:
+        """The sphere about the box about all shapes, a little enlarged: centre (3,) and radius."""
         low, high = self.geometry.bounding_box()
         if (low > high).any():
             low = high = np.zeros(3)
         center = 0.5 * (low + high)
         # Mitsuba's rule.
-        radius = max(RAY_EPSILON, float(np.linalg.norm(high - center)) * (1 + RAY_EPSILON))
+        return center, max(RAY_EPSILON, float(np.linalg.norm(high - center)) * (1 + RAY_EPSILON))
+
+    def _set_bounds(self) -> None:
+        """Tell sensors and emitters how large the scene is."""
+        center, radius = self.bounding_sphere()
         for emitter in self._emitters:
             emitter.set_bounds(center, radius)
         for sensor in self._sensors:

@@ -107,11 +107,15 @@ def square_to_uniform_hemisphere_pdf(v: Vector3f) -> Float:
 
 
 def square_to_uniform_cone(sample: Point2f, cos_cutoff: Float) -> Vector3f:
-    """Uniform direction in the cone around +z whose half-angle has the cosine `cos_cutoff`."""
-    z = dr.fma(cos_cutoff, sample.y, 1 - sample.y)
-    r = dr.safe_sqrt(dr.fma(-z, z, 1))
-    sin, cos = dr.sincos(2 * math.pi * sample.x)
-    return Vector3f(r * cos, r * sin, z)
+    """Uniform direction in the cone around +z whose half-angle has the cosine `cos_cutoff`.
+
+    Equal areas of the disk lift to equal areas of the cap (Archimedes).
+    """
+    p, height = square_to_uniform_disk_concentric(sample), 1 - cos_cutoff
+    below = height * dr.squared_norm(p)
+    scale = dr.safe_sqrt(height * (2 - below))
+    z = 1 - below
+    return Vector3f(p.x * scale, p.y * scale, dr.select(z > cos_cutoff, z, cos_cutoff))
 
 
 def square_to_uniform_cone_pdf(v: Vector3f, cos_cutoff: Float) -> Float:

@@ -9,11 +9,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from meshes import tetrahedron_file
 
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
 
 __all__ = ["NAMES", "UNLIKE_MITSUBA", "entry", "plugin_of"]
+
+Entry = dict[str, Any] | Callable[[], dict[str, Any]]
 
 RECTANGLE = {
     "type": "rectangle",
@@ -23,16 +26,27 @@ RECTANGLE = {
 
 def picture(shape: dict[str, Any], **keys: Any) -> Callable[[], dict[str, Any]]:
     """A shape that shines with the colours of a bitmap; made anew, since Mitsuba takes the tensor's memory."""
-    data = (6 * np.random.default_rng(0).random((6, 8, 3)) ** 4).astype(np.float32)
 
     def make() -> dict[str, Any]:
-        texture = {"type": "bitmap", "data": TensorXf(data), "raw": True, **keys}
-        return {**shape, "emitter": {"type": "area", "radiance": texture}}
+        return {**shape, "emitter": {"type": "area", "radiance": image(**keys)}}
 
     return make
 
 
-SETS: dict[str, dict[str, dict[str, Any] | Callable[[], dict[str, Any]]]] = {
+AWAY = T().look_at(origin=[-2, 3, 2.5], target=[-4, 6, 5], up=[0, 1, 0]).scale([0.7, 0.4, 1])
+SPOT = T().look_at(origin=[-2, 3, 2.5], target=[0, -0.5, 0], up=[0, 1, 0])
+TILTED = SPOT @ T().rotate([0, 0, 1], 30)
+MIRRORED = SPOT @ T().scale([-1, 1, 1])
+COLOURS = {"type": "checkerboard", "color0": {"type": "rgb", "value": [0.9, 0.2, 0.1]}, "color1": 0.4}
+
+
+def image(**keys: Any) -> dict[str, Any]:
+    """A bitmap of bright and dark colours; made anew, since Mitsuba takes the tensor's memory."""
+    data = (6 * np.random.default_rng(0).random((6, 8, 3)) ** 4).astype(np.float32)
+    return {"type": "bitmap", "data": TensorXf(data), "raw": True, **keys}
+
+
+SETS: dict[str, dict[str, Entry]] = {
     "area": {
         "rectangle": {**RECTANGLE, "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [6, 5, 4]}}},
         "sphere": {
@@ -40,6 +54,32 @@ SETS: dict[str, dict[str, dict[str, Any] | Callable[[], dict[str, Any]]]] = {
             "center": [-2, 3, 2.5],
             "radius": 0.5,
             "emitter": {"type": "area", "radiance": 8.0},
+        },
+        "flipped rectangle": {
+            **RECTANGLE,
+            "to_world": AWAY,
+            "flip_normals": True,
+            "emitter": {"type": "area", "radiance": 6.0},
+        },
+        "disk": {**RECTANGLE, "type": "disk", "emitter": {"type": "area", "radiance": 8.0, "sampling_weight": 2.0}},
+        "cylinder": {
+            "type": "cylinder",
+            "p0": [-2, 3, 2.5],
+            "p1": [-1.5, 3, 2],
+            "radius": 0.4,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [6, 1, 4]}},
+        },
+        "cube": {
+            "type": "cube",
+            "to_world": T().translate([-2, 3, 2.5]).rotate([1, 2, 3], 50).scale([0.5, 0.3, 0.2]),
+            "emitter": {"type": "area", "radiance": 9.0},
+        },
+        "mesh": {
+            "type": "ply",
+            "filename": tetrahedron_file(),
+            "face_normals": True,
+            "to_world": T().translate([-2, 2, 1]),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [6, 7, 8]}},
         },
         "bitmap rectangle": picture(RECTANGLE),
         "nearest bitmap rectangle": picture(RECTANGLE, filter_type="nearest", wrap_mode="clamp"),
@@ -53,9 +93,80 @@ SETS: dict[str, dict[str, dict[str, Any] | Callable[[], dict[str, Any]]]] = {
             "emitter": {"type": "area", "radiance": {"type": "checkerboard", "color0": 8.0, "color1": 1.0}},
         },
     },
-    "constant": {"colour": {"type": "constant", "radiance": {"type": "rgb", "value": [0.4, 0.5, 0.6]}}},
+    "constant": {
+        "colour": {"type": "constant", "radiance": {"type": "rgb", "value": [0.4, 0.5, 0.6]}},
+        "default": {"type": "constant"},
+    },
+    "directional": {
+        "default": {"type": "directional", "to_world": T().rotate([1, 0, 0], 90)},
+        "direction": {
+            "type": "directional",
+            "direction": [2, -3, -1],
+            "irradiance": {"type": "rgb", "value": [3, 2, 1]},
+        },
+        "turned": {"type": "directional", "to_world": TILTED, "irradiance": 2.0, "sampling_weight": 3.0},
+    },
+    "directionalarea": {
+        "rectangle": {**RECTANGLE, "emitter": {"type": "directionalarea", "radiance": 3.0}},
+        "sphere": {
+            "type": "sphere",
+            "center": [-2, 3, 2.5],
+            "radius": 0.5,
+            "emitter": {"type": "directionalarea", "radiance": {"type": "rgb", "value": [3, 4, 5]}},
+        },
+        "bitmap rectangle": lambda: {**RECTANGLE, "emitter": {"type": "directionalarea", "radiance": image()}},
+    },
     "point": {
         "position": {"type": "point", "position": [-2, 3, 2.5], "intensity": {"type": "rgb", "value": [9, 8, 7]}},
+        "turned": {"type": "point", "to_world": SPOT, "intensity": 12.0},
+    },
+    "projector": {
+        "default": {"type": "projector", "to_world": SPOT},
+        "colour": {
+            "type": "projector",
+            "to_world": TILTED,
+            "fov": 60.0,
+            "irradiance": {"type": "rgb", "value": [3, 2, 1]},
+            "scale": 2.0,
+        },
+        "checkerboard": {
+            "type": "projector",
+            "to_world": SPOT,
+            "focal_length": "35mm",
+            "irradiance": COLOURS,
+            "scale": 3.0,
+        },
+        "bitmap": lambda: {"type": "projector", "to_world": TILTED, "fov": 50.0, "irradiance": image()},
+        "upright bitmap": lambda: {
+            "type": "projector",
+            "to_world": SPOT,
+            "fov": 40.0,
+            "fov_axis": "y",
+            "irradiance": image(filter_type="nearest", wrap_mode="clamp"),
+        },
+        "mirrored bitmap": lambda: {"type": "projector", "to_world": MIRRORED, "irradiance": image()},
+    },
+    "spot": {
+        "default": {"type": "spot", "to_world": SPOT, "intensity": 20.0},
+        "turned": {
+            "type": "spot",
+            "to_world": TILTED,
+            "cutoff_angle": 35.0,
+            "beam_width": 5.0,
+            "intensity": {"type": "rgb", "value": [9, 20, 15]},
+        },
+        "sharp": {"type": "spot", "to_world": SPOT, "cutoff_angle": 25.0, "beam_width": 25.0, "intensity": 20.0},
+        "wide": {"type": "spot", "to_world": SPOT, "cutoff_angle": 90.0, "beam_width": 0.0, "intensity": 20.0},
+        "large": {"type": "spot", "to_world": SPOT @ T().scale(3), "intensity": 20.0},
+        "checkerboard": {
+            "type": "spot",
+            "to_world": TILTED,
+            "cutoff_angle": 30.0,
+            "intensity": 30.0,
+            "texture": {**COLOURS, "to_uv": T().scale([3, 2, 1])},
+        },
+        "bitmap": lambda: {"type": "spot", "to_world": TILTED, "cutoff_angle": 30.0, "texture": image()},
+        "mirrored bitmap": lambda: {"type": "spot", "to_world": MIRRORED, "intensity": 3.0, "texture": image()},
     },
 }
 """Plugin -> name of the set -> the scene's entry."""

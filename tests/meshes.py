@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
 import struct
+import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-__all__ = ["bumpy_sheet", "properties", "write_binary_ply", "write_obj", "write_ply", "write_serialized"]
+import djpt
+
+__all__ = [
+    "bumpy_sheet",
+    "properties",
+    "tetrahedron_file",
+    "write_binary_ply",
+    "write_obj",
+    "write_ply",
+    "write_serialized",
+]
 
 Array = np.ndarray
 
@@ -97,3 +110,13 @@ def write_serialized(path: Path, meshes: list[dict[str, Any]], version: int = 4,
     tail = offsets.astype("<u8" if version == 4 else "<u4").tobytes() + struct.pack("<I", len(parts))
     path.write_bytes(b"".join(parts) + tail)
     return path
+
+
+def tetrahedron_file() -> str:
+    """A PLY file: a tetrahedron over the origin, with vertex normals."""
+    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "tetrahedron.ply"
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+    corners = np.array([[0.0, 0, 1], [1, 0.2, 1.3], [0.1, 0.8, 1.2], [0.2, 0.3, 2]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    djpt.Mesh("tetrahedron", vertex_positions=corners, faces=faces).write_ply(path)
+    return str(path)

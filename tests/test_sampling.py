@@ -1,22 +1,20 @@
-"""Warps, shapes, emitters, filters, textures and samplers, tested by what they claim of themselves.
+"""Warps, shapes, filters, textures and samplers, tested by what they claim of themselves.
 
 The tests are parametrised over the registry: a new plugin is tested as soon as it is registered.
-If it needs parameters, or has interesting ones, add a line to EXAMPLES. For BSDFs see test_bsdf_sampling.py.
+If it needs parameters, or has interesting ones, add a line to EXAMPLES. BSDFs and emitters have files of their own:
+test_bsdf_sampling.py, test_emitter_sampling.py.
 """
 
 from __future__ import annotations
 
-import atexit
 import inspect
-import shutil
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
 import pytest
 from chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
+from meshes import tetrahedron_file
 
 import djpt
 from djpt import warp
@@ -33,19 +31,7 @@ SHEARED = T([[1, 0.5, 0, 0.2], [0, 0.8, 0.3, 0], [0.1, 0, 0.6, 2], [0, 0, 0, 1]]
 BLOB = np.linalg.norm(np.indices((8, 8, 8)) - 3.4, axis=0)[..., None] - 2.5
 
 
-def mesh_file() -> str:
-    """A PLY file: a tetrahedron over the origin, with vertex normals."""
-    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "tetrahedron.ply"
-    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
-    corners = np.array([[0.0, 0, 1], [1, 0.2, 1.3], [0.1, 0.8, 1.2], [0.2, 0.3, 2]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    djpt.Mesh("tetrahedron", vertex_positions=corners, faces=faces).write_ply(path)
-    return str(path)
-
-
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
-    "constant": [{}, {"radiance": 3.0}],
-    "point": [{"position": [0.3, 0.2, 2.0], "intensity": 5.0}],
     "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
                   {"to_world": SHEARED, "flip_normals": True}],
     "cube": [{"to_world": T().translate([0.3, 0, 2.5]).rotate([1, 2, 3], 50).scale([1, 0.5, 0.3])},
@@ -65,7 +51,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "torus": [{"to_world": T().translate([0.5, 0.2, 1.8]).rotate([1, 0, 0], 50)}],
     "metaballs": [{"balls": [[-0.5, 0, 2, 0.8], [0.3, 0.2, 2.2, 0.7]]}],
     "sdfgrid": [{"grid": TensorXf(BLOB.astype(np.float32)), "to_world": T().translate([-0.3, -0.4, 1.2])}],
-    "ply": [{"filename": mesh_file(), "face_normals": True}],
+    "ply": [{"filename": tetrahedron_file(), "face_normals": True}],
     # Meshes of other files are sampled by the same code, and these two are no lights.
     "obj": [], "serialized": [], "shapegroup": [], "instance": [],
     "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],
@@ -159,7 +145,7 @@ def test_corners_of_the_square_stay_in_the_domain(name: str, arguments: tuple[An
         assert np.abs(values).max() <= 1 + 1e-6
 
 
-# ---------------------------------------------------------------- shapes as lights, and other emitters
+# ---------------------------------------------------------------- shapes
 
 
 def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
@@ -190,14 +176,6 @@ def lit(**emitters: Any) -> Any:
     return djpt.load_dict({"type": "scene", **emitters, "speck": speck})
 
 
-def lights() -> list[Any]:
-    """All shapes that shine, and all emitters that stand alone."""
-    shining = [
-        pytest.param({**p.values[1], "emitter": {"type": "area", "radiance": 2.0}}, id=p.id) for p in examples("shape")
-    ]
-    return shining + [pytest.param(p.values[1], id=p.id) for p in examples("emitter") if p.values[0] != "area"]
-
-
 def reference() -> SurfaceInteraction3f:
     """The point that light is sampled for: the origin, without a surface to step off."""
     return local_frame((0, 0, 1))
@@ -210,56 +188,6 @@ def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
     ds = DirectionSample3f.between(Point3f(0), ray, si)
     emitter = si.emitter(scene)
     return ds, emitter.eval(si), emitter.is_valid()
-
-
-@pytest.mark.parametrize("description", lights())
-class TestEmitter:
-    def test_directions_follow_the_density(self, description: dict[str, Any]) -> None:
-        """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
-        scene = lit(light=description)
-        ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(COUNT)), False)
-        if np.array(ds.delta).any():
-            pytest.skip("a delta emitter has no density")
-        # The density is that of a narrow cone: look there closely.
-        focus = Frame3f.from_normal(dr.normalize(dr.detach(dr.mean(ds.d, axis=1))))
-        towards = focus.to_local(ds.d)
-        lowest = float(np.array(towards.z).min())
-        domain = SPHERE if lowest < 0.9 else type(SPHERE)(
-            (1 - 1.2 * (1 - lowest), 0), (1, 2 * np.pi), SPHERE.point, SPHERE.coordinates
-        )  # fmt: skip
-
-        def density(local: Any) -> Any:
-            at, radiance, _ = looked_at(scene, focus.to_world(local))
-            return dr.select(dr.max(radiance) > 0, scene.pdf_emitter_direction(reference(), at), 0)
-
-        p, integral = p_value(domain, towards, dr.max(weight) > 0, density, fine=96)
-        assert integral <= 1 + 5e-3
-        assert p > SIGNIFICANCE
-
-    def test_weights_are_radiance_over_density(self, description: dict[str, Any]) -> None:
-        scene = lit(light=description)
-        ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
-        if np.array(ds.delta).any():
-            pytest.skip("a delta emitter has no density")
-        lit_up = np.broadcast_to(np.array(dr.max(weight) > 0), (4096,))
-        assert lit_up.mean() > 0.1
-        product = np.array(weight) * np.array(ds.pdf)
-        _, radiance, _ = looked_at(scene, ds.d)
-        radiance = np.broadcast_to(np.array(radiance), (3, 4096))
-        # Rays that graze an edge may miss.
-        agree = np.isclose(product, radiance, rtol=1e-3).all(axis=0)
-        assert agree[lit_up].mean() > 0.995
-        again, pdf = (np.broadcast_to(x, (4096,)) for x in (scene.pdf_emitter_direction(reference(), ds), ds.pdf))
-        np.testing.assert_allclose(again[lit_up], pdf[lit_up], rtol=2e-3)
-        np.testing.assert_allclose(np.array(ds.pdf * ds.weight), 1, rtol=1e-4)
-
-    def test_record_is_consistent(self, description: dict[str, Any]) -> None:
-        scene = lit(light=description)
-        ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
-        np.testing.assert_allclose(np.linalg.norm(np.array(ds.d), axis=0), 1, atol=1e-5)
-        np.testing.assert_allclose(np.linalg.norm(np.array(ds.n), axis=0), 1, atol=1e-5)
-        if np.isfinite(np.array(ds.dist)).all():
-            np.testing.assert_allclose(np.array(ds.d) * np.array(ds.dist), np.array(ds.p), rtol=1e-4, atol=1e-4)
 
 
 def with_area() -> list[Any]:

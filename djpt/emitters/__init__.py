@@ -8,6 +8,7 @@ from djpt.emitters.directional import DirectionalEmitter
 from djpt.emitters.directionalarea import DirectionalArea
 from djpt.emitters.envmap import EnvironmentMap
 from djpt.emitters.point import PointLight
+from djpt.emitters.projector import Projector
 from djpt.emitters.spot import SpotLight
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Emitter",
     "EnvironmentMap",
     "PointLight",
+    "Projector",
     "SpotLight",
 ]
 
@@ -27,4 +29,5 @@ register_emitter("constant", ConstantBackground)
 register_emitter("directional", DirectionalEmitter)
 register_emitter("directionalarea", DirectionalArea)
 register_emitter("envmap", EnvironmentMap)
+register_emitter("projector", Projector)
 register_emitter("spot", SpotLight)

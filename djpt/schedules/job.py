@@ -137,6 +137,7 @@ class Job:
 
 def camera(sensor: Sensor) -> Sensor:
     """A copy of a sensor whose values, and those of its children, are opaque."""
+    sensor.prepare()
     ensemble, values = Ensemble([sensor]), Detached()
     # Long tables must exist before a kernel's loop asks for them.
     values.prepare(ensemble.leaves())

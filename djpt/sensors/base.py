@@ -36,14 +36,21 @@ class Sensor(Plugin):
     """Do rays depend on more than the film position? Two more numbers per sample are then drawn, after the film's."""
     weight = 1.0
     """What radiance is multiplied by to give what the sensor measures; the same for all its rays."""
+    one_pixel: ClassVar[bool] = False
+    """Does it measure one number? Its film then has one pixel, also by default."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.film: Any = props.child("film") or default(props, "film", "hdrfilm")
+        size = ONE_PIXEL if self.one_pixel else {}
+        self.film: Any = props.child("film") or default(props, "film", "hdrfilm", **size)
+        if self.one_pixel and self.film.size != (1, 1):
+            width, height = self.film.size
+            problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name}' measures one number"
+            raise props.error("film", problem)
         self.sampler: Any = props.child("sampler") or default(props, "sampler", "independent")
         self.to_world = props.transform("to_world")
         try:
-            self._require_rigid(self.to_world)
+            self.check_placement(self.to_world)
         except SceneError as error:
             raise props.error("to_world", str(error)) from None
         self.shutter_open = props.float("shutter_open", 0.0)
@@ -52,7 +59,8 @@ class Sensor(Plugin):
             raise props.error("shutter_close", f"must not be less than 'shutter_open' ({self.shutter_open:g})")
 
     @staticmethod
-    def _require_rigid(transform: ScalarTransform4f) -> None:
+    def check_placement(transform: ScalarTransform4f) -> None:
+        """Raise `SceneError` if `to_world` can't be this."""
         if transform.has_scale():
             raise SceneError("must not scale: a camera has no size")
 
@@ -66,7 +74,7 @@ class Sensor(Plugin):
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "to_world":
             transform = as_transform(value)
-            self._require_rigid(transform)
+            self.check_placement(transform)
             return transform
         number = as_number(value)
         if name == "shutter_open_time" and number < 0:
@@ -75,7 +83,6 @@ class Sensor(Plugin):
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Recompute what kernels read; ``film`` is among the keys if the film's size or crop changed."""
-        raise NotImplementedError
 
     # ---- on the host -------------------------------------------------------------------
 
@@ -83,8 +90,16 @@ class Sensor(Plugin):
         """The point (3,) near which all rays start; None if they start in many places."""
         return self.to_world.translation()
 
+    def starts(self) -> Sequence[NDArray[np.float64]]:
+        """Points (3,) near which rays start, of those that are known."""
+        p = self.viewpoint()
+        return [] if p is None else [p]
+
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
         """Called with the scene's bounding sphere, and again when it changes; for sensors that are far away."""
+
+    def prepare(self) -> None:
+        """Called before each rendering."""
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -97,6 +112,9 @@ class Sensor(Plugin):
         raise NotImplementedError
 
 
-def default(props: Properties, kind: str, name: str) -> Any:
-    """A nested plugin that the description leaves out, with its own defaults."""
-    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", {}, f"{props.id}.{kind}"))
+ONE_PIXEL = {"width": 1, "height": 1}
+
+
+def default(props: Properties, kind: str, name: str, **entries: Any) -> Any:
+    """A nested plugin that the description leaves out, with its own defaults except for `entries`."""
+    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", entries, f"{props.id}.{kind}"))

@@ -1,0 +1,124 @@
+"""Light that throws an image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.numeric import as_array, is_readable, non_negative
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import mean_of, number
+from djpt.emitters.oriented import OnImage, OrientedEmitter
+from djpt.emitters.point import towards_point
+from djpt.lookup import as_float
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.sensors.projective import horizontal_fov
+from djpt.textures.bitmap import Bitmap
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
+
+__all__ = ["Projector"]
+
+
+class Projector(OrientedEmitter):
+    """The reverse of a pinhole camera: intensity pi scale irradiance(u, v) / cos^3 in the direction of (u, v).
+
+    A screen across the local +z axis at distance z is so lit evenly where `irradiance` is constant: it receives
+    pi scale irradiance / z^2. With t = tan(fov / 2), a direction (x, y, z) belongs to
+
+        u = 1/2 - x / (2 t z),    v = 1/2 - aspect y / (2 t z);
+
+    aspect is width / height of the bitmap, 1 for other textures.
+
+    Parameters: `irradiance` (texture, default 1, not negative), `scale` (default 1, not negative), `fov`, `fov_axis`
+    or `focal_length` (as for the `perspective` sensor), `to_world`.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **OrientedEmitter.values,
+        "scale": ParamFlags.Differentiable,
+        # Half width and half height of the image at z = 1.
+        **dict.fromkeys(("reach_x", "reach_y"), ParamFlags.NonDifferentiable),
+    }
+    children = ("irradiance",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.irradiance = props.texture("irradiance", 1.0, low=0.0)
+        self.irradiance.prepare_sampling()
+        self.scale = Float(props.float("scale", 1.0, low=0.0))
+        self._reach = math.tan(math.radians(horizontal_fov(props, self._aspect())) / 2)
+        self._measure()
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "scale":
+            if is_readable():
+                non_negative(dr.detach(value))
+            return value
+        return super().check_parameter(name, value)
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        super().parameters_changed(keys)
+        if "irradiance" in keys:
+            self._measure()
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def _aspect(self) -> float:
+        if not isinstance(self.irradiance, Bitmap):
+            return 1.0
+        height, width, _ = self.irradiance.data.shape
+        return width / height
+
+    def _measure(self) -> None:
+        """The extent of the image; another bitmap may have another shape, but the same field of view along x."""
+        self.reach_x, self.reach_y = as_float(self._reach), as_float(self._reach / self._aspect())
+
+    def flags(self) -> int:
+        return int(EmitterFlags.DeltaPosition)
+
+    def power(self) -> float:
+        area = 4 * number(self.reach_x) * number(self.reach_y)
+        return math.pi * area * number(self.scale) * mean_of(self.irradiance)
+
+    def bounds(self) -> LightBounds:
+        at, axis = as_array(self.position), as_array(self.forward)
+        widest = math.atan(math.hypot(number(self.reach_x), number(self.reach_y)))
+        return LightBounds(at, at, axis, 0.0, widest, self.power())
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return Color3f(0)
+
+    def sample_direction(
+        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        ds, falloff = towards_point(self.position, ref)
+        d = self.world_to_local(-ds.d)
+        ahead = d.z > 0
+        inv_z = dr.rcp(dr.select(ahead, d.z, 1))
+        x, y = d.x * inv_z * dr.rcp(self.reach_x), d.y * inv_z * dr.rcp(self.reach_y)
+        lit = ahead & (dr.abs(x) <= 1) & (dr.abs(y) <= 1)
+        ds.uv = Point2f(dr.fma(x, -0.5, 0.5), dr.fma(y, -0.5, 0.5))
+        value = self.irradiance.eval(ds, lit & active) * (math.pi * self.scale * falloff * inv_z * dr.square(inv_z))
+        return ds, dr.select(lit, value, 0)
+
+    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        return Float(0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        # By the brightness of the image.
+        uv, pdf = self.irradiance.sample_position(direction_sample, active)
+        x, y = dr.fma(uv.x, -2, 1) * self.reach_x, dr.fma(uv.y, -2, 1) * self.reach_y
+        d = dr.normalize(self.local_to_world(Vector3f(x, y, 1)))
+        inverse_pdf = dr.select(pdf > 0, dr.rcp(dr.detach(pdf)), 0)
+        area = 4 * self.reach_x * self.reach_y
+        weight = self.irradiance.eval(OnImage(uv), active) * (math.pi * self.scale * area * inverse_pdf)
+        return Ray3f(self.position, d), weight

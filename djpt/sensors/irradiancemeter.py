@@ -1,0 +1,57 @@
+"""The irradiance meter: all light that arrives on a shape."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.properties import Properties
+from djpt.frame import Frame3f
+from djpt.records import RAY_EPSILON, Ray3f
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import require_area
+from djpt.types import Bool, Float, Point2f
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["IrradianceMeter"]
+
+
+class IrradianceMeter(Sensor):
+    """Measures the irradiance on the shape that it is nested in, averaged over its area A.
+
+        E = 1 / A  int_A int_hemisphere L(p, w) cos(theta) dw dA    (W m^-2)
+
+    The film position draws the point and the aperture sample the direction, by its cosine about the shading
+    normal: then every ray counts pi L. Usually the film has one pixel; each of several sees its own part of the
+    shape. Use a box filter: wider ones weigh points by where they fall on the film.
+
+    Parameters: those of all sensors but `to_world`, which is the shape's.
+    """
+
+    children = ("shape",)
+    on_shape = True
+    needs_aperture_sample = True
+    weight = math.pi
+
+    def __init__(self, props: Properties) -> None:
+        if "to_world" in props:
+            raise props.error("to_world", "can't be given: move the shape that carries the irradiance meter")
+        super().__init__(props)
+        if self.film.filters:
+            warnings.warn(f"{self.id}: an irradiance meter needs a film with a box filter", stacklevel=2)
+
+    def viewpoint(self) -> None:
+        return None
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        if self.shape is not None:
+            require_area(self.shape, "irradiancemeter")
+
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        ps = self.shape.sample_position(film_position)
+        d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(aperture_sample))
+        return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d, Float(dr.inf))

@@ -1,0 +1,64 @@
+"""The orthographic camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import drjit as dr
+import numpy as np
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.lookup import as_float, as_vector
+from djpt.records import Ray3f
+from djpt.sensors.projective import Projective
+from djpt.transforms import ScalarTransform4f
+from djpt.types import Bool, Point2f
+
+__all__ = ["Orthographic"]
+
+MAX_SKEW = 1e-3
+"""Largest cosine between axes that still counts as a right angle: transforms may come in float32."""
+
+
+class Orthographic(Projective):
+    """A camera whose rays are parallel: no perspective.
+
+    It sees -1 <= x <= 1 of its space, -1 / aspect <= y <= 1 / aspect (aspect = width / height of the film), and
+    looks along +z.
+
+    Parameters, besides those of all sensors: `to_world` may scale: by (s, s, 1) for an image that is 2 s wide in
+    the scene; `near_clip` (0.01) and `far_clip` (10000): rays start at the local z = near_clip and are
+    far_clip - near_clip long. `focus_distance` is accepted, without effect.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
+        ("corner", "across", "down", "direction", "depth"), ParamFlags.NonDifferentiable
+    )
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        props.float("focus_distance", self.far_clip)
+        self.place()
+
+    @staticmethod
+    def check_placement(transform: ScalarTransform4f) -> None:
+        axes = transform.matrix[:3, :3]
+        axes = axes / np.linalg.norm(axes, axis=0)
+        if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW:
+            raise SceneError("may scale along its own axes but must leave them at right angles, found a shear")
+
+    def place(self) -> None:
+        corner, step = self.crop_window(1.0)
+        linear = self.to_world.matrix[:3, :3]
+        self.corner = as_vector(self.to_world.translation() + linear @ [*corner, self.near_clip])
+        self.across = as_vector(linear[:, 0] * step[0])
+        self.down = as_vector(linear[:, 1] * step[1])
+        self.direction = as_vector(linear[:, 2] / np.linalg.norm(linear[:, 2]))
+        self.depth = as_float(self.far_clip - self.near_clip)
+
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        o = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
+        return Ray3f(o, self.direction, self.depth)

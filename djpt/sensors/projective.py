@@ -1,0 +1,184 @@
+"""What cameras with an image plane share: clip planes, the field of view, the film's place on the plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import as_number
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError
+from djpt.lookup import as_float, as_vector
+from djpt.sensors.base import Sensor
+from djpt.types import Float, Point2f, Vector3f
+
+__all__ = ["Central", "Projective", "horizontal_fov"]
+
+FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
+FRAME_DIAGONAL = math.hypot(36.0, 24.0)
+"""Of 35 mm film, in mm: what `focal_length` refers to."""
+
+
+class Projective(Sensor):
+    """A camera whose rays start on a near plane and end on a far plane.
+
+    Parameters, besides those of all sensors: `near_clip` (0.01) and `far_clip` (10000), measured along
+    the optical axis.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.near_clip = props.float("near_clip", 1e-2, low=0.0, low_open=True)
+        self.far_clip = props.float("far_clip", 1e4, low=0.0, low_open=True)
+        if self.near_clip >= self.far_clip:
+            raise props.error(
+                "near_clip", f"must be less than 'far_clip' ({self.far_clip:g}), found {self.near_clip:g}"
+            )
+
+    # ---- parameters --------------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("near_clip", self.near_clip)
+        callback.put("far_clip", self.far_clip)
+        super().traverse(callback)
+        self.traverse_lens(callback)
+        callback.put("to_world", self.to_world)
+
+    def traverse_lens(self, callback: TraversalCallback) -> None:
+        """Report what the class adds."""
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        checked = super().check_parameter(name, value)
+        if name in ("near_clip", "far_clip") and checked <= 0:
+            raise ParameterError(f"must be greater than 0, found {checked:g}")
+        return checked
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        if self.near_clip >= self.far_clip:
+            raise ParameterError(
+                f"{self.id}.near_clip: must be less than far_clip ({self.far_clip:g}), found {self.near_clip:g}"
+            )
+        self.place()
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def place(self) -> None:
+        """Compute what kernels read."""
+        raise NotImplementedError
+
+    def crop_window(
+        self, half_width: float, shift: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the film lies on a plane across the optical axis, in camera space.
+
+        A film position (x, y) in the crop is (u, v) in the whole film and the point
+        ((1 - 2u) half_width, (1 - 2v) half_width / aspect) of the plane. Returned are the point of
+        (0, 0) and the step from there to (1, 1). `shift` is added to (u, v).
+        """
+        size, crop, offset = (
+            np.array(pair, dtype=np.float64) for pair in (self.film.size, self.film.crop_size, self.film.crop_offset)
+        )
+        start = offset / size if shift is None else shift + offset / size
+        reach = np.array([half_width, half_width * size[1] / size[0]])
+        return (1 - 2 * start) * reach, -2 * reach * crop / size
+
+
+class Central(Projective):
+    """A camera that images by a central projection: the rays through the centre of its lens meet in one point.
+
+    Parameters, besides those of `Projective`: `fov` (degrees, in (0, 180), along `fov_axis`), or
+    else `focal_length` (a string such as ``'50mm'``, the default, for 35 mm film); `fov_axis` (`x`,
+    the default, `y`, `diagonal`, `smaller` or `larger` of the film's sides). The field of view refers to
+    the whole film, also if only a crop of it is rendered.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
+        ("origin", "corner", "across", "down", "near", "depth"), ParamFlags.NonDifferentiable
+    )
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        width, height = self.film.size
+        self.x_fov = Float(horizontal_fov(props, width / height))
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name == "x_fov":
+            number = as_number(value)
+            if not 0 < number < 180:
+                raise ParameterError(f"must lie in (0, 180), found {number:g}")
+            return Float(number)
+        return super().check_parameter(name, value)
+
+    def image_shift(self) -> NDArray[np.float64] | None:
+        """By how much the image's centre is moved, in image widths and heights; None if not at all."""
+        return None
+
+    def place(self) -> None:
+        corner, step = self.crop_window(math.tan(math.radians(self.x_fov[0]) / 2), self.image_shift())
+        linear = self.to_world.matrix[:3, :3]
+        self.origin = as_vector(self.to_world.translation())
+        self.corner = as_vector(linear @ [*corner, 1.0])
+        self.across = as_vector(linear[:, 0] * step[0])
+        self.down = as_vector(linear[:, 1] * step[1])
+        self.near = as_float(self.near_clip)
+        self.depth = as_float(self.far_clip - self.near_clip)
+
+    def through_centre(self, film_position: Point2f) -> Vector3f:
+        """Where the ray through the centre goes while it advances by 1 along the optical axis.
+
+        The length of such a vector converts depth to distance.
+        """
+        return dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
+
+
+def horizontal_fov(props: Properties, aspect: float) -> float:
+    """The field of view along x in degrees, from `fov` and `fov_axis` or from `focal_length`.
+
+    `aspect` is width / height of the film.
+    """
+    if "fov" in props:
+        if "focal_length" in props:
+            raise props.error("focal_length", "can't be given together with 'fov'")
+        fov = props.float("fov", low=0.0, high=180.0, low_open=True, high_open=True)
+        axis = fov_axis(props, aspect)
+    else:
+        if "fov_axis" in props:
+            raise props.error("fov_axis", "needs 'fov'; a focal length refers to the diagonal")
+        fov = math.degrees(2 * math.atan(FRAME_DIAGONAL / (2 * focal_length(props))))
+        axis = "diagonal"
+    t = math.tan(math.radians(fov) / 2)
+    if axis == "y":
+        t *= aspect
+    elif axis == "diagonal":
+        t /= math.hypot(1.0, 1.0 / aspect)
+    return math.degrees(2 * math.atan(t))
+
+
+def fov_axis(props: Properties, aspect: float) -> str:
+    """`x`, `y` or `diagonal`."""
+    axis = props.string("fov_axis", "x").lower()
+    if axis not in FOV_AXES:
+        axis = props.string("fov_axis", choices=FOV_AXES)
+    if axis == "smaller":
+        return "y" if aspect > 1 else "x"
+    if axis == "larger":
+        return "x" if aspect > 1 else "y"
+    return axis
+
+
+def focal_length(props: Properties) -> float:
+    """In millimetres; the unit may be left out."""
+    text = props.string("focal_length", "50mm")
+    try:
+        millimetres = float(text.strip().removesuffix("mm"))
+    except ValueError:
+        millimetres = math.nan
+    if not 0 < millimetres < math.inf:
+        raise props.error("focal_length", f"must be a positive length such as '50mm', found '{text}'")
+    return millimetres

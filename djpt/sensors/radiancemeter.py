@@ -1,0 +1,50 @@
+"""The radiance meter: one ray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.lookup import as_vector
+from djpt.records import RAY_EPSILON, Ray3f
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import look_along
+from djpt.types import Bool, Float, Point2f
+
+__all__ = ["RadianceMeter"]
+
+
+class RadianceMeter(Sensor):
+    """Measures the radiance that arrives along one ray: a camera without extent in a film of one pixel.
+
+    Parameters, besides those of all sensors: `to_world` (it stands at the origin and looks along +z), or else
+    `origin` and `direction`, both together. `to_world` wins if all are given.
+    """
+
+    one_pixel = True
+    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("origin", "direction"), ParamFlags.NonDifferentiable)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        given = [key for key in ("origin", "direction") if key in props]
+        if "to_world" not in props and given:
+            if len(given) == 1:
+                other = "direction" if given == ["origin"] else "origin"
+                raise SceneError(f"{props.node}: '{given[0]}' needs '{other}' as well")
+            self.to_world = look_along(props, props.vector("origin"))
+        self.parameters_changed(())
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        super().traverse(callback)
+        callback.put("to_world", self.to_world)
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        direction = self.to_world.matrix[:3, 2]
+        self.origin = as_vector(self.to_world.translation() + RAY_EPSILON * direction)
+        self.direction = as_vector(direction)
+
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        return Ray3f(self.origin, self.direction, Float(float("inf")))

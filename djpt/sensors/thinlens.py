@@ -1,0 +1,79 @@
+"""The camera with a thin lens: depth of field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.numeric import as_number
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError
+from djpt.lookup import as_float, as_vector
+from djpt.records import Ray3f
+from djpt.sensors.projective import Central
+from djpt.types import Bool, Float, Point2f
+from djpt.warp import square_to_uniform_disk_concentric
+
+__all__ = ["ThinLens"]
+
+LENS = ("aperture_radius", "focus_distance")
+
+
+class ThinLens(Central):
+    """A camera with an ideal thin lens: what is at the focus distance is sharp.
+
+    With m the direction of the pinhole camera's ray, per unit along the optical axis, and a a point drawn
+    uniformly on the lens, the ray starts at a and meets that of the pinhole in the plane of focus:
+
+        o = a,    d = m - a / focus_distance
+
+    A point at depth z is blurred to a disk of radius aperture_radius abs(1 / z - 1 / focus_distance), as a tangent
+    of an angle.
+
+    Parameters: those of `perspective` without the principal point, and `aperture_radius` (of the lens, in scene
+    units, > 0, required), `focus_distance` (along the optical axis, > 0, default `far_clip`).
+
+    Source: R. L. Cook, T. Porter, L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **Central.values,
+        **dict.fromkeys(("lens_x", "lens_y", "inv_focus"), ParamFlags.NonDifferentiable),
+    }
+    needs_aperture_sample = True
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.aperture_radius = Float(props.float("aperture_radius", low=0.0, low_open=True))
+        self.focus_distance = Float(props.float("focus_distance", self.far_clip, low=0.0, low_open=True))
+        self.place()
+
+    def traverse_lens(self, callback: TraversalCallback) -> None:
+        for name in (*LENS, "x_fov"):
+            callback.put(name, getattr(self, name))
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if name not in LENS:
+            return super().check_parameter(name, value)
+        number = as_number(value)
+        if number <= 0:
+            raise ParameterError(f"must be greater than 0, found {number:g}")
+        return Float(number)
+
+    def place(self) -> None:
+        super().place()
+        linear, radius = self.to_world.matrix[:3, :3], self.aperture_radius[0]
+        self.lens_x, self.lens_y = as_vector(linear[:, 0] * radius), as_vector(linear[:, 1] * radius)
+        self.inv_focus = as_float(1 / self.focus_distance[0])
+
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        lens = square_to_uniform_disk_concentric(aperture_sample)
+        a = self.lens_x * lens.x + self.lens_y * lens.y
+        d = dr.fma(a, -self.inv_focus, self.through_centre(film_position))
+        length_squared = dr.squared_norm(d)
+        inv_length = dr.rsqrt(length_squared)
+        o = dr.fma(d, self.near, self.origin + a)
+        return Ray3f(o, d * inv_length, self.depth * (length_squared * inv_length))
