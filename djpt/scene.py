@@ -345,7 +345,7 @@ class Scene(Plugin):
         index, inverse, u = choice.choose(ref.p, ref.n, sample.x)
         ds, weight = EmitterPtr(self, index).sample_direction(ref, Point2f(u, sample.y), active)
         if choice.count > 1:
-            probability = choice.probability(ref.p, ref.n, index)
+            probability = dr.select(inverse > 0, dr.rcp(inverse), 0)
             ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
         if test_visibility:
             weight = dr.select(self.unoccluded(self.shadow_ray(ref, ds)), weight, 0)

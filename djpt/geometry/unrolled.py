@@ -221,5 +221,6 @@ class Directions:
         return dr.select(self._negative.contain(number), -v, v)
 
 
-def _host_point(p: Point3f | np.ndarray) -> np.ndarray:
-    return np.array(p, dtype=np.float64).ravel()
+def _host_point(p: Point3f) -> np.ndarray:
+    # Component by component: a vector is converted by a kernel, which takes its time for each of many lights.
+    return np.array([x[0] for x in p], dtype=np.float64)

@@ -6,6 +6,7 @@ from djpt.samplers.independent import Independent
 from djpt.samplers.ldsampler import LDSampler
 from djpt.samplers.multijitter import Multijitter
 from djpt.samplers.orthogonal import Orthogonal
+from djpt.samplers.sobol import Sobol
 from djpt.samplers.stratified import Stratified
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "SampleIndex",
     "SampleStream",
     "Sampler",
+    "Sobol",
     "Stratified",
 ]
 
@@ -23,4 +25,5 @@ register_sampler("independent", Independent)
 register_sampler("ldsampler", LDSampler)
 register_sampler("multijitter", Multijitter)
 register_sampler("orthogonal", Orthogonal)
+register_sampler("sobol", Sobol)
 register_sampler("stratified", Stratified)

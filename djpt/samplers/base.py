@@ -35,7 +35,10 @@ class SampleStream(Protocol):
     """The random numbers of one lane; loop state, so it must be a PyTree."""
 
     def next_1d(self, active: Bool | bool = True) -> Float:
-        """The next number in [0, 1); lanes that aren't active don't advance."""
+        """The next number in [0, 1).
+
+        Lanes that aren't active draw nothing from a random generator, but may count the dimension.
+        """
 
     def next_2d(self, active: Bool | bool = True) -> Point2f:
         """The next two numbers in [0, 1)^2."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import drjit as dr
 
@@ -17,7 +18,9 @@ from djpt.types import PCG32, Bool, Float, UInt32
 __all__ = ["JitteredSampler", "JitteredStream", "PointSet", "PointSets", "below_one"]
 
 BELOW_ONE = 1 - 2**-24
-"""The largest number below 1."""
+"""The largest float below 1."""
+
+Stream = TypeVar("Stream", bound="JitteredStream")
 
 SET_STEP = 0x9E3779B9
 
@@ -71,7 +74,7 @@ class JitteredStream:
         self.dimension = dimension + 1
         return dimension
 
-    def clone(self) -> JitteredStream:
+    def clone(self: Stream) -> Stream:
         return replace(self, rng=None if self.rng is None else copy_of(self.rng))
 
 

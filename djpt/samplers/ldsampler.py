@@ -9,6 +9,7 @@ import drjit as dr
 from djpt.hashing import sample_tea_32
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import PointSets, below_one
+from djpt.samplers.sobol import pascal
 from djpt.types import Bool, Float, Point2f, UInt32
 
 __all__ = ["LDSampler", "LDStream"]
@@ -78,19 +79,9 @@ def permute(index: UInt32, count: UInt32, seed: UInt32) -> UInt32:
 def radical_inverse(index: UInt32, scramble: UInt32) -> Float:
     """The bits of `index`, mirrored at the binary point."""
     bits = dr.brev(index) ^ scramble
-    return dr.reinterpret_array(Float, (bits >> 9) | 0x3F800000) - 1
+    return Float(dr.reinterpret_array(Float, (bits >> 9) | 0x3F800000)) - 1
 
 
 def sobol_2(index: UInt32, scramble: UInt32) -> Float:
     """The second coordinate of Sobol's sequence: Pascal's triangle modulo 2 times the bits of `index`."""
     return below_one(Float(dr.brev(pascal(index)) ^ scramble) * 2**-32)
-
-
-def pascal(index: UInt32) -> UInt32:
-    """The product of `index` with Pascal's upper triangle modulo 2.
-
-    The matrix is the Kronecker product of five [[1, 1], [0, 1]]: one xor by the bits 1, 2, 4, 8, 16 further up each.
-    """
-    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF), (16, 0x0000FFFF)):
-        index = index ^ ((index >> shift) & mask)
-    return index
