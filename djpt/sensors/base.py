@@ -13,9 +13,9 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import ParameterError, SceneError
-from djpt.records import Ray3f
+from djpt.records import DirectionSample3f, Ray3f
 from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.types import Bool, Point2f
+from djpt.types import Bool, Float, Point2f, Point3f
 
 __all__ = ["Sensor"]
 
@@ -32,6 +32,8 @@ class Sensor(Plugin):
     on_shape: ClassVar[bool] = False
     """Must it be nested in a shape? The scene then sets `shape`."""
     shape: Any = None
+    can_be_reached: ClassVar[bool] = False
+    """Can light be traced towards it (`sample_direction`)?"""
     needs_aperture_sample = False
     """Do rays depend on more than the film position? Two more numbers per sample are then drawn, after the film's."""
     weight = 1.0
@@ -108,6 +110,17 @@ class Sensor(Plugin):
 
         `aperture_sample` in [0, 1)^2 is random only for sensors with `needs_aperture_sample`. The ray's
         `d` has unit length; it covers near to far clip.
+        """
+        raise NotImplementedError
+
+    def sample_direction(
+        self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Float]:
+        """The way from the point `ref` to the sensor, for light paths: only if `can_be_reached`.
+
+        `ds.uv` is the film position in the crop window that shows the point, `ds.p` where its camera ray starts. The
+        importance is the area of the crop window (which is 1) that an area across `ds.d` at `ref` covers, per unit
+        of the latter; 0 where the point isn't seen. Visibility isn't considered.
         """
         raise NotImplementedError
 

@@ -12,10 +12,10 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.lookup import as_float, as_vector
-from djpt.records import Ray3f
+from djpt.records import DirectionSample3f, Ray3f
 from djpt.sensors.projective import Projective
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Point2f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32
 
 __all__ = ["Orthographic"]
 
@@ -35,8 +35,10 @@ class Orthographic(Projective):
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
-        ("corner", "across", "down", "direction", "depth"), ParamFlags.NonDifferentiable
+        ("corner", "across", "down", "direction", "depth", "to_column", "to_row", "inv_area"),
+        ParamFlags.NonDifferentiable,
     )
+    can_be_reached = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -58,7 +60,30 @@ class Orthographic(Projective):
         self.down = as_vector(linear[:, 1] * step[1])
         self.direction = as_vector(linear[:, 2] / np.linalg.norm(linear[:, 2]))
         self.depth = as_float(self.far_clip - self.near_clip)
+        across, down = linear[:, 0] * step[0], linear[:, 1] * step[1]
+        self.to_column, self.to_row = as_vector(across / (across @ across)), as_vector(down / (down @ down))
+        self.inv_area = as_float(1 / float(np.linalg.norm(across) * np.linalg.norm(down)))
 
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
         return Ray3f(o, self.direction, self.depth)
+
+    def sample_direction(
+        self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Float]:
+        to_ref = ref - self.corner
+        z = dr.dot(to_ref, self.direction)
+        uv = Point2f(dr.dot(to_ref, self.to_column), dr.dot(to_ref, self.to_row))
+        seen = (z > 0) & (z < self.depth) & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
+        ds = DirectionSample3f(
+            p=dr.fma(self.direction, -z, ref),
+            n=self.direction,
+            uv=uv,
+            d=-self.direction,
+            dist=z,
+            pdf=Float(1),
+            weight=Float(1),
+            delta=Bool(True),
+            emitter_index=UInt32(0),
+        )
+        return ds, dr.select(seen, self.inv_area, 0)

@@ -15,8 +15,9 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
 from djpt.lookup import as_float, as_vector
+from djpt.records import DirectionSample3f
 from djpt.sensors.base import Sensor
-from djpt.types import Float, Point2f, Vector3f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Central", "Projective", "horizontal_fov"]
 
@@ -99,8 +100,10 @@ class Central(Projective):
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
-        ("origin", "corner", "across", "down", "near", "depth"), ParamFlags.NonDifferentiable
+        ("origin", "corner", "across", "down", "near", "depth", "axis", "to_column", "to_row", "inv_area"),
+        ParamFlags.NonDifferentiable,
     )
+    can_be_reached = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -128,6 +131,9 @@ class Central(Projective):
         self.down = as_vector(linear[:, 1] * step[1])
         self.near = as_float(self.near_clip)
         self.depth = as_float(self.far_clip - self.near_clip)
+        self.axis = as_vector(linear[:, 2])
+        self.to_column, self.to_row = as_vector(linear[:, 0] / step[0]), as_vector(linear[:, 1] / step[1])
+        self.inv_area = as_float(1 / abs(step[0] * step[1]))
 
     def through_centre(self, film_position: Point2f) -> Vector3f:
         """Where the ray through the centre goes while it advances by 1 along the optical axis.
@@ -135,6 +141,45 @@ class Central(Projective):
         The length of such a vector converts depth to distance.
         """
         return dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
+
+    def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
+        """A point of the lens, from its centre, and how the ray from there departs from that through the centre.
+
+        Both in world space, the latter per unit along the optical axis.
+        """
+        return Vector3f(0), Vector3f(0)
+
+    def sample_direction(
+        self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Float]:
+        lens, bend = self.lens_point(aperture_sample)
+        start = self.origin + lens
+        to_ref = ref - start
+        z = dr.dot(to_ref, self.axis)
+        in_range = (z > self.near) & (z < self.near + self.depth)
+        inv_z = dr.rcp(dr.select(in_range, z, 1))
+        # Per unit along the optical axis, as `through_centre`; the inverse of what `sample_ray` does.
+        m = to_ref * inv_z
+        on_plane = m - bend - self.corner
+        uv = Point2f(dr.dot(on_plane, self.to_column), dr.dot(on_plane, self.to_row))
+        seen = in_range & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
+        length_squared = dr.squared_norm(m)
+        inv_length = dr.rsqrt(length_squared)
+        length = length_squared * inv_length
+        # dA cos / dist^2 = dw = area of the window on the plane at distance 1 times cos^3.
+        importance = length * dr.square(inv_z) * self.inv_area
+        ds = DirectionSample3f(
+            p=dr.fma(m, self.near, start),
+            n=self.axis,
+            uv=uv,
+            d=m * -inv_length,
+            dist=(z - self.near) * length,
+            pdf=Float(1),
+            weight=Float(1),
+            delta=Bool(True),
+            emitter_index=UInt32(0),
+        )
+        return ds, dr.select(seen, importance, 0)
 
 
 def horizontal_fov(props: Properties, aspect: float) -> float:

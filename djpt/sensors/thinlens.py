@@ -14,7 +14,7 @@ from djpt.errors import ParameterError
 from djpt.lookup import as_float, as_vector
 from djpt.records import Ray3f
 from djpt.sensors.projective import Central
-from djpt.types import Bool, Float, Point2f
+from djpt.types import Bool, Float, Point2f, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["ThinLens"]
@@ -69,10 +69,14 @@ class ThinLens(Central):
         self.lens_x, self.lens_y = as_vector(linear[:, 0] * radius), as_vector(linear[:, 1] * radius)
         self.inv_focus = as_float(1 / self.focus_distance[0])
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
         lens = square_to_uniform_disk_concentric(aperture_sample)
         a = self.lens_x * lens.x + self.lens_y * lens.y
-        d = dr.fma(a, -self.inv_focus, self.through_centre(film_position))
+        return a, a * -self.inv_focus
+
+    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+        a, bend = self.lens_point(aperture_sample)
+        d = self.through_centre(film_position) + bend
         length_squared = dr.squared_norm(d)
         inv_length = dr.rsqrt(length_squared)
         o = dr.fma(d, self.near, self.origin + a)
