@@ -81,6 +81,7 @@ def render(
     height: Height = None,
     rfilter: RFilter = None,
     integrator: IntegratorName = None,
+    sensor: Annotated[int, typer.Option(min=0, help="Which of the scene's sensors, counted from 0.")] = 0,
     schedule: Annotated[str, typer.Option(help="How lanes are filled: auto, flat or wave.")] = "auto",
     define: Defines = None,
     quiet: Quiet = False,
@@ -105,14 +106,16 @@ def render(
                 samples = total
                 show(done, total)
 
-            image = djpt.render(loaded, spp=spp or 0, seed=seed, schedule=schedule, progress=progress).numpy()
+            image = djpt.render(
+                loaded, sensor=sensor, spp=spp or 0, seed=seed, schedule=schedule, progress=progress
+            ).numpy()
         seconds = time.perf_counter() - start
-        names = djpt.channel_names(loaded) if target.suffix.lower() == ".exr" else None
+        names = djpt.channel_names(loaded, sensor=sensor) if target.suffix.lower() == ".exr" else None
         djpt.write(target, image, channels=names)
         if not quiet:
             rows, columns, _ = image.shape
             speed = f"{_short(samples / seconds)}samples/s"
-            count = spp or loaded.sensors()[0].sampler.sample_count
+            count = spp or loaded.sensors()[sensor].sampler.sample_count
             print(f"{target}: {columns} x {rows}, {count} spp, {seconds:.2f} s, {speed}")
 
 

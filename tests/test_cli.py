@@ -66,6 +66,18 @@ def test_render_has_defaults() -> None:
     assert Path("cornell_box.exr").exists()
 
 
+def test_render_takes_the_sensor_that_was_asked_for() -> None:
+    meter = "<sensor type='radiancemeter'><film type='hdrfilm'><integer name='width' value='1'/>"
+    meter += "<integer name='height' value='1'/></film></sensor></scene>"
+    Path("two.xml").write_text(FILE.replace("$spp", "2").replace("</scene>", meter))
+    code, out, err = run("render", "two.xml", "--sensor", "1", "--width", "8", "-o", "a.npy")
+    assert (code, err) == (ExitCode.DONE, "")
+    assert out.startswith("a.npy: 1 x 1, 4 spp")
+    assert run("render", "two.xml", "--width", "8", "-o", "b.npy")[1].startswith("b.npy: 8 x 4, 2 spp")
+    code, _, err = run("render", "two.xml", "--sensor", "2")
+    assert (code, "the scene has 2 sensors; there is no number 2" in err) == (ExitCode.BAD_INPUT, True)
+
+
 # ---------------------------------------------------------------- scene files
 
 FILE = """<scene version="3.0.0">

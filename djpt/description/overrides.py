@@ -21,6 +21,9 @@ SENSORS = frozenset(
 )
 """Types of the nodes that hold a film."""
 
+METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
+"""Those that measure numbers rather than take pictures."""
+
 INTEGRATORS = frozenset(
     {"path", "direct", "depth", "aov", "moment", "ptracer", "stokes", "volpath", "volpathmis"}
     | {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective", "volprim_rf_basic"},
@@ -66,7 +69,8 @@ def override(
 ) -> dict[str, Any]:
     """A copy of `scene` with changes for all of its sensors; `None` changes nothing.
 
-    * `width`, `height`: pixels of the film. With one given, the other keeps the shape of the image.
+    * `width`, `height`: pixels of the film, except that of meters. With one given, the other keeps the shape of
+      the image.
     * `rfilter`: the reconstruction filter, by name or as a dict.
     * `integrator`: by name or as a dict; replaces the scene's. A name keeps the other settings of the
       scene's integrator that both have: `max_depth`, `rr_depth`, `hide_emitters`.
@@ -86,7 +90,7 @@ def override(
         sensor = dict(result[key])
         name = _film_key(sensor)
         film = dict(sensor.get(name, {"type": "hdrfilm"}))
-        if width is not None or height is not None:
+        if (width is not None or height is not None) and sensor["type"] not in METERS:
             _set_size(film, f"{key}.{name}", width, height)
         if rfilter is not None:
             for other in [k for k, node in film.items() if isinstance(node, Mapping) and k != "rfilter"]:

@@ -110,7 +110,9 @@ class Reverse(Mode):
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
         adjoint: Any = dr.select(active, walk.delta, 0)
-        dr.backward(dr.dot(outgoing, adjoint))
+        # A parameter may have no effect at all.
+        if dr.grad_enabled(outgoing):
+            dr.backward(dr.dot(outgoing, adjoint))
         return walk.delta, self.accumulator.add(walk.sums, leaves, active)
 
     def hand_over(
