@@ -22,6 +22,7 @@ __all__ = [
     "PCG32",
     "Array3f",
     "Array4f",
+    "Array4i64",
     "ArrayXf",
     "ArrayXu",
     "Bool",
@@ -30,6 +31,7 @@ __all__ = [
     "Float64",
     "Int",
     "Int32",
+    "Int64",
     "Mask",
     "Matrix4f",
     "Normal3f",
@@ -51,11 +53,13 @@ Int32 = backend.Int
 UInt = backend.UInt32
 UInt32 = backend.UInt32
 UInt64 = backend.UInt64
+Int64 = backend.Int64
 Bool = backend.Bool
 Mask = backend.Bool
 
 Array3f = backend.Array3f
 Array4f = backend.Array4f
+Array4i64 = backend.Array4i64
 ArrayXf = backend.ArrayXf
 ArrayXu = backend.ArrayXu
 Point2f = backend.Array2f

@@ -65,7 +65,7 @@ class Job:
         self._origin = Point2f(*(dr.opaque(Float, n - border) for n in self.film.crop_offset))
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size]
         self._inverse_crop = Point2f(*inverse)
-        self._camera = camera(self.sensor)
+        self.camera = camera(self.sensor)
         self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
 
     def with_scene(self, scene: Scene) -> Job:
@@ -104,7 +104,7 @@ class Job:
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.needs_aperture_sample else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return stream, self._camera.sample_ray(position * self._inverse_crop, aperture), offset
+        return stream, self.camera.sample_ray(position * self._inverse_crop, aperture), offset
 
     def on_film(self, column: Float, row: Float) -> Point2f:
         """The position on the whole film, in pixels, of the corner of a pixel of the grid."""
