@@ -10,11 +10,12 @@ from typing import Any
 from djpt.description.properties import Properties
 from djpt.differentiation import differentiable_image, gradient_seed
 from djpt.errors import RenderError, near_miss
-from djpt.integrators import Integrator, Path
+from djpt.integrators import Integrator, ParticleTracer, Path
 from djpt.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
+from djpt.schedules.light import splat_image
 from djpt.schedules.passes import Schedule, primal_image
 from djpt.tracing import begin_trace
 from djpt.types import TensorXf
@@ -70,6 +71,9 @@ def render(
     pass_spp = check_count("pass_spp", pass_spp)
     chosen = choose_schedule(schedule, job)
     parameters = attached_parameters(scene)
+    if isinstance(job.integrator, ParticleTracer) and not parameters:
+        straight = replace(job, integrator=job.integrator.straight, progress=None)
+        return primal_image(straight, chosen, pass_spp) + splat_image(job)
     if not parameters:
         return primal_image(job, chosen, pass_spp)
     if not job.integrator.differentiable:
@@ -113,7 +117,7 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
-    integrator.check_scene(scene)
+    integrator.check_scene(scene, sensor)
     warn_of_delta(scene, integrator)
     warn_of_unseen_lights(scene, integrator)
     spp = sensor.sampler.round_count(spp or sensor.sampler.sample_count)

@@ -15,6 +15,7 @@ from djpt.integrators.path import Path
 from djpt.integrators.path_naive import PathNaive
 from djpt.integrators.path_nee import PathNEE
 from djpt.integrators.prb import PRB
+from djpt.integrators.ptracer import ParticleTracer
 from djpt.integrators.raycast import Raycast
 from djpt.integrators.whitted import Whitted
 
@@ -25,6 +26,7 @@ __all__ = [
     "Direct",
     "Distributed",
     "Integrator",
+    "ParticleTracer",
     "Path",
     "PathIntegrator",
     "PathNEE",
@@ -42,6 +44,7 @@ register_integrator("path", Path)
 register_integrator("path_naive", PathNaive)
 register_integrator("path_nee", PathNEE)
 register_integrator("prb", PRB)
+register_integrator("ptracer", ParticleTracer)
 register_integrator("direct", Direct)
 register_integrator("depth", Depth)
 register_integrator("aov", AOV)

@@ -17,6 +17,7 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
+    from djpt.sensors.base import Sensor
 
 __all__ = ["Integrator", "PathIntegrator", "PathState", "Vertex", "mis_weight"]
 
@@ -52,8 +53,8 @@ class Integrator(Plugin):
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
 
-    def check_scene(self, scene: Scene) -> None:
-        """Raise `RenderError` if there is nothing in the scene that this integrator can show."""
+    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
+        """Raise `RenderError` if there is nothing that this integrator can show to the sensor."""
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True

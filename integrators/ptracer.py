@@ -12,6 +12,7 @@ from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.path import Path
 from djpt.integrators.unidirectional import UNBOUNDED, roulette
+from djpt.minmax import maximum
 from djpt.pointers import EmitterPtr
 from djpt.records import RAY_EPSILON, BSDFContext, Ray3f, SurfaceInteraction3f, TransportMode
 from djpt.samplers.base import SampleStream
@@ -68,8 +69,8 @@ class ParticleTracer(Integrator):
     what the camera sees in a mirror or through smooth glass: no light path hits its lens by chance.
 
     Parameters: `max_depth` (edges of the longest path, that to the camera included, -1 = unbounded, default -1),
-    `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`, `emitter_choice` (`uniform`, default, or `power`).
-    `spp` light paths per pixel of the image are traced. Sums don't depend on the order of additions: they are whole numbers.
+    `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`, `emitter_choice` (`uniform`,
+    default, or `power`). `spp` light paths per pixel of the image are traced. Sums don't depend on the order of additions: they are whole numbers.
 
     J. Arvo, "Backward Ray Tracing", 1986; P. Dutré, E. Lafortune and Y. Willems, "Monte Carlo Light Tracing with Direct
     Computation of Pixel Intensities", 1993; the correction for shading normals is that of E. Veach, 1997, 5.3.2.
@@ -88,7 +89,7 @@ class ParticleTracer(Integrator):
         self.straight = Path(Properties("path", f"{props.node}.straight", shown))
         """For light that comes straight from an emitter."""
 
-    def check_sensor(self, sensor: Sensor) -> None:
+    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         if not sensor.can_be_reached:
             raise RenderError(
                 f"'ptracer' can't trace light to the sensor '{sensor.id}'; possible: perspective, thinlens, orthographic"
@@ -100,7 +101,8 @@ class ParticleTracer(Integrator):
         index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, u)
         ray, flux = EmitterPtr(scene, index).sample_ray(sampler.next_2d(), sampler.next_2d())
         # Off the surface, along the ray: its normal isn't known here.
-        largest = dr.max(dr.abs(ray.o))
+        a = dr.abs(ray.o)
+        largest = maximum(maximum(a.x, a.y), a.z)
         ray = Ray3f(dr.fma(ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), ray.o), ray.d, Float(dr.inf))
         return LightPath(
             ray=ray,
@@ -118,7 +120,7 @@ class ParticleTracer(Integrator):
         ctx = BSDFContext(TransportMode.Importance)
         interior, flux, body = scene.interior, path.flux, path.body
         if body is not None:
-            flux = flux * interior.transmittance(scene.lookup, body, path.ray.maxt * 0 + si.t)
+            flux = flux * interior.transmittance(scene.lookup, body, si.t)
         proceed = si.is_valid() & (path.depth < max_depth)
 
         # ------------------ To the camera ---------------------

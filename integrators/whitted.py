@@ -19,6 +19,7 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
+    from djpt.sensors.base import Sensor
 
 __all__ = ["Whitted"]
 
@@ -51,7 +52,7 @@ class Whitted(Integrator):
         super().__init__(props)
         self.max_depth = props.integer("max_depth", 8, low=1, high=64)
 
-    def check_scene(self, scene: Scene) -> None:
+    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         if all(has_flag(emitter.flags(), EmitterFlags.Infinite) for emitter in scene.emitters()):
             raise RenderError(
                 "'whitted' can't light a scene by its environment alone: add a point, spot, directional or area "
