@@ -15,6 +15,7 @@ from djpt.integrators.path import Path
 from djpt.integrators.path_naive import PathNaive
 from djpt.integrators.path_nee import PathNEE
 from djpt.integrators.prb import PRB
+from djpt.integrators.prb_basic import PRBBasic
 from djpt.integrators.ptracer import ParticleTracer
 from djpt.integrators.raycast import Raycast
 from djpt.integrators.whitted import Whitted
@@ -26,6 +27,7 @@ __all__ = [
     "Direct",
     "Distributed",
     "Integrator",
+    "PRBBasic",
     "ParticleTracer",
     "Path",
     "PathIntegrator",
@@ -44,6 +46,7 @@ register_integrator("path", Path)
 register_integrator("path_naive", PathNaive)
 register_integrator("path_nee", PathNEE)
 register_integrator("prb", PRB)
+register_integrator("prb_basic", PRBBasic)
 register_integrator("ptracer", ParticleTracer)
 register_integrator("direct", Direct)
 register_integrator("depth", Depth)

@@ -69,8 +69,8 @@ class ParticleTracer(Integrator):
     what the camera sees in a mirror or through smooth glass: no light path hits its lens by chance.
 
     Parameters: `max_depth` (edges of the longest path, that to the camera included, -1 = unbounded, default -1),
-    `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`, `emitter_choice` (`uniform`,
-    default, or `power`). `spp` light paths per pixel of the image are traced. Sums don't depend on the order of additions: they are whole numbers.
+    `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`, `emitter_choice` (`uniform`, default,
+    or `power`). `spp` light paths are traced per pixel of the image.
 
     J. Arvo, "Backward Ray Tracing", 1986; P. Dutré, E. Lafortune and Y. Willems, "Monte Carlo Light Tracing with Direct
     Computation of Pixel Intensities", 1993; the correction for shading normals is that of E. Veach, 1997, 5.3.2.
@@ -92,7 +92,8 @@ class ParticleTracer(Integrator):
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         if not sensor.can_be_reached:
             raise RenderError(
-                f"'ptracer' can't trace light to the sensor '{sensor.id}'; possible: perspective, thinlens, orthographic"
+                f"'ptracer' can't trace light to the sensor '{sensor.id}'; "
+                "possible: perspective, thinlens, orthographic"
             )
 
     def begin(self, scene: Scene, sampler: SampleStream) -> LightPath:
@@ -154,7 +155,7 @@ class ParticleTracer(Integrator):
 
 
 def side_correction(si: SurfaceInteraction3f, arriving: Vector3f, leaving: Vector3f, wo: Vector3f) -> Float:
-    """cos(wi, ns) cos(wo, ng) / (cos(wi, ng) cos(wo, ns)): what shading normals ask of light paths; 0 where they leak."""
+    """cos(wi, ns) cos(wo, ng) / (cos(wi, ng) cos(wo, ns)): what shading normals ask of light paths; 0 at leaks."""
     wi_geometric, wo_geometric = -dr.dot(si.n, arriving), dr.dot(si.n, leaving)
     ok = (wi_geometric * si.wi.z > 0) & (wo_geometric * wo.z > 0)
     ratio = dr.abs(si.wi.z * wo_geometric * dr.rcp(dr.select(ok, wi_geometric * wo.z, 1)))

@@ -1,7 +1,7 @@
 """The light schedule: a lane follows one light path after the other and adds to any pixel.
 
-Floating-point sums depend on the order of additions, and threads add in any order. Sums of whole numbers don't: so
-contributions are scaled and rounded to 64-bit numbers, and an image is the same, bit for bit, for any number of threads.
+Floating-point sums depend on the order of additions, and threads add in any order. Sums of whole numbers don't. So
+contributions are scaled and rounded to 64-bit numbers: an image is the same, bit for bit, for any number of threads.
 """
 
 from __future__ import annotations

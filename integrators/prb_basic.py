@@ -1,0 +1,70 @@
+"""Path replay backpropagation in its plainest form."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.integrators.base import PathState, Vertex
+from djpt.integrators.unidirectional import UnidirectionalPath
+from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["PRBBasic"]
+
+
+class PRBBasic(UnidirectionalPath):
+    """BSDF sampling alone: no light sampling, no weights, no Russian roulette.
+
+    Estimates L = sum over vertices k of T_k Le_k, T_k the product of f abs(cos) / p of the sampled directions. Its
+    gradients come from path replay, as those of `prb`: this is the version to read first.
+
+    Leaves out point, spot and directional lights: no path meets them.
+
+    Parameters: `max_depth` (see `Path`, default 6), `hide_emitters`. Draws are those of Mitsuba's `prb_basic`.
+
+    D. Vicini, S. Speierer and W. Jakob, "Path Replay Backpropagation", SIGGRAPH 2021.
+    """
+
+    default_max_depth = 6
+    covers_sky = False
+
+    def vertex(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        arriving = self.arriving(scene, state, si)
+        throughput = state.throughput if arriving is None else state.throughput * arriving
+
+        # ---------------------- Emission ----------------------
+        emitted = self.shown(state, si, throughput * si.emitter(scene).eval(si))
+        proceed = self.proceeds(state, si)
+
+        # -------------------- BSDF sampling -------------------
+        # All of the weight's derivative is in `eval`: ask for both at once.
+        _, _, bs, weight = si.bsdf().eval_pdf_sample(
+            BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed
+        )
+        if arriving is not None:
+            weight = weight * arriving
+        throughput = state.throughput * dr.detach(weight)
+
+        # ---------------------- Next vertex -------------------
+        return Vertex(
+            emitted=emitted,
+            reflected=Color3f(0),
+            shadow_ray=si.spawn_ray(ray.d),
+            weight=weight,
+            ray=si.spawn_ray(si.to_world(bs.wo)),
+            state=self.next_state(scene, state, si, bs, throughput),
+            active=proceed & (dr.max(throughput) > 0),
+            valid=self.counts(scene, state, si, bs),
+        )
+
+    def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
+        """Openings count as surfaces here."""
+        return (state.depth > 0) | si.is_valid()
