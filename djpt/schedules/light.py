@@ -64,13 +64,13 @@ class Splats:
             self._add(row * self._columns + column, color, active)
             return
         reach, weight = film.taps // 2, film.rfilter.eval
-        steps = range(-reach, reach + 1)
-        in_x = [weight(x - (Float(column) + (i + 0.5))) for i in steps]
-        in_y = [weight(y - (Float(row) + (j + 0.5))) for j in steps]
+        # Before the first column and row the numbers wrap around to large ones.
+        column, row, steps = column - reach, row - reach, range(2 * reach + 1)
+        in_x = [weight(x - dr.floor(x) + (reach - i - 0.5)) for i in steps]
+        in_y = [weight(y - dr.floor(y) + (reach - j - 0.5)) for j in steps]
         color = color * dr.rcp(sum(in_x[1:], in_x[0]) * sum(in_y[1:], in_y[0]))
         for j, wy in zip(steps, in_y, strict=True):
             for i, wx in zip(steps, in_x, strict=True):
-                # Before the first column and row the numbers wrap around to large ones.
                 inside = (column + i < self._columns) & (row + j < self._rows)
                 self._add((row + j) * self._columns + (column + i), color * (wx * wy), active & inside)
 
