@@ -191,33 +191,8 @@ def samplers() -> None:
     djpt.write(IMAGES / "samplers.png", picture.astype(np.float32))
 
 
-def samplers() -> None:
-    """A sphere under a white sky at 4 samples per pixel with three samplers, magnified; below, the same blurred."""
-    rows: list[list[np.ndarray]] = [[], []]
-    clay = {"type": "rgb", "value": [0.7, 0.3, 0.15]}
-    for sampler in ({"type": "independent"}, {"type": "sobol"}, {"type": "sobol", "blue_noise": True}):
-        film = {"type": "hdrfilm", "width": 80, "height": 60, "rfilter": {"type": "box"}}
-        place = T().look_at(origin=[0, 1.2, 4], target=[0, -0.1, 0], up=[0, 1, 0])
-        scene = {
-            "type": "scene",
-            "sensor": {"type": "perspective", "fov": 36, "to_world": place, "film": film, "sampler": sampler},
-            "sky": {"type": "constant", "radiance": 0.9},
-            "floor": {"type": "rectangle", "to_world": T().translate([0, -0.7, 0]).rotate([1, 0, 0], -90).scale(30)},
-            "ball": {"type": "sphere", "radius": 0.7, "bsdf": {"type": "diffuse", "reflectance": clay}},
-        }
-        image = np.array(djpt.render(djpt.load_dict(scene), spp=4))
-        weights = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
-        blurred = np.pad(image, ((5, 5), (5, 5), (0, 0)), mode="edge")
-        for axis in (0, 1):
-            blurred = np.apply_along_axis(np.convolve, axis, blurred, weights / weights.sum(), mode="valid")
-        for row, picture in zip(rows, (image, blurred), strict=True):
-            row.append(np.kron(picture, np.ones((4, 4, 1))))
-    picture = np.concatenate([np.concatenate(row, axis=1) for row in rows])
-    djpt.write(IMAGES / "samplers.png", picture.astype(np.float32))
-
-
 FIGURES: dict[str, Callable[[], None]] = {
-    f.__name__: f for f in (cornell_box, spheres, albedo, shapes, materials, glass, textures, cameras, samplers, samplers)
+    f.__name__: f for f in (cornell_box, spheres, albedo, shapes, materials, glass, textures, cameras, samplers)
 }
 
 
