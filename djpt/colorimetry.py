@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LONGEST", "SHORTEST", "spectrum_to_rgb"]
+__all__ = ["LONGEST", "SHORTEST", "XYZ_TO_RGB", "black_body_xyz", "spectrum_to_rgb", "spectrum_to_xyz"]
 
 SHORTEST, LONGEST = 360.0, 830.0
 """The visible range in nm, in which spectra are integrated."""
@@ -18,7 +18,7 @@ _STEPS = 1000
 _D65_SCALE = 1 / 98.9974167
 """From the tabulated D65 to Mitsuba's, under which a constant spectrum of 1 gets a luminance of 0.9989."""
 
-_XYZ_TO_RGB = np.array(
+XYZ_TO_RGB = np.array(
     [
         [3.240479, -1.537150, -0.498535],
         [-0.969256, 1.875991, 0.041556],
@@ -29,9 +29,14 @@ _XYZ_TO_RGB = np.array(
 
 
 def spectrum_to_rgb(wavelengths: Sequence[float], values: Sequence[float], under_d65: bool) -> NDArray[np.float64]:
-    """The colour of a spectrum: linear sRGB, (3,) float64, not negative.
+    """The colour of a spectrum: linear sRGB, (3,) float64, not negative. Arguments as those of `spectrum_to_xyz`."""
+    return np.maximum(XYZ_TO_RGB @ spectrum_to_xyz(wavelengths, values, under_d65), 0.0)
 
-    XYZ = sum of s(l) cmf(l) D(l) / sum of y(l), then the matrix of sRGB.
+
+def spectrum_to_xyz(wavelengths: Sequence[float], values: Sequence[float], under_d65: bool) -> NDArray[np.float64]:
+    """The colour of a spectrum in the space CIE 1931 XYZ, (3,) float64.
+
+    XYZ = sum of s(l) cmf(l) D(l) / sum of y(l).
 
     Args:
         wavelengths: in nm, increasing. The spectrum is linear between them and 0 outside.
@@ -45,8 +50,21 @@ def spectrum_to_rgb(wavelengths: Sequence[float], values: Sequence[float], under
     spectrum = np.interp(grid, wavelengths, values, left=0, right=0)
     if under_d65:
         spectrum = spectrum * np.interp(grid, table[0], table[4]) * _D65_SCALE
-    xyz = (matching * spectrum).sum(axis=1) / matching[1].sum()
-    return np.maximum(_XYZ_TO_RGB @ xyz, 0.0)
+    xyz: NDArray[np.float64] = (matching * spectrum).sum(axis=1) / matching[1].sum()
+    return xyz
+
+
+def black_body_xyz(kelvin: float) -> NDArray[np.float64]:
+    """The colour of a black body of this temperature, XYZ (3,) with Y = 1.
+
+    By Planck's law, B(l, T) proportional to 1 / (l^5 (exp(c2 / (l T)) - 1)), c2 = 0.014388 m K.
+    """
+    grid = np.linspace(SHORTEST, LONGEST, _STEPS)
+    # Relative to 560 nm, in a form that doesn't overflow at low temperatures.
+    x, middle = 1.438777e7 / (grid * kelvin), 1.438777e7 / (560.0 * kelvin)
+    spectrum = (560.0 / grid) ** 5 * np.exp(middle - x) * (-np.expm1(-middle)) / (-np.expm1(-x))
+    xyz = spectrum_to_xyz(grid.tolist(), spectrum.tolist(), under_d65=False)
+    return xyz / xyz[1]
 
 
 _TABLE = """

@@ -36,7 +36,10 @@ def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
     assert (tmp_path / "html" / "index.html").exists()
 
 
-@pytest.mark.parametrize("package", ["integrators", "materials", "shapes", "emitters", "rfilters", "sensors", "films"])
+PACKAGES = ["integrators", "materials", "shapes", "emitters", "rfilters", "samplers", "sensors", "films"]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_every_plugin_is_in_the_reference(package: str) -> None:
     reference = (DOCS / "api.md").read_text()
     modules = {path.stem for path in (ROOT / "djpt" / package).glob("*.py")} - {"__init__"}

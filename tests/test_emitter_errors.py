@@ -145,6 +145,7 @@ def test_parameters_have_mitsubas_names(name: str) -> None:
     ("name", "changes"),
     [
         ("spot-default", {"cutoff_angle": 40.0, "beam_width": 10.0, "to_world": SPOT @ T().rotate([1, 0, 0], 5)}),
+        ("spot-bitmap", {"to_world": T().translate([0.5, 0.2, 0]) @ SPOT}),
         ("projector-default", {"scale": 3.0, "irradiance.value": 2.0, "to_world": SPOT @ T().rotate([1, 0, 0], 5)}),
         ("directional-default", {"irradiance.value": [1, 2, 3], "to_world": T().rotate([1, 0, 0], 60)}),
         ("constant-colour", {"radiance.value": [1, 2, 3]}),

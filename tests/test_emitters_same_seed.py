@@ -18,3 +18,12 @@ def test_equal_pixels(name: str) -> None:
     share = agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share
     print(f"{name}: {share:.4f}")
     assert share >= 0.95
+
+
+def test_equal_pixels_under_many_lights() -> None:
+    """Lights of all kinds, chosen by their sampling weights."""
+    lights = {name: entry(name) for name in ("directional-turned", "area-disk", "spot-bitmap", "projector-colour")}
+    scene = floor_scene({**lights, "sky": entry("constant-colour"), "point": entry("point-turned")})
+    share = agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share
+    print(f"many lights: {share:.4f}")
+    assert share >= 0.95

@@ -21,7 +21,6 @@ from djpt import warp
 from djpt.description import registry
 from djpt.frame import Frame3f
 from djpt.records import DirectionSample3f, SurfaceInteraction3f
-from djpt.samplers import SampleIndex
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 
@@ -261,7 +260,7 @@ class TestFilter:
         np.testing.assert_allclose(np.array(rfilter.eval(Float(x))), expected, atol=2.5e-5)
 
 
-# ---------------------------------------------------------------- textures, samplers
+# ---------------------------------------------------------------- textures
 
 
 @pytest.mark.parametrize(("name", "description"), examples("texture"))
@@ -273,31 +272,3 @@ def test_textures_have_the_mean_they_claim(name: str, description: dict[str, Any
     color = texture.eval(si)
     assert isinstance(color, Color3f)
     assert float(np.mean(np.array(color))) == pytest.approx(float(texture.mean()[0]), rel=0.02)
-
-
-@pytest.mark.parametrize(("name", "description"), examples("sampler"))
-def test_streams_are_uniform_and_independent(name: str, description: dict[str, Any]) -> None:
-    """Means, variances and correlations within a stream and between neighbouring ones."""
-    sampler, n = load(description), 2**16
-    stream = sampler.stream(UInt32(5), SampleIndex(dr.arange(UInt32, n), UInt32(0), UInt32(1), UInt32(1)))
-    numbers = [stream.next_1d(), *stream.next_2d(), stream.next_1d(), *stream.next_2d()]
-    table = np.array([np.array(x) for x in numbers], np.float64)
-    assert table.min() >= 0
-    assert table.max() < 1
-    np.testing.assert_allclose(table.mean(axis=1), 0.5, atol=6 / np.sqrt(12 * n))
-    np.testing.assert_allclose(table.var(axis=1), 1 / 12, atol=6 * np.sqrt(1 / 180 / n))
-    between = np.corrcoef(np.concatenate([table, np.roll(table, 1, axis=1)]))
-    assert np.abs(between - np.eye(12)).max() < 6 / np.sqrt(n)
-    other = sampler.stream(UInt32(6), SampleIndex(dr.arange(UInt32, n), UInt32(0), UInt32(1), UInt32(1))).next_1d()
-    assert abs(np.corrcoef(table[0], np.array(other))[0, 1]) < 6 / np.sqrt(n)
-
-
-def test_inactive_lanes_do_not_advance() -> None:
-    sampler = djpt.load_dict({"type": "independent"})
-    number = dr.arange(UInt32, 8)
-    index = SampleIndex(number, UInt32(0), UInt32(1), UInt32(1))
-    masked, plain = sampler.stream(UInt32(0), index), sampler.stream(UInt32(0), index)
-    even = (number & 1) == 0
-    masked.next_1d(even)
-    first, second = plain.next_1d(), plain.next_1d()
-    np.testing.assert_array_equal(np.array(masked.next_1d()), np.array(dr.select(even, second, first)))
