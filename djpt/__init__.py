@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from djpt.geometry.bounding_box import BoundingBox3f as BoundingBox3f
     from djpt.image import Image as Image
     from djpt.image import read as read
+    from djpt.image import read_metadata as read_metadata
     from djpt.image import write as write
     from djpt.integrators import Integrator as Integrator
     from djpt.materials import BSDF as BSDF
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
     from djpt.scene import Scene as Scene
     from djpt.scenes import cornell_box as cornell_box
     from djpt.shapes import Mesh as Mesh
+    from djpt.tone_mapping import tonemap as tonemap
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms import Transform4f as Transform4f
     from djpt.types import PCG32 as PCG32
@@ -126,7 +128,7 @@ _EXPORTS = {
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f",
     "djpt.geometry.bounding_box": "BoundingBox3f",
-    "djpt.image": "Image read write",
+    "djpt.image": "Image read read_metadata write",
     "djpt.integrators": "Integrator",
     "djpt.materials": "BSDF",
     "djpt.materials.fresnel": "fresnel fresnel_conductor fresnel_diffuse_reflectance reflect refract",
@@ -139,6 +141,7 @@ _EXPORTS = {
     "djpt.scene": "Scene",
     "djpt.scenes": "cornell_box",
     "djpt.shapes": "Mesh",
+    "djpt.tone_mapping": "tonemap",
     "djpt.transforms": "ScalarTransform4f Transform4f",
     "djpt.types": (
         "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "

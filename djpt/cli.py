@@ -1,4 +1,4 @@
-"""The command line: ``djpt render``, ``compare``, ``info``, ``scenes``, ``gallery``, ``doctor``.
+"""The command line: ``djpt render``, ``compare``, ``tonemap``, ``info``, ``scenes``, ``gallery``, ``doctor``.
 
 Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
 it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
@@ -56,6 +56,13 @@ IntegratorName = Annotated[str | None, typer.Option("--integrator", help="Integr
 Defines = Annotated[
     list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A parameter of the XML file; may be repeated.")
 ]
+Exposure = Annotated[
+    str, typer.Option(metavar="STOPS", help="Brightness in stops: a number, or 'auto'; for png and jpg.")
+]
+WhiteBalance = Annotated[
+    str | None,
+    typer.Option("--white-balance", metavar="LIGHT", help="What shall look white: kelvin, or R,G,B; for png and jpg."),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -83,6 +90,11 @@ def render(
     integrator: IntegratorName = None,
     sensor: Annotated[int, typer.Option(min=0, help="Which of the scene's sensors, counted from 0.")] = 0,
     schedule: Annotated[str, typer.Option(help="How lanes are filled: auto, flat or wave.")] = "auto",
+    tonemap: Annotated[
+        str | None, typer.Option(help="For png and jpg: srgb (the default: clipped), reinhard, aces or agx.")
+    ] = None,
+    exposure: Exposure = "0",
+    white_balance: WhiteBalance = None,
     define: Defines = None,
     quiet: Quiet = False,
 ) -> None:
@@ -95,6 +107,8 @@ def render(
         name, description = described(scene, _parameters(define))
         target = output or Path(f"{name}.exr")
         check_writable(target)
+        toned = tonemap is not None or exposure != "0" or white_balance is not None
+        tone = _Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
         description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
         loaded = djpt.load_dict(description)
         start = time.perf_counter()
@@ -111,12 +125,42 @@ def render(
             ).numpy()
         seconds = time.perf_counter() - start
         names = djpt.channel_names(loaded, sensor=sensor) if target.suffix.lower() == ".exr" else None
-        djpt.write(target, image, channels=names)
+        facts = {"scene": name, **_facts(loaded, sensor, spp, seed), "seconds": f"{seconds:.2f}"}
+        if tone is not None:
+            image, facts = tone.apply(image), {**facts, **tone.facts}
+        djpt.write(target, image, channels=names, metadata=_carried(target, facts))
         if not quiet:
             rows, columns, _ = image.shape
             speed = f"{_short(samples / seconds)}samples/s"
-            count = spp or loaded.sensors()[sensor].sampler.sample_count
+            count = facts["spp"]
             print(f"{target}: {columns} x {rows}, {count} spp, {seconds:.2f} s, {speed}")
+
+
+@app.command()
+def tonemap(
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="exr hdr pfm npy: linear values.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="png or jpg. Default: the name of IMAGE with .png")
+    ] = None,
+    operator: Annotated[str, typer.Option("--tonemap", help="srgb (clipped), reinhard, aces or agx.")] = "srgb",
+    exposure: Exposure = "0",
+    white_balance: WhiteBalance = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a picture for displays from an image of any range; its metadata are kept."""
+    with _readable_errors():
+        from djpt.image import check_writable, read_metadata, read_pixels
+
+        target = output or image.with_suffix(".png")
+        check_writable(target)
+        tone = _Tone(target, operator, exposure, white_balance)
+        pixels = read_pixels(image)
+        # Of an image with layers the colour comes first.
+        shown = tone.apply(pixels if pixels.shape[2] <= 4 else pixels[..., :3])
+        facts = read_metadata(image) if image.suffix.lower() == ".exr" else {}
+        djpt.write(target, shown, metadata=_carried(target, {**facts, **tone.facts}))
+        if not quiet:
+            print(f"{target}: {shown.shape[1]} x {shown.shape[0]}")
 
 
 @app.command()
@@ -276,6 +320,65 @@ def _readable_errors() -> Iterator[None]:
 def _fail(message: str, code: ExitCode) -> None:
     print(f"djpt: error: {message}", file=sys.stderr)
     raise typer.Exit(code) from None
+
+
+class _Tone:
+    """The options of tone mapping, checked before anything is rendered."""
+
+    def __init__(self, target: Path, operator: str, exposure: str, white_balance: str | None) -> None:
+        import numpy as np
+
+        from djpt.image_formats import DISPLAY_FORMATS
+
+        if target.suffix.lower() not in DISPLAY_FORMATS:
+            raise RenderError(f"tone mapping makes pictures for displays, png or jpg, found '{target}'")
+        self.operator = operator
+        self.exposure: float | str = _number(exposure)
+        self.white_balance: Any = None
+        if white_balance is not None:
+            parts = [_number(part) for part in white_balance.split(",")]
+            self.white_balance = parts[0] if len(parts) == 1 else parts
+        self.apply(np.zeros((1, 1, 3), np.float32))
+        self.facts = {"tonemap": operator, "exposure": exposure}
+        if white_balance is not None:
+            self.facts["whiteBalance"] = white_balance
+
+    def apply(self, image: Any) -> Any:
+        return djpt.tonemap(image, self.operator, self.exposure, self.white_balance)
+
+
+def _number(text: str) -> float | str:
+    """A number if it is one."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _facts(scene: djpt.Scene, sensor: int, spp: int | None, seed: int) -> dict[str, Any]:
+    """What files say about an image."""
+    from djpt.description.registry import registered
+
+    def name_of(plugin: Any) -> str:
+        names = {factory: name for name, factory in registered(plugin.kind).items()}
+        return names.get(type(plugin), type(plugin).__name__)
+
+    sampler, integrator = scene.sensors()[sensor].sampler, scene.integrator()
+    return {
+        "Software": f"djpt {djpt.__version__}",
+        "integrator": "path" if integrator is None else name_of(integrator),
+        "sampler": name_of(sampler),
+        "sensor": sensor,
+        "spp": sampler.round_count(spp or sampler.sample_count),
+        "seed": seed,
+    }
+
+
+def _carried(target: Path, facts: dict[str, Any]) -> dict[str, Any]:
+    """The facts, if a file of this kind can carry them."""
+    from djpt.image_formats import METADATA
+
+    return facts if target.suffix.lower() in METADATA else {}
 
 
 def _parameters(definitions: list[str] | None) -> dict[str, str]:

@@ -13,8 +13,9 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import secrets
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,12 +23,23 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError, near_miss
-from djpt.image_formats import DISPLAY_FORMATS, FORMATS, Format, encode_png, to_srgb8
+from djpt.image_formats import (
+    DISPLAY_FORMATS,
+    FORMATS,
+    METADATA,
+    RESERVED,
+    Format,
+    Labels,
+    encode_png,
+    to_srgb8,
+)
 
 if TYPE_CHECKING:
     from djpt.types import TensorXf
 
-__all__ = ["Image", "check_writable", "read", "write"]
+__all__ = ["Image", "check_writable", "read", "read_metadata", "write"]
+
+METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
 
 class Image:
@@ -77,7 +89,12 @@ class Image:
         return stream.getvalue()
 
 
-def write(path: str | os.PathLike[str], image: Any, channels: Sequence[str] | None = None) -> None:
+def write(
+    path: str | os.PathLike[str],
+    image: Any,
+    channels: Sequence[str] | None = None,
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
     """Write an image; the extension of `path` chooses the format.
 
     * `image`: `TensorXf`, NumPy array or `Image`; (H, W) or (H, W, C), linear values. `uint8`
@@ -86,7 +103,10 @@ def write(path: str | os.PathLike[str], image: Any, channels: Sequence[str] | No
     * `png`, `jpg`, `jpeg` (1 to 4 channels): 8-bit sRGB: clipped to [0, 1] and rounded, never
       dithered, so equal images give equal bytes. `jpg` drops alpha.
     * `channels`: names for the channels of an `exr`, such as those of an `aov` integrator.
-      Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ...
+      Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take what stands before the last dot
+      for a layer: `albedo.R`, `albedo.G` and `albedo.B` are the layer `albedo`.
+    * `metadata`: names and values that the header of an `exr` or `png` carries, as text, for `read_metadata` and for
+      other programs. Names have up to 31 letters, digits and ``_ . : -``; values are strings, numbers or booleans.
 
     The file appears whole or not at all: a failed write leaves an old file as it was.
     Raises `FileError` for an unknown extension, a wrong shape, a path that can't be written.
@@ -109,11 +129,13 @@ def write(path: str | os.PathLike[str], image: Any, channels: Sequence[str] | No
         if len(set(channels)) != count or len(channels) != count or any(not c or "," in c for c in channels):
             raise FileError(f"can't write '{target}': {count} different channel names needed, found {list(channels)}")
 
+    labels = Labels(channels, _texts(target, metadata or {}))
+
     # A link is followed, so that it stays a link. The name begins with a dot and keeps the extension.
     real = Path(os.path.realpath(target))
     temporary = real.with_name(f".{real.stem[:100]}.{secrets.token_hex(4)}{real.suffix}")
     try:
-        form.encode(temporary, pixels, channels)
+        form.encode(temporary, pixels, labels)
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())  # otherwise a crash may leave the new name with no content
         if real.exists():
@@ -142,17 +164,36 @@ def read_pixels(path: str | os.PathLike[str]) -> npt.NDArray[np.float32]:
     """`read()` for NumPy: float32 (H, W, C). Needs no Dr.Jit backend."""
     source = Path(path)
     form = _format(source, "read")
+    with _reading(source):
+        return np.ascontiguousarray(form.decode(source), np.float32)
+
+
+def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
+    """What the header of an `exr` or `png` says about the image: names and texts, as given to `write`.
+
+    Of files that other programs wrote, the attributes of type string or the text chunks. Raises `FileError`
+    as `read` does, and for formats without metadata.
+    """
+    source = Path(path)
+    _format(source, "read")
+    decode = METADATA.get(source.suffix.lower())
+    if decode is None:
+        raise FileError(f"'{source}' has no metadata: only exr and png carry any")
+    with _reading(source):
+        return decode(source)
+
+
+@contextlib.contextmanager
+def _reading(source: Path) -> Iterator[None]:
+    """Whatever goes wrong while a file is read becomes a `FileError`."""
     try:
         if source.is_dir():
             raise IsADirectoryError("it is a folder")
         if not source.exists():
             raise FileNotFoundError("there is no such file")
-        pixels = form.decode(source)
-    except FileError:
-        raise
+        yield
     except Exception as error:  # decoders of damaged files raise nearly anything
         raise FileError(f"can't read '{source}': {_reason(error)}") from error
-    return np.ascontiguousarray(pixels, np.float32)
 
 
 def check_writable(path: str | os.PathLike[str]) -> Format:
@@ -194,6 +235,21 @@ def _pixels(image: Any, name: str) -> npt.NDArray[Any]:
     if pixels.ndim != 3 or 0 in pixels.shape:
         raise FileError(f"{name}: an image has shape (height, width, channels), found {pixels.shape}")
     return pixels if pixels.dtype == np.uint8 else np.asarray(pixels, np.float32)
+
+
+def _texts(target: Path, metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Metadata as text, checked."""
+    if metadata and target.suffix.lower() not in METADATA:
+        raise FileError(f"can't write '{target}': only exr and png carry metadata")
+    texts = {}
+    for name, value in metadata.items():
+        if not isinstance(name, str) or not METADATA_NAME.fullmatch(name) or name in RESERVED:
+            problem = "is used by the format itself" if name in RESERVED else "up to 31 letters, digits and _ . : -"
+            raise FileError(f"can't write '{target}': the name {name!r} of metadata: {problem}")
+        if not isinstance(value, (str, bool, int, float, np.integer, np.floating)) or "\0" in str(value):
+            raise FileError(f"can't write '{target}': metadata '{name}' must be a string or a number, found {value!r}")
+        texts[name] = str(value)
+    return texts
 
 
 def _either(numbers: Sequence[int]) -> str:

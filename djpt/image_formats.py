@@ -10,7 +10,7 @@ The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The disp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -20,17 +20,25 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["DISPLAY_FORMATS", "FORMATS", "Format", "from_srgb8", "to_srgb8"]
+__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "RESERVED", "Format", "Labels", "from_srgb8", "to_srgb8"]
 
 Pixels = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
+
+
+class Labels(NamedTuple):
+    """What a file says about its pixels."""
+
+    channels: Sequence[str] | None
+    """Names of the channels; None: the usual ones."""
+    metadata: Mapping[str, str]
 
 
 class Format(NamedTuple):
     """A file format: which channel counts it holds (empty = any), how to write and to read it."""
 
     channels: tuple[int, ...]
-    encode: Callable[[Path, Pixels, Sequence[str] | None], None]
+    encode: Callable[[Path, Pixels, Labels], None]
     decode: Callable[[Path], Pixels]
 
 
@@ -66,21 +74,30 @@ _EXR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "
 _EXR_ORDER = "channelOrder"
 
 
-def _write_exr(path: Path, image: Pixels, channels: Sequence[str] | None) -> None:
+def _write_exr(path: Path, image: Pixels, labels: Labels) -> None:
     import OpenEXR
 
     count = image.shape[2]
-    names = tuple(channels) if channels is not None else _EXR_NAMES.get(count)
+    names = tuple(labels.channels) if labels.channels is not None else _EXR_NAMES.get(count)
     if names is None:
         digits = len(str(count - 1))
         names = tuple(f"C{i:0{digits}d}" for i in range(count))
     header = {
+        **labels.metadata,
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         _EXR_ORDER: ",".join(names),
     }
     planes = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate(names)}
     OpenEXR.File(header, planes).write(str(path))
+
+
+def _exr_metadata(path: Path) -> dict[str, str]:
+    import OpenEXR
+
+    with OpenEXR.File(str(path), header_only=True) as file:
+        # The header is emptied when the file is closed.
+        return {name: value for name, value in file.header().items() if isinstance(value, str) and name != _EXR_ORDER}
 
 
 def _read_exr(path: Path) -> Pixels:
@@ -101,7 +118,7 @@ def _read_exr(path: Path) -> Pixels:
 # ---------------------------------------------------------------- Radiance RGBE
 
 
-def _write_hdr(path: Path, image: Pixels, channels: Sequence[str] | None) -> None:
+def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
     """Radiance RGBE (Ward, *Real Pixels*, Graphics Gems II), flat scanlines.
 
     Three 8-bit mantissas share one exponent: relative error 2^-8 of the largest channel.
@@ -176,7 +193,7 @@ def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
 # ---------------------------------------------------------------- PFM, NPY
 
 
-def _write_pfm(path: Path, image: Pixels, channels: Sequence[str] | None) -> None:
+def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
     """Portable float map: bottom row first; a negative scale says little endian."""
     height, width, count = image.shape
     header = f"{'PF' if count == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
@@ -197,7 +214,7 @@ def _read_pfm(path: Path) -> Pixels:
     return pixels[::-1].astype(np.float32)
 
 
-def _write_npy(path: Path, image: Pixels, channels: Sequence[str] | None) -> None:
+def _write_npy(path: Path, image: Pixels, labels: Labels) -> None:
     with path.open("wb") as file:
         np.save(file, image, allow_pickle=False)
 
@@ -217,9 +234,28 @@ def _read_npy(path: Path) -> Pixels:
 _MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
 
 
-def encode_png(file: Path | IO[bytes], pixels: Bytes) -> None:
-    """Write 8-bit pixels of 1 to 4 channels as PNG to a path or a binary stream."""
-    _picture(pixels).save(file, format="PNG")
+def encode_png(file: Path | IO[bytes], pixels: Bytes, metadata: Mapping[str, str] | None = None) -> None:
+    """Write 8-bit pixels of 1 to 4 channels as PNG to a path or a binary stream.
+
+    The file says that it is sRGB, in the chunk of that name and, for readers that don't know it, by a gamma of
+    1 / 2.2. Metadata become text chunks: tEXt, or iTXt for what isn't Latin-1.
+    """
+    from PIL.PngImagePlugin import PngInfo
+
+    chunks = PngInfo()
+    chunks.add(b"sRGB", b"\0")  # rendering intent: perceptual
+    chunks.add(b"gAMA", (45455).to_bytes(4, "big"))
+    for name, text in (metadata or {}).items():
+        chunks.add_text(name, text)
+    _picture(pixels).save(file, format="PNG", pnginfo=chunks)
+
+
+def _png_metadata(path: Path) -> dict[str, str]:
+    from PIL import Image
+
+    with Image.open(path, formats=("PNG",)) as file:
+        file.load()  # text may follow the pixels
+        return {name: str(text) for name, text in getattr(file, "text", {}).items()}
 
 
 def _picture(pixels: Bytes) -> Picture:
@@ -229,11 +265,11 @@ def _picture(pixels: Bytes) -> Picture:
     return Image.frombytes(_MODES[count], (width, height), np.ascontiguousarray(pixels).tobytes())
 
 
-def _write_png(path: Path, image: Pixels, channels: Sequence[str] | None) -> None:
-    encode_png(path, _as_bytes(image))
+def _write_png(path: Path, image: Pixels, labels: Labels) -> None:
+    encode_png(path, _as_bytes(image), labels.metadata)
 
 
-def _write_jpg(path: Path, image: Pixels, channels: Sequence[str] | None) -> None:
+def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
     """JPEG has no alpha; rendered images are premultiplied, so dropping it means black behind."""
     pixels = _as_bytes(image)
     pixels = pixels[..., : 1 if pixels.shape[2] < 3 else 3]
@@ -271,3 +307,13 @@ FORMATS = {
 }
 
 DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg"})
+
+METADATA = {".exr": _exr_metadata, ".png": _png_metadata}
+"""The formats that carry metadata, with what reads them."""
+
+RESERVED = frozenset(
+    f"{_EXR_ORDER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
+    "maxSamplesPerPixel multiView name pixelAspectRatio preview screenWindowCenter screenWindowWidth tiles type "
+    "version view zipCompressionLevel".split()
+)
+"""Header attributes of EXR that have a meaning of their own."""

@@ -78,6 +78,51 @@ def test_render_takes_the_sensor_that_was_asked_for() -> None:
     assert (code, "the scene has 2 sensors; there is no number 2" in err) == (ExitCode.BAD_INPUT, True)
 
 
+def test_files_say_how_they_were_rendered() -> None:
+    for name in ("a.exr", "a.png", "a.npy"):
+        assert run("render", *SMALL, "--seed", "7", "-q", "-o", name)[0] == ExitCode.DONE
+    for name in ("a.exr", "a.png"):
+        facts = djpt.read_metadata(name)
+        assert float(facts.pop("seconds")) >= 0
+        expected = {"scene": "cornell_box", "integrator": "path", "sampler": "independent", "spp": "4", "seed": "7"}
+        assert {key: facts[key] for key in expected} == expected
+        assert facts["Software"] == f"djpt {djpt.__version__}"
+
+
+# ---------------------------------------------------------------- tone mapping
+
+
+def test_render_and_tonemap_make_the_same_picture() -> None:
+    options = ["--tonemap", "agx", "--exposure", "1.5", "--white-balance", "5000"]
+    assert run("render", *SMALL, "-q", "-o", "a.exr")[0] == ExitCode.DONE
+    assert run("render", *SMALL, "-q", "-o", "a.png", *options)[0] == ExitCode.DONE
+    assert run("tonemap", "a.exr", "-o", "b.png", *options) == (ExitCode.DONE, "b.png: 16 x 16\n", "")
+    np.testing.assert_array_equal(read_pixels("a.png"), read_pixels("b.png"))
+    expected = djpt.tonemap(read_pixels("a.exr"), "agx", 1.5, 5000)
+    djpt.write("c.png", expected)
+    np.testing.assert_array_equal(read_pixels("a.png"), read_pixels("c.png"))
+    assert djpt.read_metadata("b.png")["scene"] == "cornell_box"
+    assert djpt.read_metadata("b.png")["tonemap"] == "agx"
+    assert run("tonemap", "a.exr", "--exposure", "auto", "--white-balance", "1,0.8,0.6", "-q")[0] == ExitCode.DONE
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["render", *SMALL, "-o", "a.png", "--tonemap", "acse"], "did you mean 'aces'?"),
+        (["render", *SMALL, "-o", "a.exr", "--tonemap", "aces"], "png or jpg, found 'a.exr'"),
+        (["render", *SMALL, "-o", "a.png", "--exposure", "bright"], "found 'bright'"),
+        (["render", *SMALL, "-o", "a.png", "--white-balance", "1,2"], "found [1.0, 2.0]"),
+        (["tonemap", "a.exr"], "can't read 'a.exr': there is no such file"),
+    ],
+)
+def test_wrong_tone_mapping_is_found_before_rendering(arguments: list[str], message: str) -> None:
+    code, out, err = run(*arguments)
+    assert (code, out) == (ExitCode.BAD_INPUT, "")
+    assert message in err
+    assert list(Path().iterdir()) == []
+
+
 # ---------------------------------------------------------------- scene files
 
 FILE = """<scene version="3.0.0">

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image as Picture
 
 from djpt.errors import DjptError, FileError
-from djpt.image import Image, check_writable, read, read_pixels, write
+from djpt.image import Image, check_writable, read, read_metadata, read_pixels, write
 from djpt.image_formats import FORMATS, from_srgb8, to_srgb8
 from djpt.util import convert_to_bitmap, write_bitmap
 
@@ -312,3 +312,85 @@ def test_tensors_go_in_and_come_out(tmp_path: Path) -> None:
     assert isinstance(back, TensorXf)
     np.testing.assert_array_equal(back.numpy(), radiance())
     assert Image(back).size == (7, 5)
+
+
+# ---------------------------------------------------------------- metadata
+
+FACTS = {
+    "Software": "djpt 0.1",
+    "scene": "boîte à Cornell",
+    "spp": 64,
+    "seed": 2**32 - 1,
+    "seconds": 1.5,
+    "final": True,
+}
+TEXTS = {name: str(value) for name, value in FACTS.items()}
+
+
+@pytest.mark.parametrize("suffix", ["exr", "png"])
+def test_metadata_come_back_as_text(tmp_path: Path, suffix: str) -> None:
+    paths = [tmp_path / f"{name}.{suffix}" for name in "ab"]
+    for path in paths:
+        write(path, radiance(), metadata=FACTS)
+    assert {name: read_metadata(paths[0])[name] for name in FACTS} == TEXTS
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    write(paths[1], radiance())
+    assert not set(FACTS) & set(read_metadata(paths[1]))
+    np.testing.assert_array_equal(read_pixels(paths[0]), read_pixels(paths[1]))
+
+
+def test_other_programs_see_the_metadata_and_the_layers(tmp_path: Path) -> None:
+    import OpenEXR
+
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    names = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "d.T"]
+    write(tmp_path / "a.exr", radiance(channels=7), channels=names, metadata=FACTS)
+    write(tmp_path / "a.png", radiance(), metadata=FACTS)
+    with OpenEXR.File(str(tmp_path / "a.exr")) as file:
+        header = file.header()
+        assert {name: header[name] for name in FACTS} == TEXTS
+        # With its channels gathered, OpenEXR makes one array of each layer that has RGB.
+        np.testing.assert_array_equal(file.channels()["RGB"].pixels, radiance(channels=7)[..., :3])
+        np.testing.assert_array_equal(file.channels()["albedo"].pixels, radiance(channels=7)[..., 3:6])
+    bitmap = mi.Bitmap(str(tmp_path / "a.exr"))
+    assert bitmap.metadata()["scene"] == FACTS["scene"]
+    layers = dict(bitmap.split())
+    assert set(layers) == {"<root>", "albedo", "d"}
+    np.testing.assert_array_equal(np.array(layers["albedo"]), radiance(channels=7)[..., 3:6])
+    with Picture.open(tmp_path / "a.png") as picture:
+        picture.load()
+        assert picture.text == TEXTS
+        assert picture.info["srgb"] == 0 and picture.info["gamma"] == pytest.approx(1 / 2.2, abs=1e-4)
+    assert mi.Bitmap(str(tmp_path / "a.png")).srgb_gamma()
+
+
+@pytest.mark.parametrize(
+    ("name", "metadata", "message"),
+    [
+        ("a.jpg", {"x": 1}, "only exr and png carry metadata"),
+        ("a.exr", {"a name": 1}, "'a name' of metadata: up to 31 letters"),
+        ("a.png", {"": 1}, "up to 31 letters"),
+        ("a.png", {"x" * 32: 1}, "up to 31 letters"),
+        ("a.exr", {"compression": "none"}, "'compression' of metadata: is used by the format itself"),
+        ("a.png", {"x": [1]}, r"'x' must be a string or a number, found \[1\]"),
+        ("a.png", {"x": "a\0b"}, "must be a string or a number"),
+    ],
+)
+def test_bad_metadata(tmp_path: Path, name: str, metadata: dict[str, object], message: str) -> None:
+    with pytest.raises(FileError, match=message):
+        write(tmp_path / name, radiance(), metadata=metadata)
+    assert os.listdir(tmp_path) == []
+
+
+def test_metadata_that_cannot_be_read(tmp_path: Path) -> None:
+    write(tmp_path / "a.npy", radiance())
+    with pytest.raises(FileError, match="only exr and png carry any"):
+        read_metadata(tmp_path / "a.npy")
+    for suffix in ("exr", "png"):
+        path = tmp_path / f"b.{suffix}"
+        with pytest.raises(FileError, match="there is no such file"):
+            read_metadata(path)
+        path.write_bytes(b"nothing")
+        with pytest.raises(FileError, match="can't read"):
+            read_metadata(path)

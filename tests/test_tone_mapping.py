@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import djpt
 from djpt.colorimetry import XYZ_TO_RGB, black_body_xyz
-from djpt.tonemap import OPERATORS, balance_matrix, log_average, tonemap
+from djpt.tone_mapping import OPERATORS, balance_matrix, log_average, tonemap
 
 LIGHT = np.concatenate([[0.0], np.geomspace(1e-6, 1e6, 200)])
 
