@@ -55,7 +55,7 @@ class Path(UnidirectionalPath):
         proceed = self.proceeds(state, si)
 
         # ------------------- Light sampling -------------------
-        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False)
+        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False, active=proceed)
         shadow_ray = scene.shadow_ray(si, ds)
         to_light = si.to_local(ds.d)
 

@@ -5,16 +5,21 @@ An emitter is described by the entries that it adds to a scene; those `on_shape`
 
 from __future__ import annotations
 
+import atexit
+import shutil
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from meshes import tetrahedron_file
 
+import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
 
-__all__ = ["NAMES", "UNLIKE_MITSUBA", "entry", "plugin_of"]
+__all__ = ["NAMES", "RAYS_UNLIKE_MITSUBA", "UNLIKE_MITSUBA", "entry", "plugin_of"]
 
 Entry = dict[str, Any] | Callable[[], dict[str, Any]]
 
@@ -44,6 +49,16 @@ def image(**keys: Any) -> dict[str, Any]:
     """A bitmap of bright and dark colours; made anew, since Mitsuba takes the tensor's memory."""
     data = (6 * np.random.default_rng(0).random((6, 8, 3)) ** 4).astype(np.float32)
     return {"type": "bitmap", "data": TensorXf(data), "raw": True, **keys}
+
+
+def sky_file(rows: int, columns: int, sun: float = 0.0) -> str:
+    """A picture of a sky with dark and bright texels, and one as bright as a sun."""
+    path = Path(tempfile.mkdtemp(prefix="djpt-")) / "sky.exr"
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+    texels = np.random.default_rng(2).random((rows, columns, 3)) ** 3
+    texels[rows // 4, columns // 3] += sun
+    djpt.write(path, texels.astype(np.float32))
+    return str(path)
 
 
 SETS: dict[str, dict[str, Entry]] = {
@@ -116,6 +131,11 @@ SETS: dict[str, dict[str, Entry]] = {
         },
         "bitmap rectangle": lambda: {**RECTANGLE, "emitter": {"type": "directionalarea", "radiance": image()}},
     },
+    "envmap": {
+        "sun": {"type": "envmap", "filename": sky_file(12, 24, sun=200)},
+        "turned": {"type": "envmap", "filename": sky_file(7, 5), "to_world": T().rotate([1, 2, 3], 70), "scale": 0.6},
+        "mirrored": {"type": "envmap", "filename": sky_file(33, 64, sun=50), "to_world": T().scale([-1, 1, 1])},
+    },
     "point": {
         "position": {"type": "point", "position": [-2, 3, 2.5], "intensity": {"type": "rgb", "value": [9, 8, 7]}},
         "turned": {"type": "point", "to_world": SPOT, "intensity": 12.0},
@@ -177,6 +197,12 @@ UNLIKE_MITSUBA = {
     "area-bitmap cube": "Mitsuba 3.9.1 samples one face of a cube, since all have the same uv",
 }
 """Sets that Mitsuba samples in another way, and why: see tests/test_textured_lights.py."""
+
+RAYS_UNLIKE_MITSUBA = {
+    "envmap-turned": "Mitsuba 3.9.1 doesn't turn the disks that rays start from with the emitter",
+    "envmap-mirrored": "the same",
+}
+"""Sets whose rays, but not their directions, Mitsuba samples in another way."""
 
 NAMES = [f"{plugin}-{name}" for plugin, sets in SETS.items() for name in sets]
 

@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
-from emitters import NAMES, SETS, UNLIKE_MITSUBA, entry, plugin_of
+from emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of
 from lit_floor import floor_scene
 from test_sampling import examples, lit, looked_at, reference
 
@@ -188,7 +188,7 @@ def test_power_in_closed_form(name: str, expected: float) -> None:
     assert room(entry(name)).emitters()[0].power() == pytest.approx(expected, rel=2e-6)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in UNLIKE_MITSUBA])
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in {*UNLIKE_MITSUBA, *RAYS_UNLIKE_MITSUBA}])
 def test_rays_are_mitsubas(name: str) -> None:
     mi = pytest.importorskip("mitsuba")
     if "checkerboard" in name:

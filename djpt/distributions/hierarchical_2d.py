@@ -32,10 +32,6 @@ class Hierarchical2D(Plugin):
     Evaluating Products of Complex Functions", SIGGRAPH 2005). Stretching what is left of the sample after every
     step is put off to the end: until then it stays what it was, in an interval that shrinks.
 
-    Args:
-        name: for messages.
-        values: (rows + 1, columns + 1), at the corners of rows x columns cells; not negative, not all 0.
-
     A child of the plugin that it serves; nothing of it shows in `traverse`.
     """
 
@@ -51,15 +47,15 @@ class Hierarchical2D(Plugin):
     corners: Any
     """The density at the corners of each cell: upper left, upper right, lower left, lower right."""
 
-    def __init__(self, name: str, values: NDArray[Any]) -> None:
-        self.id = name
-        self.set(values)
+    def __init__(self) -> None:
+        """Of the value 1 everywhere."""
+        self.set(np.ones((2, 2)))
 
     def traverse(self, callback: TraversalCallback) -> None:
         """Nothing can be edited."""
 
     def set(self, values: NDArray[Any]) -> None:
-        """Take other numbers, also of another shape."""
+        """Take (rows + 1, columns + 1) numbers, at the corners of rows x columns cells; not negative, not all 0."""
         corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]], -1).astype(np.float64)
         mass = corners.mean(axis=-1)
         self.corners = packets(corners / mass.mean())
@@ -80,7 +76,19 @@ class Hierarchical2D(Plugin):
     # ---- in kernels --------------------------------------------------------------------
 
     def sample(self, sample: Point2f, active: Bool | bool = True) -> tuple[UInt32, UInt32, Point2f, Float]:
-        """Column and row of a cell, a place in it in [0, 1]^2, and the density there."""
+        """Column and row of a cell, a place in it in [0, 1]^2, and the density there.
+
+        All 0 where `active` is false; packets of lanes that are all inactive skip the work.
+        """
+        if active is True:
+            return self._descend(sample)
+        nothing = UInt32(0), UInt32(0), Point2f(0), Float(0)
+        found: tuple[UInt32, UInt32, Point2f, Float] = dr.if_stmt(
+            (sample,), Bool(active), self._descend, lambda sample: nothing, label="quadtree"
+        )
+        return found
+
+    def _descend(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f, Float]:
         x, y = maximum(sample.x, Float(LEAST)), maximum(sample.y, Float(LEAST))
         # `x` and `y` are uniform in intervals from 0 to these.
         width, height = Float(1), Float(1)
@@ -91,7 +99,7 @@ class Hierarchical2D(Plugin):
             if first == 0:
                 node: Any = self.root
             else:
-                node = entry(self.splits, first + ((row << halvings[1]) | column), active)
+                node = entry(self.splits, first + ((row << halvings[1]) | column))
             first += 1 << sum(halvings)
             share = node.y
             if level < self.levels[0]:
@@ -103,7 +111,7 @@ class Hierarchical2D(Plugin):
                 column = (column << 1) | dr.select(right, UInt32(1), UInt32(0))
         # Rounding may have left `x` and `y` just beyond their ends.
         x, y = minimum(x * dr.rcp(width), Float(1)), minimum(y * dr.rcp(height), Float(1))
-        f = entry(self.corners, row * self.columns + column, active)
+        f = entry(self.corners, row * self.columns + column)
         y = linear(f.x + f.y, f.z + f.w, y)
         a, b = lerp(f.x, f.z, y), lerp(f.y, f.w, y)
         x = linear(a, b, x)
@@ -163,7 +171,7 @@ def lerp(a: Float, b: Float, t: Float) -> Float:
     return dr.fma(b - a, t, a)
 
 
-def entry(table: Any, index: UInt32, active: Bool | bool) -> Any:
+def entry(table: Any, index: UInt32, active: Bool | bool = True) -> Any:
     """Four numbers of a table; outside of kernels there are only tensors."""
     if dr.is_tensor_v(table):
         return dr.gather(Array4f, table.array, index, active)

@@ -53,8 +53,8 @@ class EnvironmentMap(OrientedEmitter):
 
     and `scale` (default 1, not negative), `to_world` (a rotation or reflection, default identity),
     `mis_compensation` (default false; true samples only what is brighter than the average: O. Karlik et al., "MIS
-    Compensation: Optimizing Sampling Techniques in Multiple Importance Sampling", SIGGRAPH Asia 2019). At least
-    2 x 3 texels, not negative and not all black.
+    Compensation: Optimizing Sampling Techniques in Multiple Importance Sampling", SIGGRAPH Asia 2019; not for
+    integrators that only sample lights). At least 2 x 3 texels, not negative and not all black.
 
     The parameter `data` is a `TensorXf` (H, W + 2, 3), as in Mitsuba 3.9: the first column repeats the last texels,
     and the last column the first ones. These two are never read, so they have no gradients; `update` renews them
@@ -67,7 +67,10 @@ class EnvironmentMap(OrientedEmitter):
         **dict.fromkeys(("columns", "rows", "center", "radius"), HIDDEN),
     }
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable | ParamFlags.Discontinuous}
-    children = ("distribution",)
+    children = ("distribution", "ray_distribution")
+
+    ray_distribution: Hierarchical2D | None = None
+    """Of the rays that leave, if another one: these meet no other technique that would make up for compensation."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -75,7 +78,9 @@ class EnvironmentMap(OrientedEmitter):
         self.scale: Any = Float(props.float("scale", 1.0, low=0.0))
         # In kernels a `djpt.tables.Table` stands in its place.
         self.data: Any = with_halo(load_texels(props, raw=False, half=False))
-        self.distribution: Hierarchical2D | None = None
+        self.distribution = Hierarchical2D()
+        if self.mis_compensation:
+            self.ray_distribution = Hierarchical2D()
         try:
             check_radiance(self.data)
         except SceneError as error:
@@ -124,16 +129,9 @@ class EnvironmentMap(OrientedEmitter):
         texels = numbers_of(self.data)[:, 1:-1] if is_readable() else np.ones((rows, columns, 3))
         self._mean = mean_over_sphere(texels)
         weights = luminance(texels)
-        if self.mis_compensation:
-            weights = without_average(weights)
-        weights *= np.sin(np.linspace(0, math.pi, rows))[:, None]
-        weights[-1] = 0  # pi is rounded
-        # A column more, since the first cell begins at the centre of the first texel and the last one ends there.
-        weights = np.concatenate([weights, weights[:, :1]], axis=1)
-        if self.distribution is None:
-            self.distribution = Hierarchical2D(f"{self.id}.distribution", weights)
-        else:
-            self.distribution.set(weights)
+        self.distribution.set(corner_weights(without_average(weights) if self.mis_compensation else weights))
+        if self.ray_distribution is not None:
+            self.ray_distribution.set(corner_weights(weights))
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
@@ -156,7 +154,7 @@ class EnvironmentMap(OrientedEmitter):
     def sample_direction(
         self, ref: Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        local, uv, pdf, weight, radiance = self._sample(sample, active)
+        local, uv, pdf, weight, radiance = self._sample(self.distribution, sample, active)
         d = self.local_to_world(local)
         ds = DirectionSample3f(
             # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
@@ -173,7 +171,6 @@ class EnvironmentMap(OrientedEmitter):
         return ds, radiance * weight
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        assert self.distribution is not None
         d = self.world_to_local(ds.d)
         density = self.distribution.density(*self._cell(d), active)
         return density * inverse_sine(d) * (1 / SPHERE)
@@ -181,18 +178,22 @@ class EnvironmentMap(OrientedEmitter):
     def sample_ray(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> tuple[Ray3f, Color3f]:
-        local, _, _, weight, radiance = self._sample(direction_sample, active)
+        local, _, _, weight, radiance = self._sample(
+            self.ray_distribution or self.distribution, direction_sample, active
+        )
         # From a disk as wide as the scene, in front of it.
         at = square_to_uniform_disk_concentric(position_sample)
         d = self.local_to_world(-local)
-        across = Frame3f.from_normal(local).to_world(Vector3f(at.x, at.y, 0))
+        # Mitsuba 3.9.1 forgets to turn the disk.
+        across = self.local_to_world(Frame3f.from_normal(local).to_world(Vector3f(at.x, at.y, 0)))
         ray = Ray3f(dr.fma(across - d, self.radius, self.center), d)
         return ray, radiance * (weight * math.pi * dr.square(self.radius))
 
-    def _sample(self, sample: Point2f, active: Bool | bool) -> tuple[Vector3f, Point2f, Float, Float, Color3f]:
+    def _sample(
+        self, distribution: Hierarchical2D, sample: Point2f, active: Bool | bool
+    ) -> tuple[Vector3f, Point2f, Float, Float, Color3f]:
         """A direction in the light's space with its uv, density per solid angle, the inverse of that, and radiance."""
-        assert self.distribution is not None
-        column, row, place, density = self.distribution.sample(sample, active)
+        column, row, place, density = distribution.sample(sample, active)
         u = (Float(column) + place.x + 0.5) * dr.rcp(Float(self.columns))
         v = (Float(row) + place.y) * dr.rcp(Float(self.rows - 1))
         sin_phi, cos_phi = dr.sincos(u * (2 * math.pi))
@@ -201,7 +202,8 @@ class EnvironmentMap(OrientedEmitter):
         d = Vector3f(sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta)
         pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
         weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
-        return d, Point2f(u, v), pdf, weight, self._radiance(column, row, place, active)
+        # Without a mask, which would cost more than what it saves.
+        return d, Point2f(u, v), pdf, weight, self._radiance(column, row, place, True)
 
     def _cell(self, d: Vector3f) -> tuple[UInt32, UInt32, Point2f]:
         """Column and row of the four texels about a local direction, and where it lies between them."""
@@ -272,6 +274,16 @@ def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     if average - weights.min() <= 0.01 * average:
         return weights
     return np.maximum(weights - average, 0)
+
+
+def corner_weights(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What directions are sampled by, (H, W + 1), from the weights of texels.
+
+    There is a column more, since the first cell begins at the centre of the first texel and the last one ends there.
+    """
+    weights = weights * np.sin(np.linspace(0, math.pi, len(weights)))[:, None]
+    weights[-1] = 0  # pi is rounded
+    return np.concatenate([weights, weights[:, :1]], axis=1)
 
 
 def mean_over_sphere(texels: NDArray[Any]) -> float:
