@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -307,8 +307,21 @@ def panels(names: Sequence[str] = ()) -> list[Panel]:
     return [PANELS[name] for name in names or PANELS]
 
 
+class Labelled(Protocol):
+    """A picture with a title and a subtitle."""
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def subtitle(self) -> str: ...
+
+    def scene(self, size: int) -> dict[str, Any]:
+        """The description of what it shows."""
+
+
 def sheet(
-    panels: Sequence[Panel],
+    panels: Sequence[Labelled],
     size: int = 200,
     spp: int = 512,
     seed: int = 0,
@@ -344,7 +357,7 @@ def sheet(
 
 
 def render_panel(
-    panel: Panel, size: int, spp: int, seed: int, number: int, count: int, progress: Progress | None
+    panel: Labelled, size: int, spp: int, seed: int, number: int, count: int, progress: Progress | None
 ) -> NDArray[np.uint8]:
     """One picture as bytes of sRGB."""
     from djpt.description.loader import load_dict
