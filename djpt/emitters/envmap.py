@@ -129,9 +129,13 @@ class EnvironmentMap(OrientedEmitter):
         texels = numbers_of(self.data)[:, 1:-1] if is_readable() else np.ones((rows, columns, 3))
         self._mean = mean_over_sphere(texels)
         weights = luminance(texels)
-        self.distribution.set(corner_weights(without_average(weights) if self.mis_compensation else weights))
+        everywhere = corner_weights(weights)
+        self.distribution.set(everywhere)
         if self.ray_distribution is not None:
-            self.ray_distribution.set(corner_weights(weights))
+            self.ray_distribution.set(everywhere)
+            bright = corner_weights(without_average(weights))
+            if bright.any():
+                self.distribution.set(bright)
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
