@@ -68,6 +68,21 @@ def test_the_albedo_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -
     assert np.array(djpt.read(picture)).shape == (24, 3 * 24, 3)
 
 
+def test_an_own_integrator_is_differentiated_without_adjoint_code(tmp_path: Any) -> None:
+    """The script compares the derivative with a finite difference, and fails if they differ."""
+    picture = tmp_path / "sky.png"
+    done = run_python(
+        str(EXAMPLES / "own_integrator.py"), "--out", str(picture), "--size", "48", "--spp", "16", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "differentiation" in done.stdout
+    image = np.array(djpt.read(picture))
+    assert image.shape == (48, 48, 3)
+    # High up nothing is near the wall, whose reflectance is 0.6; the foot of the ball sees less of the sky.
+    assert image[0].mean() == pytest.approx(0.6, rel=0.01)
+    assert 0.05 < image[35, 12].mean() < 0.3
+
+
 def test_examples_use_the_public_api_only() -> None:
     for path in EXAMPLES.glob("*.py"):
         source = path.read_text()
