@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from djpt.image import read_metadata as read_metadata
     from djpt.image import write as write
     from djpt.integrators import Integrator as Integrator
+    from djpt.integrators.moment import variance as variance
     from djpt.materials import BSDF as BSDF
     from djpt.materials.fresnel import fresnel as fresnel
     from djpt.materials.fresnel import fresnel_conductor as fresnel_conductor
@@ -130,6 +131,7 @@ _EXPORTS = {
     "djpt.geometry.bounding_box": "BoundingBox3f",
     "djpt.image": "Image read read_metadata write",
     "djpt.integrators": "Integrator",
+    "djpt.integrators.moment": "variance",
     "djpt.materials": "BSDF",
     "djpt.materials.fresnel": "fresnel fresnel_conductor fresnel_diffuse_reflectance reflect refract",
     "djpt.parameters": "SceneParameters traverse",

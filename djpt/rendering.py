@@ -7,6 +7,8 @@ import warnings
 from dataclasses import replace
 from typing import Any
 
+import drjit as dr
+
 from djpt.description.properties import Properties
 from djpt.differentiation import differentiable_image, gradient_seed
 from djpt.errors import RenderError, near_miss
@@ -18,7 +20,7 @@ from djpt.schedules.job import MAX_SAMPLES, Job, Progress
 from djpt.schedules.light import splat_image
 from djpt.schedules.passes import Schedule, primal_image
 from djpt.tracing import begin_trace
-from djpt.types import TensorXf
+from djpt.types import Float, TensorXf, UInt32
 
 __all__ = ["channel_names", "render"]
 
@@ -75,12 +77,32 @@ def render(
         straight = replace(job, integrator=job.integrator.straight, progress=None)
         return primal_image(straight, chosen, pass_spp) + splat_image(job)
     if not parameters:
-        return primal_image(job, chosen, pass_spp)
+        return with_unfiltered(job, primal_image(job, chosen, pass_spp) if job.channel_names() else None)
     if not job.integrator.differentiable:
         raise RenderError(f"'{type(job.integrator).__name__}' can't be differentiated; use 'path' or 'prb'")
     gradient_job = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None)
     machine = chosen == "machine"
-    return differentiable_image(gradient_job, parameters, lambda: primal_image(job, chosen, pass_spp), machine)
+    if not job.channel_names():
+        return with_unfiltered(job, None)
+    image = differentiable_image(gradient_job, parameters, lambda: primal_image(job, chosen, pass_spp), machine)
+    return with_unfiltered(job, image)
+
+
+def with_unfiltered(job: Job, image: TensorXf | None) -> TensorXf:
+    """An image with the channels of its integrator that come from the centres of pixels; None: no others."""
+    if not job.integrator.unfiltered_names():
+        assert image is not None
+        return image
+    with dr.suspend_grad():
+        width, height = job.film.crop_size
+        values = job.integrator.unfiltered_channels(job.scene, job.centre_rays())
+        flat = dr.empty(Float, width * height * len(values))
+        dr.eval(values)
+        pixel = dr.arange(UInt32, width * height) * dr.opaque(UInt32, len(values))
+        for i, value in enumerate(values):
+            dr.scatter(flat, value, pixel + i)
+        centres = TensorXf(flat, shape=(height, width, len(values)))
+    return centres if image is None else dr.concat([image, centres], axis=2)
 
 
 def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tuple[str, ...]:
@@ -89,7 +111,8 @@ def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tupl
     ``("R", "G", "B")`` and the like for colours, then those of the integrator's AOVs: what
     `djpt.write` takes as `channels`.
     """
-    return make_job(scene, sensor, integrator, seed=0, spp=0, progress=None).channel_names()
+    job = make_job(scene, sensor, integrator, seed=0, spp=0, progress=None)
+    return job.channel_names() + tuple(job.integrator.unfiltered_names())
 
 
 def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, progress: Progress | None) -> Job:
@@ -124,6 +147,8 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
     for start in sensor.starts():
         scene.geometry.seen_from(start)
     scene = scene.seen_from(sensor.viewpoint()).choosing_emitters(integrator.emitter_choice)
+    if integrator.measures_distance:
+        scene = scene.viewed_by(sensor)
     job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress)
     if job.samples > MAX_SAMPLES:
         raise RenderError(

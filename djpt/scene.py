@@ -108,6 +108,7 @@ class Scene(Plugin):
         self._choice_name = "uniform"
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_body = UInt32(self.interior.outside)
+        self.near_share = Float(0)
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
@@ -179,6 +180,12 @@ class Scene(Plugin):
             return self
         view = copy.copy(self)
         view._choice_name = choice
+        return view
+
+    def viewed_by(self, sensor: Sensor) -> Scene:
+        """A view of this scene that knows where the rays of a sensor start: see `Sensor.near_share`."""
+        view = copy.copy(self)
+        view.near_share = dr.opaque(Float, sensor.near_share())
         return view
 
     def seen_from(self, p: np.ndarray | None) -> Scene:

@@ -11,6 +11,7 @@ from djpt.integrators.base import Integrator, PathIntegrator, PathState, Vertex
 from djpt.integrators.depth import Depth
 from djpt.integrators.direct import Direct
 from djpt.integrators.distributed import Distributed
+from djpt.integrators.moment import Moment
 from djpt.integrators.path import Path
 from djpt.integrators.path_naive import PathNaive
 from djpt.integrators.path_nee import PathNEE
@@ -27,6 +28,7 @@ __all__ = [
     "Direct",
     "Distributed",
     "Integrator",
+    "Moment",
     "PRBBasic",
     "ParticleTracer",
     "Path",
@@ -51,3 +53,4 @@ register_integrator("ptracer", ParticleTracer)
 register_integrator("direct", Direct)
 register_integrator("depth", Depth)
 register_integrator("aov", AOV)
+register_integrator("moment", Moment)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 
-from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
-from djpt.integrators.base import Integrator
+from djpt.integrators.nesting import NestingIntegrator
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Vector2f, Vector3f
@@ -31,65 +30,94 @@ def pair(v: Vector2f) -> list[Float]:
     return [v.x, v.y]
 
 
-VARIABLES: dict[str, tuple[str, Callable[[SurfaceInteraction3f], list[Float]]]] = {
-    "albedo": ("RGB", lambda si: vector(si.bsdf().eval_diffuse_reflectance(si))),
-    "depth": ("T", lambda si: [si.t]),
-    "position": ("XYZ", lambda si: vector(si.p)),
-    "uv": ("UV", lambda si: pair(si.uv)),
-    "geo_normal": ("XYZ", lambda si: vector(si.n)),
-    "sh_normal": ("XYZ", lambda si: vector(si.sh_frame.n)),
-    "dp_du": ("XYZ", lambda si: vector(si.dp_du)),
-    "dp_dv": ("XYZ", lambda si: vector(si.dp_dv)),
-    "prim_index": ("I", lambda si: [Float(si.scene.primitive_index(si))]),
-    "shape_index": ("I", lambda si: [Float(si.shape_index + 1)]),
+def start_distance(scene: Scene, ray: Ray3f) -> Float:
+    """How far from the camera its ray starts."""
+    # Without a near plane the ray may be unbounded.
+    return dr.select(scene.near_share > 0, ray.maxt * scene.near_share, 0)
+
+
+Variable = Callable[[SurfaceInteraction3f, Ray3f], "list[Float]"]
+"""The channels of a variable at a surface point that the camera's ray hits."""
+
+VARIABLES: dict[str, tuple[str, Variable]] = {
+    "albedo": ("RGB", lambda si, ray: vector(si.bsdf().eval_diffuse_reflectance(si))),
+    "depth": ("T", lambda si, ray: [si.t]),
+    "distance": ("T", lambda si, ray: [si.t + start_distance(si.scene, ray)]),
+    "position": ("XYZ", lambda si, ray: vector(si.p)),
+    "uv": ("UV", lambda si, ray: pair(si.uv)),
+    "geo_normal": ("XYZ", lambda si, ray: vector(si.n)),
+    "sh_normal": ("XYZ", lambda si, ray: vector(si.sh_frame.n)),
+    "dp_du": ("XYZ", lambda si, ray: vector(si.dp_du)),
+    "dp_dv": ("XYZ", lambda si, ray: vector(si.dp_dv)),
+    "prim_index": ("I", lambda si, ray: [Float(si.scene.primitive_index(si))]),
+    "shape_index": ("I", lambda si, ray: [Float(si.shape_index + 1)]),
 }
-"""Name of a variable -> names of its channels, and its value at a surface point."""
+"""Name of a variable -> names of its channels, and its value."""
+
+DIFFERENTIALS = ("duv_dx", "duv_dy")
+"""Variables of Mitsuba's that need ray differentials, which djpt's cameras don't make."""
 
 
-class AOV(Integrator):
+class AOV(NestingIntegrator):
     """Images of surface properties, after those of nested integrators.
 
     Parameters: `aovs`, a list ``name:variable, ..``: channels are called ``name.X`` and so on. The
-    variables: `albedo`, `depth` (from the near plane), `position`, `uv`, `geo_normal`, `sh_normal`,
-    `dp_du`, `dp_dv`, `prim_index`, `shape_index` (counted from 1; 0 is a miss). All are 0 on a miss,
-    and filtered like colours. Nested integrators under any key render their images first; without
-    one the image has AOV channels only.
+    variables: `albedo`, `depth` (along the ray from where it starts, which is the near plane of a camera that has one),
+    `distance` (along the ray from the camera: from the pinhole, from the point on the lens, or from the plane of an
+    orthographic camera), `position`, `uv`, `geo_normal`, `sh_normal`, `dp_du`, `dp_dv`, `prim_index`, `shape_index`
+    (counted from 1; 0 is a miss). All are 0 on a miss.
+
+    `unfiltered` (default false): the variables are filtered like colours, so that on edges they are mixtures. If true,
+    each pixel has the values of the one ray through its centre (of the lens, too), whatever `spp` and the filter are:
+    indices are whole then. They carry no derivatives.
+
+    Nested integrators under any key render their images first, filtered in either case; without one
+    the image has AOV channels only. `distance` and `unfiltered` are djpt's own, all else is Mitsuba's.
     """
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.variables = parse(props.string("aovs"), props.node)
-        self.nested: list[tuple[str, Integrator]] = props.children("integrator")
+        self.unfiltered = props.boolean("unfiltered", False)
         for name, integrator in self.nested:
             if integrator.aov_names():
                 raise SceneError(f"{props.node}.{name}: an integrator with AOVs of its own can't be nested")
         self.writes_color = bool(self.nested)
-        self.needs_light = any(integrator.needs_light for _, integrator in self.nested)
-
-    def traverse(self, callback: TraversalCallback) -> None:
-        for i, (_, integrator) in enumerate(self.nested):
-            callback.put(f"integrator_{i}", integrator)
+        self.measures_distance = any(kind == "distance" for _, kind in self.variables)
 
     def aov_names(self) -> Sequence[str]:
         further = [f"{name}.{c}" for name, _ in self.nested[1:] for c in "RGB"]
-        return further + [f"{name}.{c}" for name, kind in self.variables for c in VARIABLES[kind][0]]
+        return further if self.unfiltered else further + self.variable_names()
+
+    def unfiltered_names(self) -> Sequence[str]:
+        return self.variable_names() if self.unfiltered else []
+
+    def variable_names(self) -> list[str]:
+        """The channels of the surface properties."""
+        return [f"{name}.{c}" for name, kind in self.variables for c in VARIABLES[kind][0]]
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
+        samples = self.samples(scene, sampler, ray, active)
+        channels = [c for color, _, _ in samples[1:] for c in vector(color)]
+        if self.unfiltered:
+            color, covered, _ = samples[0]
+            return color, covered, channels
         si = scene.ray_intersect(ray, active)
-        valid = si.is_valid()
-        color, covered, channels = Color3f(0), valid, list[Any]()
-        for i, (_, integrator) in enumerate(self.nested):
-            # Every integrator sees the numbers that it would see alone.
-            nested_color, nested_valid, _ = integrator.sample(scene, sampler.clone(), ray, active)
-            if i == 0:
-                color, covered = nested_color, nested_valid
-            else:
-                channels += vector(nested_color)
-        for _, kind in self.variables:
-            channels += [dr.select(valid, c, 0) for c in VARIABLES[kind][1](si)]
+        channels += self.seen(si, ray)
+        if not samples:
+            return Color3f(0), si.is_valid(), channels
+        color, covered, _ = samples[0]
         return color, covered, channels
+
+    def unfiltered_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
+        return self.seen(scene.ray_intersect(ray), ray)
+
+    def seen(self, si: SurfaceInteraction3f, ray: Ray3f) -> list[Float]:
+        """The channels of all variables."""
+        valid = si.is_valid()
+        return [dr.select(valid, c, 0) for _, kind in self.variables for c in VARIABLES[kind][1](si, ray)]
 
 
 def parse(text: str, node: str) -> list[tuple[str, str]]:
@@ -99,6 +127,11 @@ def parse(text: str, node: str) -> list[tuple[str, str]]:
         name, colon, kind = (part.strip() for part in item.partition(":"))
         if not (name and colon):
             raise SceneError(f"{node}: 'aovs' is a list of name:variable, found '{item.strip()}'")
+        if kind in DIFFERENTIALS:
+            raise SceneError(
+                f"{node}: '{kind}' in 'aovs' needs ray differentials, which djpt doesn't have; "
+                f"possible: {', '.join(sorted(VARIABLES))}"
+            )
         if kind not in VARIABLES:
             raise SceneError(f"{node}: unknown variable '{kind}' in 'aovs'{near_miss(kind, VARIABLES)}")
         if name in dict(result):

@@ -48,6 +48,8 @@ class Integrator(Plugin):
     """How light sampling chooses emitters: see `djpt.light_choice`."""
     writes_color = True
     """False if the image consists of AOVs alone."""
+    measures_distance = False
+    """Does it need to know how far from the camera rays start: `Scene.near_share`?"""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -65,6 +67,14 @@ class Integrator(Plugin):
     def aov_names(self) -> Sequence[str]:
         """Names of the extra channels that `sample` returns."""
         return ()
+
+    def unfiltered_names(self) -> Sequence[str]:
+        """Names of channels, after all others, that come from one ray through the centre of each pixel."""
+        return ()
+
+    def unfiltered_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
+        """The values of these channels along `ray`."""
+        return []
 
 
 @dataclass

@@ -82,9 +82,17 @@ class Job:
         return len(self.channel_names())
 
     def channel_names(self) -> tuple[str, ...]:
-        """Names of the channels of the developed image."""
+        """Names of the channels of the developed image, without those that aren't filtered."""
         color = self.film.channel_names() if self.integrator.writes_color else ()
         return color + tuple(self.integrator.aov_names())
+
+    def centre_rays(self) -> Ray3f:
+        """The rays through the centres of the crop's pixels, row by row, and of the lens."""
+        width, height = self.film.crop_size
+        pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
+        row = pixel // columns
+        position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
+        return self.camera.sample_ray(position * self._inverse_crop, Point2f(0.5))
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""

@@ -97,6 +97,10 @@ class Sensor(Plugin):
         p = self.viewpoint()
         return [] if p is None else [p]
 
+    def near_share(self) -> float:
+        """How far from the sensor its rays start, in units of their `maxt`: 0 unless there is a near plane."""
+        return 0.0
+
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
         """Called with the scene's bounding sphere, and again when it changes; for sensors that are far away."""
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.dispatch import Detached, Ensemble
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
@@ -114,6 +114,12 @@ class Batch(Sensor):
         if first is None or any(p is None or not np.array_equal(p, first) for p in points):
             return None
         return first
+
+    def near_share(self) -> float:
+        shares = {sensor.near_share() for sensor in self.sensors}
+        if len(shares) > 1:
+            raise RenderError(f"{self.id}: distances need cameras with the same 'near_clip' and 'far_clip'")
+        return shares.pop()
 
     def starts(self) -> Sequence[NDArray[np.float64]]:
         return [p for sensor in self.sensors for p in sensor.starts()]

@@ -62,7 +62,12 @@ class Orthographic(Projective):
         self.depth = as_float(self.far_clip - self.near_clip)
         across, down = linear[:, 0] * step[0], linear[:, 1] * step[1]
         self.to_column, self.to_row = as_vector(across / (across @ across)), as_vector(down / (down @ down))
+        self.axis_length = float(np.linalg.norm(linear[:, 2]))
         self.inv_area = as_float(1 / float(np.linalg.norm(across) * np.linalg.norm(down)))
+
+    def near_share(self) -> float:
+        # A scale moves the near plane, as it does in Mitsuba, but not the length of rays.
+        return super().near_share() * self.axis_length
 
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))

@@ -73,6 +73,9 @@ class Projective(Sensor):
         """Compute what kernels read."""
         raise NotImplementedError
 
+    def near_share(self) -> float:
+        return self.near_clip / (self.far_clip - self.near_clip)
+
     def crop_window(
         self, half_width: float, shift: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

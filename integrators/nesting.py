@@ -1,0 +1,54 @@
+"""What integrators that render others along with their own channels share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.integrators.base import Integrator
+from djpt.records import Ray3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+    from djpt.sensors.base import Sensor
+
+__all__ = ["NestingIntegrator"]
+
+
+class NestingIntegrator(Integrator):
+    """An integrator with others nested in it, under any keys; each keeps its parameters, `emitter_choice` included.
+
+    The colour of the image is that of the first.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.nested: list[tuple[str, Integrator]] = props.children("integrator")
+        integrators = [integrator for _, integrator in self.nested]
+        for name, integrator in self.nested:
+            if integrator.starts_at_lights:
+                raise SceneError(f"{props.node}.{name}: an integrator that traces rays from lights can't be nested")
+        self.needs_light = any(integrator.needs_light for integrator in integrators)
+        self.differentiable = all(integrator.differentiable for integrator in integrators)
+        self.shows_delta = all(integrator.shows_delta for integrator in integrators)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for i, (_, integrator) in enumerate(self.nested):
+            callback.put(f"integrator_{i}", integrator)
+
+    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
+        for _, integrator in self.nested:
+            integrator.check_scene(scene, sensor)
+
+    def samples(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> list[tuple[Color3f, Bool, list[Float]]]:
+        """One sample of each nested integrator; every one sees the numbers that it would see alone."""
+        return [
+            integrator.sample(scene.choosing_emitters(integrator.emitter_choice), sampler.clone(), ray, active)
+            for _, integrator in self.nested
+        ]
