@@ -7,36 +7,33 @@ bar to stderr; the bar only to a terminal.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 import djpt
-from djpt.errors import BackendError, DjptError, RenderError, SceneError
-
-if TYPE_CHECKING:
-    from rich.progress import Task
-    from rich.text import Text
+from djpt.console import (
+    Defines,
+    ExitCode,
+    Exposure,
+    Quiet,
+    SceneName,
+    Seed,
+    Width,
+    number_or_word,
+    parameters,
+    progress_bar,
+    readable_errors,
+    require_positive,
+    short,
+)
+from djpt.errors import RenderError
 
 __all__ = ["ExitCode", "app", "main", "run"]
-
-
-class ExitCode(IntEnum):
-    """What the process returns."""
-
-    DONE = 0
-    DIFFERENT = 1
-    BAD_INPUT = 2
-    UNUSABLE = 3
-    INTERRUPTED = 130
-
 
 app = typer.Typer(
     help="A differentiable path tracer in pure Python over Dr.Jit that reads Mitsuba 3's scenes.",
@@ -47,23 +44,13 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="An XML file, or a built-in scene; see 'djpt scenes'.")]
-Seed = Annotated[int, typer.Option(help="Seed: the same one gives the same image.")]
-Width = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --height is given.")]
 Height = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --width is given.")]
 RFilter = Annotated[str | None, typer.Option(help="Reconstruction filter, instead of the scene's.")]
 IntegratorName = Annotated[str | None, typer.Option("--integrator", help="Integrator, instead of the scene's.")]
-Defines = Annotated[
-    list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A parameter of the XML file; may be repeated.")
-]
-Exposure = Annotated[
-    str, typer.Option(metavar="STOPS", help="Brightness in stops: a number, or 'auto'; for png and jpg.")
-]
 WhiteBalance = Annotated[
     str | None,
     typer.Option("--white-balance", metavar="LIGHT", help="What shall look white: kelvin, or R,G,B; for png and jpg."),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -99,12 +86,12 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Render SCENE to an image file."""
-    with _readable_errors():
+    with readable_errors():
         from djpt.description.overrides import described, override
         from djpt.image import check_writable
 
-        _require_positive(spp=spp, width=width, height=height)
-        name, description = described(scene, _parameters(define))
+        require_positive(spp=spp, width=width, height=height)
+        name, description = described(scene, parameters(define))
         target = output or Path(f"{name}.exr")
         check_writable(target)
         toned = tonemap is not None or exposure != "0" or white_balance is not None
@@ -113,7 +100,7 @@ def render(
         loaded = djpt.load_dict(description)
         start = time.perf_counter()
         samples = 0
-        with _progress_bar("rendering", "samples", quiet) as show:
+        with progress_bar("rendering", "samples", quiet) as show:
 
             def progress(done: int, total: int) -> None:
                 nonlocal samples
@@ -131,7 +118,7 @@ def render(
         djpt.write(target, image, channels=names, metadata=_carried(target, facts))
         if not quiet:
             rows, columns, _ = image.shape
-            speed = f"{_short(samples / seconds)}samples/s"
+            speed = f"{short(samples / seconds)}samples/s"
             count = facts["spp"]
             print(f"{target}: {columns} x {rows}, {count} spp, {seconds:.2f} s, {speed}")
 
@@ -148,7 +135,7 @@ def tonemap(
     quiet: Quiet = False,
 ) -> None:
     """Make a picture for displays from an image of any range; its metadata are kept."""
-    with _readable_errors():
+    with readable_errors():
         from djpt.image import check_writable, read_metadata, read_pixels
 
         target = output or image.with_suffix(".png")
@@ -187,18 +174,18 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Render SCENE in djpt and in Mitsuba and compare: exit code 1 if they differ."""
-    with _readable_errors():
+    with readable_errors():
         from djpt.description.document import Document
         from djpt.description.overrides import described
         from djpt.image import check_writable
         from djpt.validation.compare import compare as run
 
-        _require_positive(spp=spp, reference_spp=reference_spp, width=width, height=height)
-        name, description = described(scene, _parameters(define))
+        require_positive(spp=spp, reference_spp=reference_spp, width=width, height=height)
+        name, description = described(scene, parameters(define))
         target = output or Path(f"{name}_comparison.png")
         if picture:
             check_writable(target)
-        with _progress_bar("comparing", "renders", quiet) as progress:
+        with progress_bar("comparing", "renders", quiet) as progress:
             result = run(
                 description if isinstance(description, Document) else scene,
                 spp,
@@ -225,17 +212,17 @@ def compare(
 @app.command()
 def info(scene: SceneName, define: Defines = None) -> None:
     """Say what SCENE consists of, and how well its triangles can be searched."""
-    with _readable_errors():
+    with readable_errors():
         from djpt.description.overrides import described
         from djpt.info import describe
 
-        print(describe(djpt.load_dict(described(scene, _parameters(define))[1])))
+        print(describe(djpt.load_dict(described(scene, parameters(define))[1])))
 
 
 @app.command()
 def scenes() -> None:
     """List the built-in scenes."""
-    with _readable_errors():
+    with readable_errors():
         from djpt.scenes import SCENES
 
         width = max(len(name) for name in SCENES)
@@ -256,18 +243,18 @@ def gallery(
     quiet: Quiet = False,
 ) -> None:
     """Render a ball of each material, side by side."""
-    with _readable_errors():
+    with readable_errors():
         from djpt.image import check_writable
         from djpt.image_formats import DISPLAY_FORMATS
         from djpt.scenes.gallery import panels, sheet
 
-        _require_positive(spp=spp, size=size)
+        require_positive(spp=spp, size=size)
         check_writable(output)
         if output.suffix.lower() not in DISPLAY_FORMATS:
             raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
         chosen = panels(names or ())
         start = time.perf_counter()
-        with _progress_bar("rendering", "samples", quiet) as progress:
+        with progress_bar("rendering", "samples", quiet) as progress:
             djpt.write(output, sheet(chosen, size, spp, seed, progress=progress))
         if not quiet:
             seconds = time.perf_counter() - start
@@ -302,26 +289,6 @@ def run() -> None:
     sys.exit(code)
 
 
-@contextlib.contextmanager
-def _readable_errors() -> Iterator[None]:
-    """What a user can cause ends with one line and an exit code, not with a traceback."""
-    try:
-        yield
-    except BackendError as error:
-        _fail(str(error), ExitCode.UNUSABLE)  # its advice has lines of its own
-    except DjptError as error:
-        _fail(" ".join(str(error).split()), ExitCode.BAD_INPUT)
-    except MemoryError:
-        _fail("out of memory", ExitCode.BAD_INPUT)
-    except KeyboardInterrupt:
-        _fail("interrupted", ExitCode.INTERRUPTED)
-
-
-def _fail(message: str, code: ExitCode) -> None:
-    print(f"djpt: error: {message}", file=sys.stderr)
-    raise typer.Exit(code) from None
-
-
 class _Tone:
     """The options of tone mapping, checked before anything is rendered."""
 
@@ -333,10 +300,10 @@ class _Tone:
         if target.suffix.lower() not in DISPLAY_FORMATS:
             raise RenderError(f"tone mapping makes pictures for displays, png or jpg, found '{target}'")
         self.operator = operator
-        self.exposure: float | str = _number(exposure)
+        self.exposure: float | str = number_or_word(exposure)
         self.white_balance: Any = None
         if white_balance is not None:
-            parts = [_number(part) for part in white_balance.split(",")]
+            parts = [number_or_word(part) for part in white_balance.split(",")]
             self.white_balance = parts[0] if len(parts) == 1 else parts
         self.apply(np.zeros((1, 1, 3), np.float32))
         self.facts = {"tonemap": operator, "exposure": exposure}
@@ -345,14 +312,6 @@ class _Tone:
 
     def apply(self, image: Any) -> Any:
         return djpt.tonemap(image, self.operator, self.exposure, self.white_balance)
-
-
-def _number(text: str) -> float | str:
-    """A number if it is one."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _facts(scene: djpt.Scene, sensor: int, spp: int | None, seed: int) -> dict[str, Any]:
@@ -379,55 +338,3 @@ def _carried(target: Path, facts: dict[str, Any]) -> dict[str, Any]:
     from djpt.image_formats import METADATA
 
     return facts if target.suffix.lower() in METADATA else {}
-
-
-def _parameters(definitions: list[str] | None) -> dict[str, str]:
-    """The parameters of ``-D name=value``; the last one of a name counts."""
-    pairs = [definition.partition("=") for definition in definitions or ()]
-    for name, equals, value in pairs:
-        if not name or not equals:
-            raise SceneError(f"-D takes NAME=VALUE, found '{name}{equals}{value}'")
-    return {name: value for name, _, value in pairs}
-
-
-def _require_positive(**options: int | None) -> None:
-    for name, value in options.items():
-        if value is not None and value < 1:
-            raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
-
-
-@contextlib.contextmanager
-def _progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar with `unit`/s and the time left, for a function that is called with (done, total).
-
-    Shows nothing where nobody watches: in a pipe, in a log, with --quiet.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-    from rich.text import Text
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield lambda done, total: None
-        return
-
-    class Speed(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            return Text("" if task.speed is None else f"{_short(task.speed)}{unit}/s")
-
-    columns: list[Any] = [TextColumn(title), BarColumn(), TaskProgressColumn(), Speed(), TimeRemainingColumn()]
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(title, total=None)
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield update
-
-
-def _short(number: float) -> str:
-    """Three digits and a prefix: ``13.5 M``."""
-    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if number >= factor:
-            return f"{number / factor:.3g} {prefix}"
-    return f"{number:.3g} "

@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 import djpt
-from djpt import cli
 from djpt.cli import ExitCode, app, main
+from djpt.console import short
 from djpt.errors import BackendError, DjptError, FileError, RenderError
 from djpt.image import read_pixels
 
@@ -211,7 +211,7 @@ def test_bar_on_a_terminal() -> None:
 
 
 def test_speeds_are_short() -> None:
-    assert [cli._short(x) for x in (0.5, 12.0, 13_540.0, 13.54e6, 1.2e9)] == [
+    assert [short(x) for x in (0.5, 12.0, 13_540.0, 13.54e6, 1.2e9)] == [
         "0.5 ",
         "12 ",
         "13.5 k",

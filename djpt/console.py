@@ -1,0 +1,138 @@
+"""What the commands share: options, exit codes, errors as one line, the progress bar."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from enum import IntEnum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from djpt.errors import BackendError, DjptError, RenderError, SceneError
+
+if TYPE_CHECKING:
+    from rich.progress import Task
+    from rich.text import Text
+
+__all__ = [
+    "Defines",
+    "ExitCode",
+    "Exposure",
+    "Quiet",
+    "SceneName",
+    "Seed",
+    "Width",
+    "fail",
+    "number_or_word",
+    "parameters",
+    "progress_bar",
+    "readable_errors",
+    "require_positive",
+    "short",
+]
+
+
+class ExitCode(IntEnum):
+    """What the process returns."""
+
+    DONE = 0
+    DIFFERENT = 1
+    BAD_INPUT = 2
+    UNUSABLE = 3
+    INTERRUPTED = 130
+
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="An XML file, or a built-in scene; see 'djpt scenes'.")]
+Seed = Annotated[int, typer.Option(help="Seed: the same one gives the same image.")]
+Width = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --height is given.")]
+Defines = Annotated[
+    list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A parameter of the XML file; may be repeated.")
+]
+Exposure = Annotated[
+    str, typer.Option(metavar="STOPS", help="Brightness in stops: a number, or 'auto'; for png and jpg.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+@contextlib.contextmanager
+def readable_errors() -> Iterator[None]:
+    """What a user can cause ends with one line and an exit code, not with a traceback."""
+    try:
+        yield
+    except BackendError as error:
+        fail(str(error), ExitCode.UNUSABLE)  # its advice has lines of its own
+    except DjptError as error:
+        fail(" ".join(str(error).split()), ExitCode.BAD_INPUT)
+    except MemoryError:
+        fail("out of memory", ExitCode.BAD_INPUT)
+    except KeyboardInterrupt:
+        fail("interrupted", ExitCode.INTERRUPTED)
+
+
+def fail(message: str, code: ExitCode) -> None:
+    """Say what is wrong and end the process."""
+    print(f"djpt: error: {message}", file=sys.stderr)
+    raise typer.Exit(code) from None
+
+
+def number_or_word(text: str) -> float | str:
+    """A number if it is one."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def parameters(definitions: list[str] | None) -> dict[str, str]:
+    """The parameters of ``-D name=value``; the last one of a name counts."""
+    pairs = [definition.partition("=") for definition in definitions or ()]
+    for name, equals, value in pairs:
+        if not name or not equals:
+            raise SceneError(f"-D takes NAME=VALUE, found '{name}{equals}{value}'")
+    return {name: value for name, _, value in pairs}
+
+
+def require_positive(**options: float | None) -> None:
+    """Refuse options below 1."""
+    for name, value in options.items():
+        if value is not None and value < 1:
+            raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
+
+
+@contextlib.contextmanager
+def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A bar with `unit`/s and the time left, for a function that is called with (done, total).
+
+    Shows nothing where nobody watches: in a pipe, in a log, with --quiet.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield lambda done, total: None
+        return
+
+    class Speed(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text("" if task.speed is None else f"{short(task.speed)}{unit}/s")
+
+    columns: list[Any] = [TextColumn(title), BarColumn(), TaskProgressColumn(), Speed(), TimeRemainingColumn()]
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def update(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield update
+
+
+def short(number: float) -> str:
+    """Three digits and a prefix: ``13.5 M``."""
+    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= factor:
+            return f"{number / factor:.3g} {prefix}"
+    return f"{number:.3g} "
