@@ -290,8 +290,25 @@ def samplers() -> None:
     djpt.write(IMAGES / "samplers.png", picture.astype(np.float32))
 
 
+def tonemapping() -> None:
+    """One image of bright and dark parts under the four operators, side by side."""
+    glowing: dict[str, Any] = {"dim": {"type": "constant", "radiance": 0.08}}
+    for i, (x, color) in enumerate([(-0.1, [90, 14, 5]), (1.65, [12, 20, 90]), (-1.4, [70, 55, 30])]):
+        glowing[f"bulb{i}"] = {
+            "type": "sphere",
+            "center": [x, -1.0, 0.22],
+            "radius": 0.22,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": color}},
+        }
+    image = np.array(djpt.render(djpt.load_dict(djpt.scenes.stage(glowing, size=240)), spp=2048))
+    gap = np.ones((image.shape[0], 8, 3), np.float32)
+    shown = [djpt.tonemap(image, operator, exposure=-1.0) for operator in ("srgb", "reinhard", "aces", "agx")]
+    djpt.write(IMAGES / "tonemapping.png", np.concatenate([x for one in shown for x in (gap, one)][1:], axis=1))
+
+
 FIGURES: dict[str, Callable[[], None]] = {
-    f.__name__: f for f in (cornell_box, spheres, albedo, shapes, materials, glass, textures, lights, cameras, samplers)
+    f.__name__: f
+    for f in (cornell_box, spheres, albedo, shapes, materials, glass, textures, lights, cameras, samplers, tonemapping)
 }
 
 
