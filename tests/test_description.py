@@ -97,6 +97,7 @@ def test_any_plugin_can_be_the_root(kind: str) -> None:
             "normalmap": {"b": {"type": "diffuse"}, "normalmap": 0.5},
             "blendbsdf": {"b": {"type": "diffuse"}, "c": {"type": "diffuse"}},
             "aov": {"aovs": "d:depth"},
+            "moment": {"image": {"type": "path"}},
             "implicit": {"function": lambda p: p.z},
             "metaballs": {"balls": [[0, 0, 0, 1]]},
             "shapegroup": {"inner": {"type": "sphere"}},
