@@ -40,13 +40,17 @@ class Interior:
 
     def around(self, p: np.ndarray) -> int:
         """The body that a point (3,) lies in; computed at once, for cameras."""
-        scene = self._scene
+        return int(self.at(Point3f(*(float(x) for x in p)))[0])
+
+    def at(self, p: Point3f) -> UInt32:
+        """The body that each point lies in: takes a ray through the scene, for where paths begin."""
+        scene, body = self._scene, UInt32(self.outside)
         closed = closed_shapes(scene)
         for bsdf in self._absorbing:
             shapes = [s for s in closed if scene.bsdf_of_shape[s] == bsdf]
-            if shapes and bool(is_inside(scene, Point3f(*(float(x) for x in p)), shapes=shapes)[0]):
-                return bsdf
-        return self.outside
+            if shapes:
+                body = dr.select(is_inside(scene, p, shapes=shapes), bsdf, body)
+        return body
 
     def beyond(self, si: SurfaceInteraction3f, wo: Vector3f, body: UInt32) -> UInt32:
         """The body of a ray that leaves `si` in the local direction `wo`, having arrived through `body`."""

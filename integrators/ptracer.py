@@ -110,7 +110,7 @@ class ParticleTracer(Integrator):
             flux=flux * inverse,
             eta=Float(1) if scene.refracts else None,
             depth=UInt32(1),
-            body=UInt32(scene.interior.outside) if scene.interior.exists else None,
+            body=scene.interior.at(ray.o) if scene.interior.exists else None,
         )
 
     def vertex(
@@ -135,6 +135,8 @@ class ParticleTracer(Integrator):
             there = interior.beyond(si, to_camera, body)
             splat = splat * interior.transmittance(scene.lookup, there, ds.dist)
             body = interior.beyond(si, bs.wo, body)
+        if self.hide_emitters:
+            splat = dr.select(si.emitter(scene).is_valid(), 0, splat)
 
         # -------------------- BSDF sampling -------------------
         d = si.to_world(bs.wo)
@@ -152,6 +154,16 @@ class ParticleTracer(Integrator):
             path=LightPath(si.spawn_ray(d), flux, eta, path.depth + 1, body),
             active=proceed & survives,
         )
+
+    def reaches_camera(self, scene: Scene, ray: Ray3f) -> Bool:
+        """Is the way to the camera free?
+
+        `Scene.unoccluded` leaves out what can't come between a surface and a light: walls around everything, a lone
+        lamp. They do hide things from a camera behind them.
+        """
+        if self.hide_emitters:
+            return ~scene.closest_hit(ray, through_lights=Bool(True)).is_valid()
+        return ~scene.geometry.any_hit(ray)
 
 
 def side_correction(si: SurfaceInteraction3f, arriving: Vector3f, leaving: Vector3f, wo: Vector3f) -> Float:

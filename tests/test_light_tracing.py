@@ -174,6 +174,45 @@ def test_collimated_light_is_shown() -> None:
     assert image.mean() == pytest.approx(2 / np.pi, rel=0.02)
 
 
+@pytest.mark.parametrize("hide_emitters", [False, True])
+def test_a_lamp_hides_what_is_behind_it(hide_emitters: bool) -> None:
+    """The only lamp, before a ceiling that it doesn't light; hidden lamps hide nothing and reflect nothing."""
+    scene = box(16)
+    lamp = T().translate([0, 0.5, 0]).rotate([1, 0, 0], 90).scale(0.5)
+    scene["light"].update(to_world=lamp, emitter={"type": "area", "radiance": 1.0})
+    scene["sensor"]["to_world"] = T().look_at([0, -0.9, 3], [0, 0.6, 0], [0, 1, 0])
+    light, path = ({"type": name, "max_depth": 5, "hide_emitters": hide_emitters} for name in ("ptracer", "path"))
+    assert_equal_means(images(scene, light, 1024), images(scene, path, 1024))
+
+
+def test_walls_hide_what_is_inside() -> None:
+    """A closed room, seen from outside."""
+    scene = djpt.scenes.furnace()
+    for node in scene.values():
+        if isinstance(node, dict):
+            node.pop("emitter", None)
+    scene["lamp"] = {"type": "point", "position": [0, 0.8, 0], "intensity": 2.0}
+    scene["sensor"]["film"].update(width=16, height=16)
+    light = {"type": "ptracer", "max_depth": 3}
+    assert images(scene, light, 16, 1).mean() > 0.1
+    scene["sensor"]["to_world"] = T().look_at([0, 0, 3.9], [0, 0, 0], [0, 1, 0])
+    assert images(scene, light, 16, 1).max() == 0
+
+
+def test_a_lamp_in_coloured_glass() -> None:
+    """Light fades from where it starts; the glass bends nothing, so the lamp's flux is seen on the floor."""
+    lamp = {"type": "sphere", "center": [-0.9, 0, 0.1], "radius": 0.2, "emitter": {"type": "area", "radiance": 60.0}}
+    scene = floor_scene({"lamp": lamp}, size=16)
+    absorption = {"type": "rgb", "value": [0.2, 0.5, 1.5]}
+    scene["ball"]["bsdf"] = {"type": "glass", "int_ior": 1.0, "ext_ior": 1.0, "absorption": absorption}
+    del scene["small"]
+    light, path = ({"type": name, "max_depth": 3} for name in ("ptracer", "path"))
+    below = slice(10, 16)  # the floor before the ball
+    a, b = images(scene, light, 1024)[:, below], images(scene, path, 8192)[:, below]
+    assert_equal_means(a, b)
+    assert a[..., 0].mean() > 1.5 * a[..., 2].mean()
+
+
 def test_what_is_refused() -> None:
     light = djpt.load_dict({"type": "ptracer"})
     scene = floor_scene()

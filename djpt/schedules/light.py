@@ -135,7 +135,7 @@ def trace(job: Job, splats: Splats, begin: int, end: int) -> None:
     def body(lane: Lane) -> tuple[Lane]:
         si = scene.surface_interaction(lane.path.ray, scene.closest_hit(lane.path.ray), full=scene.needs_uv)
         v = integrator.vertex(scene, camera, lane.sampler, lane.path, si)
-        arrives = (dr.max(v.splat) > 0) & scene.unoccluded(v.shadow_ray)
+        arrives = (dr.max(v.splat) > 0) & integrator.reaches_camera(scene, v.shadow_ray)
         splats.add(v.position, v.splat, arrives)
 
         number = dr.select(v.active, lane.number, lane.number + stride)
