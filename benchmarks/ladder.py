@@ -26,7 +26,7 @@ def room(size: int = 240) -> dict[str, Any]:
     scene = djpt.scenes.cornell_box_spheres()
     scene["large-sphere"]["bsdf"] = {"type": "mirror"}
     scene["small-sphere"]["bsdf"] = {"type": "dielectric"}
-    copper = {"type": "roughconductor", "material": "Cu", "alpha": 0.15}
+    copper = {"type": "roughconductor", "material": "Cu", "alpha": 0.05}
     scene["copper"] = {"type": "sphere", "center": [-0.08, -0.8, 0.6], "radius": 0.2, "bsdf": copper}
     scene["sensor"]["film"].update(width=size, height=size, rfilter={"type": "box"})
     return scene
@@ -71,12 +71,13 @@ def main() -> None:
     truth = reference[dark]
     print(f"| {options.spp} spp | light shown | RMSE | noise | median error |\n|---|---|---|---|---|")
     for name, integrator in STEPS.items():
+        if name == "raycast":  # what it shows isn't light
+            continue
         images = np.array([render(scene, integrator, options.spp, seed)[dark] for seed in range(options.seeds)])
         variance = images.var(axis=0, ddof=1)
         rmse, noise = np.sqrt(np.square(images - truth).mean()), np.sqrt(variance.mean())
         median = np.median(np.abs(images - truth).mean(axis=2))
-        shown = "-" if integrator["type"] == "raycast" else f"{images.mean() / truth.mean():.0%}"
-        print(f"| {name} | {shown} | {rmse:.3f} | {noise:.3f} | {median:.3f} |", flush=True)
+        print(f"| {name} | {images.mean() / truth.mean():.0%} | {rmse:.3f} | {noise:.3f} | {median:.3f} |", flush=True)
 
 
 if __name__ == "__main__":

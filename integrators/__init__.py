@@ -19,6 +19,7 @@ from djpt.integrators.prb import PRB
 from djpt.integrators.prb_basic import PRBBasic
 from djpt.integrators.ptracer import ParticleTracer
 from djpt.integrators.raycast import Raycast
+from djpt.integrators.unidirectional import UnidirectionalPath
 from djpt.integrators.whitted import Whitted
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "PathNaive",
     "PathState",
     "Raycast",
+    "UnidirectionalPath",
     "Vertex",
     "Whitted",
 ]
