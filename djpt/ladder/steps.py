@@ -1,0 +1,142 @@
+"""The steps of the ladder: which integrators estimate the light of a scene, and what each can't show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["ELSEWHERE", "STEPS", "Step"]
+
+SHARED: dict[str, Any] = {"max_depth": -1, "rr_depth": 5, "hide_emitters": False, "emitter_choice": "uniform"}
+"""Settings that a step takes over from the scene's integrator, if both have them, and their defaults."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One integrator with its settings."""
+
+    title: str
+    type: str
+    idea: str
+    """What it does, in one sentence."""
+    leaves_out: str
+    """What its images never show, however many samples are taken; empty: nothing."""
+    shares: tuple[str, ...]
+    """Which of `SHARED` it has."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    deepest: int | None = None
+    """The most edges that its paths have here, where they could have more; None: as many as the scene asks for."""
+
+    def description(self, scene: Scene) -> dict[str, Any]:
+        """The integrator as a dict, for `load_dict`: as deep as the scene's own integrator, if it may be."""
+        own = scene.integrator()
+        shared = {key: getattr(own, key, SHARED[key]) for key in self.shares}
+        if "max_depth" in shared:
+            shared["max_depth"] = self.depth(shared["max_depth"])
+        return {"type": self.type, **shared, **self.settings}
+
+    def depth(self, wanted: int) -> int:
+        """Edges of the longest path, if `wanted` are asked for; -1: unbounded."""
+        if self.deepest is None:
+            return wanted
+        return self.deepest if wanted < 0 else min(wanted, self.deepest)
+
+    def missing(self, scene: Scene) -> str:
+        """What its images of this scene don't show; empty: nothing."""
+        wanted = getattr(scene.integrator(), "max_depth", -1)
+        short = f"paths of more than {self.deepest} edges" if self.depth(wanted) != wanted else ""
+        return " and ".join(text for text in (short, self.leaves_out) if text)
+
+
+HIDE, DEPTH, ROULETTE, CHOICE = "hide_emitters", "max_depth", "rr_depth", "emitter_choice"
+
+STEPS: tuple[Step, ...] = (
+    Step(
+        "raycast",
+        "raycast",
+        "The first surface along each ray, as if lit by a lamp at the eye.",
+        "lights, shadows, reflections, indirect light",
+        (HIDE,),
+    ),
+    Step(
+        "whitted",
+        "whitted",
+        "Mirrors and panes are followed; all else is lit by lamps that are points.",
+        "soft shadows, blurred reflections, caustics, indirect light, light of an environment on surfaces",
+        (DEPTH, HIDE),
+        deepest=16,
+    ),
+    Step(
+        "direct",
+        "direct",
+        "Light that comes straight from emitters, by two sampling strategies.",
+        "indirect light, and what mirrors and glass show of it",
+        (HIDE, CHOICE),
+    ),
+    Step(
+        "distributed",
+        "distributed",
+        "At every surface four rays go on and four go to the lights.",
+        "",
+        (DEPTH, HIDE, CHOICE),
+        deepest=3,
+    ),
+    Step(
+        "path_naive, uniform",
+        "path_naive",
+        "Paths in uniform directions, until one meets a light.",
+        "light of point, spot and directional lamps",
+        (DEPTH, ROULETTE, HIDE),
+        {"hemisphere": "uniform"},
+    ),
+    Step(
+        "path_naive, cosine",
+        "path_naive",
+        "Directions by the cosine: those that count more come more often.",
+        "light of point, spot and directional lamps",
+        (DEPTH, ROULETTE, HIDE),
+        {"hemisphere": "cosine"},
+    ),
+    Step(
+        "prb_basic",
+        "prb_basic",
+        "Directions by the material; no roulette.",
+        "light of point, spot and directional lamps",
+        (DEPTH, HIDE),
+        deepest=64,
+    ),
+    Step(
+        "path_nee",
+        "path_nee",
+        "Every vertex asks one light.",
+        "caustics of point, spot and directional lamps",
+        (DEPTH, HIDE, CHOICE),
+    ),
+    Step(
+        "path",
+        "path",
+        "Lights and material are both sampled, and weighted against each other.",
+        "caustics of point, spot and directional lamps",
+        (DEPTH, ROULETTE, HIDE, CHOICE),
+    ),
+    Step(
+        "ptracer",
+        "ptracer",
+        "Paths begin at the lights, and each vertex is shown to the camera.",
+        "what is seen in a mirror or through smooth glass",
+        (DEPTH, ROULETTE, HIDE),
+    ),
+)
+"""From the simplest to the most able."""
+
+ELSEWHERE: dict[str, str] = {
+    "prb": "`path` with other defaults",
+    "depth": "distances, not light",
+    "aov": "properties of surfaces, not light",
+    "moment": "another integrator and its squares",
+}
+"""Integrators that aren't steps of their own, and why."""
