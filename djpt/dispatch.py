@@ -82,6 +82,11 @@ class BufferTable:
     buffer: Buffer
     slot: UInt32
 
+    @property
+    def attached(self) -> bool:
+        """See `Table`."""
+        return self.buffer.attached
+
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
         """See `Table`."""
         return self.buffer.read(self.buffer.address(self.slot, index), active)

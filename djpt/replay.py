@@ -163,6 +163,7 @@ class LeafTable:
     leaves: Leaves
     leaf: TableLeaf
     slot: UInt32
+    attached = True
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
         """See `djpt.tables.Table`."""

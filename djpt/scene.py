@@ -358,6 +358,28 @@ class Scene(Plugin):
             weight = dr.select(self.unoccluded(self.shadow_ray(ref, ds)), weight, 0)
         return ds, weight
 
+    def light_at(
+        self, p: Point3f, n: Vector3f | None, ray: Ray3f, si: SurfaceInteraction3f, sample: Point2f, active: Bool
+    ) -> tuple[Color3f, Float, DirectionSample3f, Color3f]:
+        """All that a path vertex asks of the emitters, whose `ray` came from `p` (with the normal `n`) and met `si`.
+
+        The radiance that `si` sends along the ray; the density with which light sampling would have found it; and, for
+        `active` lanes, what `sample_emitter_direction` gives for `si`, without a test of visibility.
+        """
+        if len(self._emitters) == 1 and self._emitters[0].shares_lookup:
+            group = self.lights.groups[0]
+            emitter = group.at(UInt32(0), self.lookup)
+            radiance, pdf, weight, d = emitter.eval_or_sample(si, sample, active)
+            ds = DirectionSample3f(
+                si.p + d, -d, Point2f(0), d, Float(dr.inf), pdf, weight, Bool(False), UInt32(0)
+            )  # fmt: skip
+            met = dr.select(si.is_valid(), 0, radiance)
+            return met, pdf, ds, radiance * weight
+        ds = DirectionSample3f.between(p, ray, si)
+        pdf = self.pdf_emitter_direction(p, ds, n=n)
+        radiance = si.emitter(self).eval(si)
+        return radiance, pdf, *self.sample_emitter_direction(si, sample, test_visibility=False, active=active)
+
     def pdf_emitter_direction(
         self,
         ref: SurfaceInteraction3f | Point3f,

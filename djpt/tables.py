@@ -31,6 +31,10 @@ and sums that are evaluated half-way are lost.
 class Table(Protocol):
     """What a representative has in place of its tensor."""
 
+    @property
+    def attached(self) -> bool:
+        """Are the entries AD leaves, or depend on some?"""
+
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
         """Entry number `index`, counted row by row: `Float`, or `Color3f` for texels of three channels."""
 
@@ -76,6 +80,11 @@ class Buffer:
         index = dr.arange(UInt32, entries(tensor) * self._size)
         entry, channel = index // self._size, index % self._size
         return dr.gather(Float, tensor.array, entry * self.channels + channel, channel < self.channels, mode=LOCAL)
+
+    @property
+    def attached(self) -> bool:
+        """Does the memory depend on AD leaves?"""
+        return bool(dr.grad_enabled(self._memory))
 
     def address(self, slot: UInt32, index: UInt32) -> UInt32:
         """Where entry `index` of a member is."""

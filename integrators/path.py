@@ -10,7 +10,7 @@ from djpt.description.properties import Properties
 from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.unidirectional import UnidirectionalPath, roulette
 from djpt.light_choice import CHOICES
-from djpt.records import BSDFContext, DirectionSample3f, Ray3f, SurfaceInteraction3f
+from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import UInt32
 
@@ -47,15 +47,11 @@ class Path(UnidirectionalPath):
         arriving = self.arriving(scene, state, si)
         throughput = state.throughput if arriving is None else state.throughput * arriving
 
-        # ---------------------- Emission ----------------------
-        ds = DirectionSample3f.between(state.p, ray, si)
-        emitter_pdf = scene.pdf_emitter_direction(state.p, ds, n=state.n)
-        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, emitter_pdf), 1)
-        emitted = self.shown(state, si, throughput * mis * si.emitter(scene).eval(si))
+        # ---------------- Emission, light sampling -------------
         proceed = self.proceeds(state, si)
-
-        # ------------------- Light sampling -------------------
-        ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False, active=proceed)
+        met, met_pdf, ds, light = scene.light_at(state.p, state.n, ray, si, sampler.next_2d(), proceed)
+        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met_pdf), 1)
+        emitted = self.shown(state, si, throughput * mis * met)
         shadow_ray = scene.shadow_ray(si, ds)
         to_light = si.to_local(ds.d)
 

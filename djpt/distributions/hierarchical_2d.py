@@ -14,7 +14,7 @@ from djpt.lookup import as_vector
 from djpt.minmax import maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
-__all__ = ["Hierarchical2D"]
+__all__ = ["Hierarchical2D", "place_in_cell"]
 
 HIDDEN = ParamFlags.NonDifferentiable
 LEAST = 2.0**-33
@@ -47,6 +47,9 @@ class Hierarchical2D(Plugin):
     corners: Any
     """The density at the corners of each cell: upper left, upper right, lower left, lower right."""
 
+    at_corners: NDArray[Any]
+    """On the host: the density at the corners of the cells, (rows + 1, columns + 1)."""
+
     def __init__(self) -> None:
         """Of the value 1 everywhere."""
         self.set(np.ones((2, 2)))
@@ -59,6 +62,7 @@ class Hierarchical2D(Plugin):
         corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]], -1).astype(np.float64)
         mass = corners.mean(axis=-1)
         self.corners = packets(corners / mass.mean())
+        self.at_corners = values / mass.mean()
         rows, columns = mass.shape
         self.columns = dr.opaque(UInt32, columns)
         self.levels = ((rows - 1).bit_length(), (columns - 1).bit_length())
@@ -81,14 +85,30 @@ class Hierarchical2D(Plugin):
         All 0 where `active` is false; packets of lanes that are all inactive skip the work.
         """
         if active is True:
-            return self._descend(sample)
+            return self._sample(sample)
         nothing = UInt32(0), UInt32(0), Point2f(0), Float(0)
         found: tuple[UInt32, UInt32, Point2f, Float] = dr.if_stmt(
+            (sample,), Bool(active), self._sample, lambda sample: nothing, label="quadtree"
+        )
+        return found
+
+    def _sample(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f, Float]:
+        column, row, rest = self._descend(sample)
+        f = entry(self.corners, row * self.columns + column)
+        place = place_in_cell(f.x, f.y, f.z, f.w, rest)
+        return column, row, place, lerp(lerp(f.x, f.y, place.x), lerp(f.z, f.w, place.x), place.y)
+
+    def sample_cell(self, sample: Point2f, active: Bool | bool = True) -> tuple[UInt32, UInt32, Point2f]:
+        """Column and row of a cell, and what is left of the sample, for `place_in_cell`. Else as `sample`."""
+        if active is True:
+            return self._descend(sample)
+        nothing = UInt32(0), UInt32(0), Point2f(0)
+        found: tuple[UInt32, UInt32, Point2f] = dr.if_stmt(
             (sample,), Bool(active), self._descend, lambda sample: nothing, label="quadtree"
         )
         return found
 
-    def _descend(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f, Float]:
+    def _descend(self, sample: Point2f) -> tuple[UInt32, UInt32, Point2f]:
         x, y = maximum(sample.x, Float(LEAST)), maximum(sample.y, Float(LEAST))
         # `x` and `y` are uniform in intervals from 0 to these.
         width, height = Float(1), Float(1)
@@ -110,12 +130,7 @@ class Hierarchical2D(Plugin):
                 right, x, width = below(x, width, share)
                 column = (column << 1) | dr.select(right, UInt32(1), UInt32(0))
         # Rounding may have left `x` and `y` just beyond their ends.
-        x, y = minimum(x * dr.rcp(width), Float(1)), minimum(y * dr.rcp(height), Float(1))
-        f = entry(self.corners, row * self.columns + column)
-        y = linear(f.x + f.y, f.z + f.w, y)
-        a, b = lerp(f.x, f.z, y), lerp(f.y, f.w, y)
-        x = linear(a, b, x)
-        return column, row, Point2f(x, y), lerp(a, b, x)
+        return column, row, Point2f(minimum(x * dr.rcp(width), Float(1)), minimum(y * dr.rcp(height), Float(1)))
 
     def density(self, column: UInt32, row: UInt32, place: Point2f, active: Bool | bool = True) -> Float:
         """The density at a place of a cell, per unit of area: all cells together have the area 1."""
@@ -158,6 +173,12 @@ def below(x: Float, width: Float, share: Float) -> tuple[Bool, Float, Float]:
     split = width * share
     beyond = x > split
     return beyond, dr.select(beyond, x - split, x), dr.select(beyond, width - split, split)
+
+
+def place_in_cell(f00: Float, f10: Float, f01: Float, f11: Float, sample: Point2f) -> Point2f:
+    """A place with a density that interpolates the numbers at a cell's corners (f10: upper right), proportionally."""
+    y = linear(f00 + f10, f01 + f11, sample.y)
+    return Point2f(linear(lerp(f00, f01, y), lerp(f10, f11, y), sample.x), y)
 
 
 def linear(a: Float, b: Float, sample: Float) -> Float:

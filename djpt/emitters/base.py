@@ -12,7 +12,7 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
 
 __all__ = ["Emitter"]
 
@@ -66,6 +66,19 @@ class Emitter(Plugin):
         raise NotImplementedError
 
     # ---- in kernels --------------------------------------------------------------------
+
+    shares_lookup: ClassVar[bool] = False
+    """Environments: is `eval_or_sample` there, and faster than the methods that it stands for?"""
+
+    def eval_or_sample(
+        self, si: SurfaceInteraction3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float, Float, Vector3f]:
+        """Where `si` is a miss: the environment along the ray. Elsewhere: a sampled direction.
+
+        Radiance, density per unit solid angle, the inverse of that, and the direction (unspecified on a miss).
+        Lanes that aren't `active` need no sample.
+        """
+        raise NotImplementedError
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """Radiance that leaves `si` (for an environment: that arrives along the missing ray) towards `si.wi`."""

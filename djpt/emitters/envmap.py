@@ -14,6 +14,7 @@ from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.distributions import Hierarchical2D
+from djpt.distributions.hierarchical_2d import place_in_cell
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
@@ -25,7 +26,7 @@ from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteract
 from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
-from djpt.types import Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Array4f, Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["EnvironmentMap"]
@@ -66,7 +67,11 @@ class EnvironmentMap(OrientedEmitter):
         "scale": ParamFlags.Differentiable,
         **dict.fromkeys(("columns", "rows", "center", "radius"), HIDDEN),
     }
-    tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable | ParamFlags.Discontinuous}
+    tables: ClassVar[Mapping[str, ParamFlags]] = {
+        "data": ParamFlags.Differentiable | ParamFlags.Discontinuous,
+        "texels": HIDDEN,
+    }
+    shares_lookup = True
     children = ("distribution", "ray_distribution")
 
     ray_distribution: Hierarchical2D | None = None
@@ -136,6 +141,9 @@ class EnvironmentMap(OrientedEmitter):
             bright = corner_weights(without_average(weights))
             if bright.any():
                 self.distribution.set(bright)
+        # Radiance with the density of `distribution` at the texels: a lookup gives both.
+        density = self.distribution.at_corners[:, :-1, None]
+        self.texels = TensorXf(np.concatenate([texels, density], axis=2).astype(np.float32))
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
@@ -150,6 +158,35 @@ class EnvironmentMap(OrientedEmitter):
         return None
 
     # ---- in kernels --------------------------------------------------------------------
+
+    def eval_or_sample(
+        self, si: SurfaceInteraction3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float, Float, Vector3f]:
+        met = ~si.is_valid()
+        local = self.world_to_local(-si.wi)
+        met_column, met_row, met_place = self._cell(local)
+        column, row, rest = self.distribution.sample_cell(sample, active)
+        column, row = dr.select(met, met_column, column), dr.select(met, met_row, row)
+
+        # Texels are looked up once, for what the lane does: to meet the map, or to sample it.
+        first = dr.fma(row, self.columns, column)
+        right = dr.select(column + 1 < self.columns, first + 1, first - column)
+        f00, f10 = entry(self.texels, first), entry(self.texels, right)
+        f01, f11 = entry(self.texels, first + self.columns), entry(self.texels, right + self.columns)
+        sampled = place_in_cell(f00.w, f10.w, f01.w, f11.w, rest)
+        place = Point2f(dr.select(met, met_place.x, sampled.x), dr.select(met, met_place.y, sampled.y))
+        here = lerp(lerp(f00, f10, place.x), lerp(f01, f11, place.x), place.y)
+        if is_attached(self.data):
+            radiance = self._radiance(column, row, place, True)
+        else:
+            radiance = Color3f(here.x, here.y, here.z) * self.scale
+
+        _, d, sin_theta = self._direction(column, row, place)
+        sin_theta = dr.select(met, sine(local), sin_theta)
+        density = here.w
+        pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
+        weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
+        return radiance, pdf, weight, self.local_to_world(d)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         column, row, place = self._cell(self.world_to_local(-si.wi))
@@ -198,16 +235,20 @@ class EnvironmentMap(OrientedEmitter):
     ) -> tuple[Vector3f, Point2f, Float, Float, Color3f]:
         """A direction in the light's space with its uv, density per solid angle, the inverse of that, and radiance."""
         column, row, place, density = distribution.sample(sample, active)
+        uv, d, sin_theta = self._direction(column, row, place)
+        pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
+        weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
+        # Without a mask, which would cost more than what it saves.
+        return d, uv, pdf, weight, self._radiance(column, row, place, True)
+
+    def _direction(self, column: UInt32, row: UInt32, place: Point2f) -> tuple[Point2f, Vector3f, Float]:
+        """uv, local direction and sin(theta) of a place in a cell."""
         u = (Float(column) + place.x + 0.5) * dr.rcp(Float(self.columns))
         v = (Float(row) + place.y) * dr.rcp(Float(self.rows - 1))
         sin_phi, cos_phi = dr.sincos(u * (2 * math.pi))
         sin_theta, cos_theta = dr.sincos(v * math.pi)
         sin_theta = maximum(sin_theta, Float(LEAST_SINE))
-        d = Vector3f(sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta)
-        pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
-        weight = dr.select(density > 0, sin_theta * dr.rcp(density) * SPHERE, 0)
-        # Without a mask, which would cost more than what it saves.
-        return d, Point2f(u, v), pdf, weight, self._radiance(column, row, place, True)
+        return Point2f(u, v), Vector3f(sin_phi * sin_theta, cos_theta, -cos_phi * sin_theta), sin_theta
 
     def _cell(self, d: Vector3f) -> tuple[UInt32, UInt32, Point2f]:
         """Column and row of the four texels about a local direction, and where it lies between them."""
@@ -240,9 +281,24 @@ def inverse_sine(d: Vector3f) -> Float:
     return dr.rsqrt(maximum(dr.fma(d.x, d.x, dr.square(d.z)), Float(LEAST_SINE**2)))
 
 
-def lerp(a: Color3f, b: Color3f, t: Float) -> Color3f:
+def sine(d: Vector3f) -> Float:
+    """sin(theta)."""
+    return dr.sqrt(maximum(dr.fma(d.x, d.x, dr.square(d.z)), Float(LEAST_SINE**2)))
+
+
+def lerp(a: Any, b: Any, t: Float) -> Any:
     """From `a` to `b`."""
     return dr.fma(b - a, t, a)
+
+
+def is_attached(table: Any) -> bool:
+    """Would what is read from a table be attached to AD leaves? A tensor stands outside of kernels."""
+    return dr.grad_enabled(table) if dr.is_tensor_v(table) else table.attached
+
+
+def entry(table: Any, index: UInt32) -> Any:
+    """Four numbers of a table; outside of kernels there are only tensors."""
+    return dr.gather(Array4f, table.array, index) if dr.is_tensor_v(table) else table.at(index)
 
 
 # ---- texels --------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ next render compiles a kernel for the new structure.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import drjit as dr
@@ -140,6 +141,9 @@ class ProjectedRay:
 
     def __init__(self, ray: Ray3f) -> None:
         self.ray = ray
+        maxt = ray.maxt
+        self.unbounded = maxt.state == dr.VarState.Literal and maxt[0] == math.inf
+        """Is it known, as the kernel is traced, that the ray has no end?"""
         self._projections: dict[int, tuple[Float, Float, Float]] = {}
 
     def onto(self, axis: Axis) -> tuple[Float, Float, Float]:

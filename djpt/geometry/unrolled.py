@@ -195,7 +195,7 @@ class Unrolled:
         result = Bool(False)
         for shape, considered, numbers in zip(self.shapes, consider, self.face_number, strict=True):
             if considered:
-                result |= shape.intersect(projected, ray.maxt, numbers).hit
+                result |= shape.occludes(projected, numbers)
         return result
 
     def frame(self, number: UInt32) -> tuple[Vector3f, Frame3f]:

@@ -123,6 +123,10 @@ class Shape(Plugin):
         """The closest intersection with 0 < t < maxt; `numbers[k]` is the scene-wide number of face k."""
         raise NotImplementedError
 
+    def occludes(self, ray: ProjectedRay, numbers: Sequence[int]) -> Bool:
+        """Is there any intersection with 0 < t < maxt?"""
+        return self.intersect(ray, ray.ray.maxt, numbers).hit
+
     # ---- in kernels, once per class ----------------------------------------------
 
     def normal_at(self, p: Point3f) -> Vector3f:

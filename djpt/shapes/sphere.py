@@ -90,11 +90,22 @@ class Sphere(Shape):
         inv_length_squared = dr.rcp(dr.squared_norm(d))
         middle = -dr.dot(o, d) * inv_length_squared
         closest = dr.fma(d, middle, o)
-        discriminant = (dr.square(self.radius) - dr.squared_norm(closest)) * inv_length_squared
-        reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
-        near, far = middle - reach, middle + reach
-        t = dr.select(near > 0, near, far)
-        return Hit((discriminant >= 0) & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
+        reach = dr.sqrt((dr.square(self.radius) - dr.squared_norm(closest)) * inv_length_squared)
+        # Compared as whole numbers, less one, all floats that aren't hits are larger than any maxt: 0, negative ones,
+        # and the NaN of rays that pass by. One comparison then says everything. (The distance loses its last bit.)
+        near, far = (UInt32(dr.reinterpret_array(UInt32, t)) - 1 for t in (middle - reach, middle + reach))
+        t = UInt32(dr.minimum(near, far))
+        hit = t < UInt32(dr.reinterpret_array(UInt32, maxt))
+        return Hit(hit, Float(dr.reinterpret_array(Float, t)), UInt32(numbers[0]))
+
+    def occludes(self, ray: ProjectedRay, numbers: Sequence[int]) -> Bool:
+        if not ray.unbounded:
+            return super().occludes(ray, numbers)
+        # A ray without end meets the surface if it comes into the ball: no root is needed.
+        o, d = ray.ray.o - self.center, ray.ray.d
+        middle = -dr.dot(o, d) * dr.rcp(dr.squared_norm(d))
+        closest = dr.fma(d, dr.select(middle > 0, middle, 0), o)
+        return dr.squared_norm(closest) < dr.square(self.radius)
 
     def normal_at(self, p: Point3f) -> Vector3f:
         n = dr.normalize(p - self.center)
