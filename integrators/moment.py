@@ -76,7 +76,7 @@ def variance(image: Any, channels: Sequence[str], spp: int) -> TensorXf:
         spp: Samples per pixel, at least 2.
 
     Returns:
-        (H, W, n) for the n channels that have a second moment, in their order: X, Y and Z of a plain integrator.
+        (H, W, n) for the n channels that have a second moment, in their order; X, Y and Z of a plain integrator.
 
     Raises:
         RenderError: No channel has a second moment, or arguments that don't fit.
