@@ -51,9 +51,8 @@ check: lint
 	$(PY) -m pytest -q -m ''
 
 bench: $(READY)
-	$(PY) benchmarks/versus_mitsuba.py
-	$(PY) benchmarks/meshes.py
-	$(PY) benchmarks/materials.py
+	@status=0; for name in versus_mitsuba meshes materials lights many_lights ptracer; do \
+	$(PY) benchmarks/$$name.py || status=1; done; exit $$status
 
 docs: $(READY)
 	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
