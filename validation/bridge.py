@@ -26,6 +26,9 @@ __all__ = ["VERSION", "Renderer", "mitsuba_renderer", "render_in_mitsuba", "to_m
 VERSION = "3.9.1"
 """The ground truth is this release: names and conventions change in the next one."""
 
+NOISE_ONLY = ("emitter_choice",)
+"""Parameters of djpt's that change the noise of an image and nothing else."""
+
 Renderer = Callable[[int, int], npt.NDArray[np.float32]]
 """``renderer(spp, seed)`` -> linear pixels (H, W, C)."""
 
@@ -62,7 +65,8 @@ def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:
     """`scene` with djpt's values replaced by those that Mitsuba's `load_dict` takes.
 
     Transforms (ours, NumPy 4 x 4, nested lists) become `mitsuba.ScalarTransform4f`; Dr.Jit and NumPy scalars and
-    short arrays become Python's. Mitsuba's own objects and tensors stay. `scene` is not modified.
+    short arrays become Python's. An `envmap`'s `data` becomes a bitmap, `sobol` becomes `independent`, and
+    `emitter_choice` is left out: the image keeps its mean. Mitsuba's own objects stay. `scene` is not modified.
     Raises `ComparisonError` for djpt's plugin objects, which only djpt can render.
     """
     with _variant() as mi:
@@ -71,7 +75,7 @@ def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:
 
 def _value(mi: Any, value: Any, node: str) -> Any:
     if isinstance(value, Mapping):
-        return {key: _value(mi, inner, f"{node}.{key}") for key, inner in value.items()}
+        return {key: _value(mi, inner, f"{node}.{key}") for key, inner in _in_its_words(mi, value).items()}
     if isinstance(value, Plugin):
         raise ComparisonError(
             f"{node}: a {type(value).__name__} object of djpt means nothing to Mitsuba; describe it by a dict"
@@ -91,6 +95,21 @@ def _value(mi: Any, value: Any, node: str) -> Any:
     if array.ndim == 3:
         return value  # pixels
     return mi.ScalarTransform4f(array.tolist()) if array.shape == (4, 4) else array.tolist()
+
+
+def _in_its_words(mi: Any, node: Mapping[str, Any]) -> dict[str, Any]:
+    """A node with what only djpt knows said as Mitsuba says it, where that has the same mean."""
+    known = {key: value for key, value in node.items() if key not in NOISE_ONLY}
+    pixels = known.get("data")
+    if known.get("type") == "sobol":
+        known = {key: known[key] for key in ("sample_count", "seed") if key in known} | {"type": "independent"}
+    elif known.get("type") == "envmap" and pixels is not None:
+        del known["data"]
+        known["bitmap"] = mi.Bitmap(np.array(pixels, np.float32))
+    elif known.get("type") == "bitmap" and pixels is not None:
+        # A copy: Mitsuba takes the memory of tensors that it is given.
+        known["data"] = mi.TensorXf(np.array(pixels, np.float32))
+    return known
 
 
 @contextlib.contextmanager
