@@ -79,7 +79,7 @@ def render(
     if not parameters:
         return with_unfiltered(job, primal_image(job, chosen, pass_spp) if job.channel_names() else None)
     if not job.integrator.differentiable:
-        raise RenderError(f"'{type(job.integrator).__name__}' can't be differentiated; use 'path' or 'prb'")
+        raise RenderError(f"'{type(job.integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can")
     gradient_job = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None)
     machine = chosen == "machine"
     if not job.channel_names():

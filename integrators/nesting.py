@@ -33,7 +33,8 @@ class NestingIntegrator(Integrator):
             if integrator.starts_at_lights:
                 raise SceneError(f"{props.node}.{name}: an integrator that traces rays from lights can't be nested")
         self.needs_light = any(integrator.needs_light for integrator in integrators)
-        self.differentiable = all(integrator.differentiable for integrator in integrators)
+        # Path replay is for path tracers that stand alone, and their `sample` has no derivative.
+        self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)
         self.shows_delta = all(integrator.shows_delta for integrator in integrators)
 
     def traverse(self, callback: TraversalCallback) -> None:

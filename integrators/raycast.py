@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import Integrator
+from djpt.minmax import minimum
 from djpt.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float
@@ -20,10 +21,10 @@ __all__ = ["Raycast"]
 
 
 def headlight(si: SurfaceInteraction3f) -> Color3f:
-    """A lamp at the eye that doesn't fade: albedo times cosine. Mirrors and panes have no albedo: they are white."""
+    """A lamp at the eye that doesn't fade: albedo (at most 1) times cosine. Mirrors and panes are white."""
     bsdf = si.bsdf()
     albedo = dr.select(has_flag(bsdf.flags(), BSDFFlags.Smooth), bsdf.eval_diffuse_reflectance(si), 1)
-    return albedo * dr.abs(si.wi.z)
+    return Color3f(*(minimum(c, Float(1)) for c in albedo)) * dr.abs(si.wi.z)
 
 
 def normal(si: SurfaceInteraction3f) -> Color3f:
