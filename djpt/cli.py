@@ -1,5 +1,7 @@
 """The command line: ``djpt render``, ``compare``, ``tonemap``, ``info``, ``scenes``, ``gallery``, ``doctor``.
 
+The commands ``ladder``, ``bounces`` and ``spp``, which compare algorithms, are in `djpt.ladder.commands`.
+
 Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
 it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
 bar to stderr; the bar only to a terminal.
@@ -32,6 +34,7 @@ from djpt.console import (
     short,
 )
 from djpt.errors import RenderError
+from djpt.ladder import commands
 
 __all__ = ["ExitCode", "app", "main", "run"]
 
@@ -267,6 +270,10 @@ def doctor() -> None:
     from djpt.doctor import main as examine
 
     raise typer.Exit(examine())
+
+
+for compares in (commands.ladder, commands.bounces, commands.spp):
+    app.command()(compares)
 
 
 def main() -> int:

@@ -41,6 +41,9 @@ REFERENCES = ("own", "mitsuba")
 BATCHES = 16
 """Independent images that the reference is the mean of."""
 
+TILE = 4
+"""Pixels: wider than the usual filters."""
+
 REFERENCE_SHARE = 0.5
 """Time of one batch of the reference, as a share of that of an integrator."""
 
@@ -68,7 +71,7 @@ class Measured:
     bias_error: float
     """The standard error of `bias`; NaN if there is one point only."""
     floor: float
-    """The error that more samples don't remove; 0 if it is lost in the noise of the reference."""
+    """The error that more samples don't remove; 0 if none can be told from noise."""
     compile_seconds: float
     """Time that the backend took to compile the kernels; 0 if they lay in the cache on disk."""
     samples: int
@@ -155,6 +158,7 @@ def measure(
     reference_spp: int | None = None,
     width: int | None = None,
     seed: int = 0,
+    name: str | None = None,
     progress: Progress | None = None,
 ) -> Ladder:
     """Render `scene` with all steps of the ladder at equal time, or at equal samples per pixel.
@@ -168,6 +172,7 @@ def measure(
             or 16 times `spp`), rounded up to 16 equal parts.
         width: Pixels, instead of the scene's; the image keeps its shape.
         seed: Changes all seeds.
+        name: Of the scene, instead of its own.
         progress: Called with (integrators done, integrators in all); the reference is one more.
 
     Raises:
@@ -177,10 +182,10 @@ def measure(
     """
     if reference not in REFERENCES:
         raise RenderError(f"unknown reference '{reference}'{near_miss(reference, REFERENCES)}")
-    for name, value in (("seconds", seconds), ("spp", spp), ("reference_spp", reference_spp)):
+    for key, value in (("seconds", seconds), ("spp", spp), ("reference_spp", reference_spp)):
         if value is not None and not value > 0:
-            raise RenderError(f"'{name}' must be greater than 0, found {value!r}")
-    name, description = described(scene)
+            raise RenderError(f"'{key}' must be greater than 0, found {value!r}")
+    own_name, description = described(scene)
     description = override(description, width=width)
     loaded = load_dict(description)
     budget = Budget(seconds, spp, most_spp(loaded))
@@ -194,7 +199,7 @@ def measure(
         except DjptError as error:
             refused.append(Refused(step, " ".join(str(error).split())))
         counted(i + 2, len(STEPS) + 1)
-    return Ladder(name, None if spp else seconds, spp, goal, tuple(measured), tuple(refused))
+    return Ladder(name or own_name, None if spp else seconds, spp, goal, tuple(measured), tuple(refused))
 
 
 # ---- one integrator ----------------------------------------------------------------------------
@@ -253,7 +258,6 @@ def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed
     several, weights = len(points) > 1, np.array([point.spp for point in points], float)
     mean = float(np.average(means, weights=weights))
     v = float(weights @ np.square(np.array(means) - mean)) / (len(points) - 1) if several else math.nan
-    floor = shared_error(before, image, goal)
     return Measured(
         step=step,
         missing=step.missing(scene),
@@ -261,7 +265,7 @@ def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed
         image=image,
         bias=mean - float(goal.image.mean()),
         bias_error=math.sqrt(v / weights.sum() + goal.mean_error**2),
-        floor=floor if several and floor > goal.noise else 0.0,
+        floor=error_floor(before, image, goal) if several else 0.0,
         compile_seconds=max(first.compile_seconds, goal.compile_seconds if step.title == goal.title else 0.0),
         samples=points[-1].spp * image.shape[0] * image.shape[1],
         notes=first.notes,
@@ -290,6 +294,25 @@ def shared_error(a: Pixels, b: Pixels, goal: Reference) -> float:
     """sqrt(<(a - r)(b - r)> - <var r>), or 0 if that isn't positive."""
     (a, r), (b, r) = pair(a, goal.image), pair(b, goal.image)
     return math.sqrt(max(float(np.mean((a - r) * (b - r))) - goal.variance, 0.0))
+
+
+def error_floor(a: Pixels, b: Pixels, goal: Reference) -> float:
+    """`shared_error` of two independent images, or 0 if it is less than three standard errors.
+
+    Errors of neighbours depend on each other: the standard error is that of the means of tiles.
+    """
+    tiles = tile_means(np.mean((a - goal.image) * (b - goal.image), axis=2))
+    mean, spread = float(tiles.mean()), float(tiles.std()) / math.sqrt(tiles.size)
+    return shared_error(a, b, goal) if mean - goal.variance > 3 * spread else 0.0
+
+
+def tile_means(values: Pixels) -> Pixels:
+    """Means of tiles of `TILE` x `TILE` pixels, as far as whole ones fit; the pixels themselves of a small image."""
+    rows, columns = (n // TILE for n in values.shape)
+    if rows * columns < 4:
+        return values
+    cut = values[: rows * TILE, : columns * TILE]
+    return cut.reshape(rows, TILE, columns, TILE).mean(axis=(1, 3))
 
 
 # ---- the reference -----------------------------------------------------------------------------

@@ -170,7 +170,7 @@ COLUMNS = (
     ("RMSE", ""),
     ("Error floor", "RMSE"),
     ("Bias", "× 10⁻³"),
-    ("± its std. error", "× 10⁻³"),
+    ("± std. error", "× 10⁻³"),
     ("Time for path's error", "s"),
 )
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from djpt.records import BSDFFlags, EmitterFlags, has_flag
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -13,6 +15,27 @@ __all__ = ["ELSEWHERE", "STEPS", "Step"]
 
 SHARED: dict[str, Any] = {"max_depth": -1, "rr_depth": 5, "hide_emitters": False, "emitter_choice": "uniform"}
 """Settings that a step takes over from the scene's integrator, if both have them, and their defaults."""
+
+
+def always(scene: Scene) -> bool:
+    """In any scene."""
+    return True
+
+
+def has_points(scene: Scene) -> bool:
+    """Are there lights that no path meets by chance?"""
+    return any(has_flag(emitter.flags(), EmitterFlags.Delta) for emitter in scene.emitters())
+
+
+def has_mirrors(scene: Scene) -> bool:
+    """Are there mirrors or smooth panes?"""
+    mirrors = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission
+    return any(has_flag(bsdf.flags(), mirrors) for bsdf in scene.bsdfs.plugins)
+
+
+def has_caustics_of_points(scene: Scene) -> bool:
+    """Both of them."""
+    return has_points(scene) and has_mirrors(scene)
 
 
 @dataclass(frozen=True)
@@ -27,6 +50,8 @@ class Step:
     """What its images never show, however many samples are taken; empty: nothing."""
     shares: tuple[str, ...]
     """Which of `SHARED` it has."""
+    matters: Callable[[Scene], bool] = always
+    """Which scenes have what it leaves out."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     deepest: int | None = None
     """The most edges that its paths have here, where they could have more; None: as many as the scene asks for."""
@@ -49,7 +74,8 @@ class Step:
         """What its images of this scene don't show; empty: nothing."""
         wanted = getattr(scene.integrator(), "max_depth", -1)
         short = f"paths of more than {self.deepest} edges" if self.depth(wanted) != wanted else ""
-        return " and ".join(text for text in (short, self.leaves_out) if text)
+        other = self.leaves_out if self.matters(scene) else ""
+        return " and ".join(text for text in (short, other) if text)
 
 
 HIDE, DEPTH, ROULETTE, CHOICE = "hide_emitters", "max_depth", "rr_depth", "emitter_choice"
@@ -91,6 +117,7 @@ STEPS: tuple[Step, ...] = (
         "Paths in uniform directions, until one meets a light.",
         "light of point, spot and directional lamps",
         (DEPTH, ROULETTE, HIDE),
+        has_points,
         {"hemisphere": "uniform"},
     ),
     Step(
@@ -99,6 +126,7 @@ STEPS: tuple[Step, ...] = (
         "Directions by the cosine: those that count more come more often.",
         "light of point, spot and directional lamps",
         (DEPTH, ROULETTE, HIDE),
+        has_points,
         {"hemisphere": "cosine"},
     ),
     Step(
@@ -107,6 +135,7 @@ STEPS: tuple[Step, ...] = (
         "Directions by the material; no roulette.",
         "light of point, spot and directional lamps",
         (DEPTH, HIDE),
+        has_points,
         deepest=64,
     ),
     Step(
@@ -115,6 +144,7 @@ STEPS: tuple[Step, ...] = (
         "Every vertex asks one light.",
         "caustics of point, spot and directional lamps",
         (DEPTH, HIDE, CHOICE),
+        has_caustics_of_points,
     ),
     Step(
         "path",
@@ -122,6 +152,7 @@ STEPS: tuple[Step, ...] = (
         "Lights and material are both sampled, and weighted against each other.",
         "caustics of point, spot and directional lamps",
         (DEPTH, ROULETTE, HIDE, CHOICE),
+        has_caustics_of_points,
     ),
     Step(
         "ptracer",
@@ -129,6 +160,7 @@ STEPS: tuple[Step, ...] = (
         "Paths begin at the lights, and each vertex is shown to the camera.",
         "what is seen in a mirror or through smooth glass",
         (DEPTH, ROULETTE, HIDE),
+        has_mirrors,
     ),
 )
 """From the simplest to the most able."""
