@@ -79,7 +79,9 @@ def render(
     if not parameters:
         return with_unfiltered(job, primal_image(job, chosen, pass_spp) if job.channel_names() else None)
     if not job.integrator.differentiable:
-        raise RenderError(f"'{type(job.integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can")
+        raise RenderError(
+            f"'{type(job.integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
+        )
     gradient_job = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None)
     machine = chosen == "machine"
     if not job.channel_names():
@@ -175,13 +177,16 @@ def warn_of_unseen_lights(scene: Scene, integrator: Integrator) -> None:
     """Tell once of lights that no path from the camera meets."""
     if integrator.starts_at_lights or not integrator.needs_light:
         return
-    names = [e.id for e in scene.emitters() if e.on_shape and has_flag(e.flags(), EmitterFlags.DeltaDirection)]
-    if names:
-        warnings.warn(
-            f"'{type(integrator).__name__}' can't show light that leaves a surface in one direction only: "
-            f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black",
-            stacklevel=4,
-        )
+    delta = [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta)]
+    beams = [e.id for e in delta if e.on_shape]
+    points = [] if integrator.samples_lights else [e.id for e in delta if not e.on_shape]
+    for names, problem in (
+        (beams, "can't show light that leaves a surface in one direction only"),
+        (points, "doesn't sample lights, and finds none that is a point or shines in one direction by chance"),
+    ):
+        if names:
+            black = f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black"
+            warnings.warn(f"'{type(integrator).__name__}' {problem}: {black}", stacklevel=4)
 
 
 def whole(value: Any) -> int | None:

@@ -38,6 +38,8 @@ class Integrator(Plugin):
     """Is every image black without an emitter? `render` then refuses."""
     shows_delta = True
     """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
+    samples_lights = True
+    """Does it ask emitters for directions? If not, `render` warns of those that no path meets, such as points."""
     stepwise = False
     """Does it advance vertex by vertex (see `PathIntegrator`), so that schedules are free in how they fill lanes?"""
     differentiable = True

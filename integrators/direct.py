@@ -42,7 +42,7 @@ class Direct(Integrator):
         if self.emitter_samples + self.bsdf_samples == 0:
             raise SceneError(f"{props.node}: 'emitter_samples' and 'bsdf_samples' can't both be 0")
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
-        self.shows_delta = self.bsdf_samples > 0
+        self.shows_delta, self.samples_lights = self.bsdf_samples > 0, self.emitter_samples > 0
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True

@@ -44,6 +44,8 @@ class PathNaive(UnidirectionalPath):
     J. Kajiya, "The Rendering Equation", SIGGRAPH 1986.
     """
 
+    samples_lights = False
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hemisphere = props.string("hemisphere", "cosine", choices=("uniform", "cosine"))

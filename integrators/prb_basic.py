@@ -33,6 +33,7 @@ class PRBBasic(UnidirectionalPath):
 
     default_max_depth = 6
     covers_sky = False
+    samples_lights = False
 
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
