@@ -32,6 +32,8 @@ class LightPath:
     ray: Ray3f
     flux: Color3f
     """Emitted radiance times cosine over the density, times the product of f abs(cos) / p so far."""
+    unit: Float
+    """1 / the largest component of the flux at the emitter: roulette goes by what is left of it."""
     eta: Float | None
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
@@ -108,6 +110,7 @@ class ParticleTracer(Integrator):
         return LightPath(
             ray=ray,
             flux=flux * inverse,
+            unit=dr.rcp(dr.max(flux * inverse)),
             eta=Float(1) if scene.refracts else None,
             depth=UInt32(1),
             body=scene.interior.at(ray.o) if scene.interior.exists else None,
@@ -145,13 +148,14 @@ class ParticleTracer(Integrator):
 
         # ------------------ Russian roulette ------------------
         begins = path.depth > self.rr_depth
-        flux, survives = roulette(sampler, flux, eta, begins)
+        left, survives = roulette(sampler, flux * path.unit, eta, begins)
+        flux = left * dr.rcp(path.unit)
 
         return LightVertex(
             position=ds.uv,
             splat=dr.select(proceed, splat, 0),
             shadow_ray=si.spawn_ray_to(ds.p),
-            path=LightPath(si.spawn_ray(d), flux, eta, path.depth + 1, body),
+            path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1, body),
             active=proceed & survives,
         )
 

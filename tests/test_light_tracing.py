@@ -148,6 +148,17 @@ def test_depths() -> None:
     assert render(max_depth=4, hide_emitters=True).max() < straight.max()
 
 
+def test_image_is_linear_in_the_light() -> None:
+    """With the same seed: no decision depends on the unit of radiance, roulette included."""
+    radiance, images_ = np.array([3.0, 2.0, 1.0]), []
+    for scale in (1.0, 2.0**-12, 2.0**12):
+        scene = box(16)
+        scene["light"]["emitter"]["radiance"]["value"] = (radiance * scale).tolist()
+        images_.append(images(scene, {"type": "ptracer", "rr_depth": 2}, 16, 1) / scale)
+    np.testing.assert_allclose(images_[1], images_[0], rtol=1e-5)
+    np.testing.assert_allclose(images_[2], images_[0], rtol=1e-5)
+
+
 def test_collimated_light_is_shown() -> None:
     """A beam of radiosity B onto a white floor that faces it: B / pi."""
     beam = {
@@ -215,10 +226,16 @@ def test_a_lamp_in_coloured_glass() -> None:
 
 def test_what_is_refused() -> None:
     light = djpt.load_dict({"type": "ptracer"})
-    scene = floor_scene()
-    scene["sensor"] = {"type": "radiancemeter", "origin": [0, 2, 4], "direction": [0, -1, -1]}
-    with pytest.raises(RenderError, match="perspective"):
-        djpt.render(djpt.load_dict(scene), integrator=light, spp=1)
+    meters = (
+        {"type": "radiancemeter", "origin": [0, 2, 4], "direction": [0, -1, -1]},
+        {"type": "distant", "direction": [0, -1, -1]},
+        {"type": "batch", "one": {"type": "perspective"}},
+    )
+    for sensor in meters:
+        scene = floor_scene()
+        scene["sensor"] = sensor
+        with pytest.raises(RenderError, match=r"can't trace light to the sensor.*perspective"):
+            djpt.render(djpt.load_dict(scene), integrator=light, spp=1)
     loaded = djpt.load_dict(floor_scene(size=8))
     dr.enable_grad(djpt.traverse(loaded)["lamp.emitter.radiance.value"])
     with pytest.raises(RenderError, match="differentiated"):
