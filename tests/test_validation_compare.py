@@ -12,6 +12,7 @@ from PIL import Image as Picture
 
 import djpt
 from djpt.description.overrides import override
+from djpt.description.registry import registered
 from djpt.errors import FileError, SceneError
 from djpt.validation import ComparisonError, assert_matches, compare, compare_renderers, to_mitsuba
 from djpt.validation.bridge import mitsuba_renderer, render_in_mitsuba
@@ -279,6 +280,16 @@ def test_overrides_leave_the_original_alone() -> None:
     assert override(scene, height=10)["sensor"]["film"]["width"] == 20
     assert override(scene, integrator={"type": "direct"})["integrator"] == {"type": "direct"}
     assert override(scene, integrator="direct")["integrator"] == {"type": "direct"}
+
+
+@pytest.mark.parametrize("name", sorted(registered("integrator").keys() - {"aov", "moment"}))
+def test_any_integrator_takes_the_place_of_any_other(name: str) -> None:
+    scene = override(djpt.cornell_box(), integrator={"type": "path", "max_depth": -1, "rr_depth": 3})
+    scene = override(scene, integrator=name)
+    djpt.load_dict(scene)
+    back = override(scene, integrator="path")
+    assert [node["type"] for node in back.values() if isinstance(node, dict)].count("path") == 1
+    djpt.load_dict(back)
 
 
 def test_overrides_without_a_film() -> None:

@@ -26,8 +26,19 @@ METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
 
 INTEGRATORS = frozenset(
     {"path", "direct", "depth", "aov", "moment", "ptracer", "stokes", "volpath", "volpathmis"}
-    | {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective", "volprim_rf_basic"},
+    | {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective", "volprim_rf_basic"}
+    | {"raycast", "whitted", "distributed", "path_naive", "path_nee"},
 )
+
+KEPT: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("depth", "aov", "moment"), ()),
+    # The depth of a tree of rays is no depth of paths.
+    **dict.fromkeys(("direct", "raycast", "whitted", "distributed"), ("hide_emitters",)),
+    **dict.fromkeys(("path_nee", "prb_basic"), ("max_depth", "hide_emitters")),
+}
+"""Settings of the scene's integrator that another one takes over, if it doesn't take all of `COMMON`."""
+
+COMMON = ("max_depth", "rr_depth", "hide_emitters")
 
 
 def described(
@@ -139,9 +150,5 @@ def _set_integrator(scene: dict[str, Any], integrator: str | Mapping[str, Any]) 
     if not isinstance(integrator, str):
         scene[key] = dict(integrator)
         return
-    kept = {name: old[name] for name in ("max_depth", "rr_depth", "hide_emitters") if name in old}
-    if integrator in ("depth", "aov"):
-        kept = {}
-    elif integrator == "direct":
-        kept = {name: value for name, value in kept.items() if name == "hide_emitters"}
+    kept = {name: old[name] for name in KEPT.get(integrator, COMMON) if name in old}
     scene[key] = {"type": integrator, **kept}
