@@ -15,6 +15,8 @@ from unittest.mock import patch
 import numpy as np
 
 from djpt import ScalarTransform4f as T
+from djpt.ladder.strips import samples
+from djpt.ladder.strips import strip as side_by_side
 from djpt.scenes.gallery import GLASS, MATERIALS, Panel, sheet
 
 DOCS = Path(__file__).parent
@@ -351,11 +353,16 @@ def bounces() -> None:
     djpt.write(IMAGES / "bounces.png", np.concatenate([np.concatenate(row, axis=1) for row in framed]))
 
 
+def spp() -> None:
+    """What `djpt spp cornell_box` makes: noise by the number of samples."""
+    djpt.write(IMAGES / "spp.png", side_by_side(samples("cornell_box", width=160)))
+
+
 FIGURES: dict[str, Callable[[], None]] = {
     f.__name__: f
     for f in (
         *(cornell_box, spheres, albedo, shapes, materials, glass, textures, lights, cameras, samplers, tonemapping),
-        *(ladder, bounces),
+        *(ladder, bounces, spp),
     )
 }
 

@@ -171,6 +171,8 @@ def spread(heights: Sequence[float]) -> list[float]:
 
 def plain(value: float) -> str:
     """A number as people write it: 0.02, 5, 1 k, 20 M; powers of ten where that gets too long."""
+    if not value > 0:
+        return "0"
     if 0.99e-3 < value < 1e3:
         return f"{value:.3g}"
     for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):

@@ -41,8 +41,8 @@ REFERENCES = ("own", "mitsuba")
 BATCHES = 16
 """Independent images that the reference is the mean of."""
 
-TILE = 4
-"""Pixels: wider than the usual filters."""
+NEIGHBOURS = 4
+"""Pixels that usual filters make depend on each other."""
 
 REFERENCE_SHARE = 0.5
 """Time of one batch of the reference, as a share of that of an integrator."""
@@ -265,7 +265,7 @@ def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed
         image=image,
         bias=mean - float(goal.image.mean()),
         bias_error=math.sqrt(v / weights.sum() + goal.mean_error**2),
-        floor=error_floor(before, image, goal) if several else 0.0,
+        floor=error_floor(before, image, (points[-2].spp, points[-1].spp), goal) if several else 0.0,
         compile_seconds=max(first.compile_seconds, goal.compile_seconds if step.title == goal.title else 0.0),
         samples=points[-1].spp * image.shape[0] * image.shape[1],
         notes=first.notes,
@@ -296,23 +296,17 @@ def shared_error(a: Pixels, b: Pixels, goal: Reference) -> float:
     return math.sqrt(max(float(np.mean((a - r) * (b - r))) - goal.variance, 0.0))
 
 
-def error_floor(a: Pixels, b: Pixels, goal: Reference) -> float:
-    """`shared_error` of two independent images, or 0 if it is less than three standard errors.
+def error_floor(a: Pixels, b: Pixels, spp: tuple[int, int], goal: Reference) -> float:
+    """`shared_error` of two independent images of `spp` samples per pixel, or 0 if noise alone could be the cause.
 
-    Errors of neighbours depend on each other: the standard error is that of the means of tiles.
+    Without a floor the products of their errors have the variance v_a v_b, where v_a + v_b is that of a - b, and
+    v_a / v_b = n_b / n_a. Of normal deviates with variance v the fourth moment is 3 v^2.
     """
-    tiles = tile_means(np.mean((a - goal.image) * (b - goal.image), axis=2))
-    mean, spread = float(tiles.mean()), float(tiles.std()) / math.sqrt(tiles.size)
-    return shared_error(a, b, goal) if mean - goal.variance > 3 * spread else 0.0
-
-
-def tile_means(values: Pixels) -> Pixels:
-    """Means of tiles of `TILE` x `TILE` pixels, as far as whole ones fit; the pixels themselves of a small image."""
-    rows, columns = (n // TILE for n in values.shape)
-    if rows * columns < 4:
-        return values
-    cut = values[: rows * TILE, : columns * TILE]
-    return cut.reshape(rows, TILE, columns, TILE).mean(axis=(1, 3))
+    fourth = np.square(np.mean(np.square(a - b), axis=2))
+    product = fourth.sum() / 3 * spp[0] * spp[1] / (spp[0] + spp[1]) ** 2
+    deviation = math.sqrt(product * NEIGHBOURS) / fourth.size
+    floor = shared_error(a, b, goal)
+    return floor if floor**2 > 4 * deviation else 0.0
 
 
 # ---- the reference -----------------------------------------------------------------------------

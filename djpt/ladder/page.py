@@ -203,7 +203,7 @@ def row(found: Measured, number: int, path_rmse: float) -> str:
         (decimals(found.floor) if found.at_floor else "–", found.at_floor),
         (f"{1000 * found.bias:+.2f}".replace("-", "−"), biased),
         ("–" if math.isnan(found.bias_error) else f"{1000 * found.bias_error:.2f}", False),
-        ("never" if math.isinf(to_path) else "–" if math.isnan(to_path) else f"{to_path:.3g}", math.isinf(to_path)),
+        ("never" if math.isinf(to_path) else "–" if math.isnan(to_path) else plain(to_path), math.isinf(to_path)),
     ]
     shown = "".join(f"<td{' class=marked' if marked else ''}>{text}</td>" for text, marked in cells)
     return f'<tr><td><span class="dot color{number}"></span>{escape(found.step.title)}</td>{shown}</tr>'

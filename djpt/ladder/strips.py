@@ -167,7 +167,7 @@ def write_line(
     """Text in the middle of a panel; ``^`` raises the digits that follow."""
     pieces = [piece for piece in re.split(r"(\^\d+)", line) if piece]
     font = fitting_font(line.replace("^", ""), height, width)
-    raised = fitting_font("0", max(5, round(0.7 * font.size) if hasattr(font, "size") else height), width)
+    raised = fitting_font("0", max(6, round(0.7 * height)), width)
     fonts = [raised if piece.startswith("^") else font for piece in pieces]
     words = [piece.removeprefix("^") for piece in pieces]
     x = corner[0] + (width - sum(f.getlength(word) for f, word in zip(fonts, words, strict=True))) / 2
