@@ -162,7 +162,7 @@ def test_the_noise_of_the_reference_is_taken_out() -> None:
     def noisy(deviation: float) -> Any:
         return truth + deviation * random.standard_normal(shape)
 
-    goal = Reference("path", noisy(0.05), 0.05**2, 0.0, 1, 1.0, 0.0, ())
+    goal = Reference("path", "", noisy(0.05), 0.05**2, 0.0, 1, 1.0, 0.0, ())
     a, b = noisy(0.1), noisy(0.2)
     assert shared_error(a, a, goal) == pytest.approx(0.1, rel=0.05)
     assert error_floor(a, b, (4, 1), goal) == 0
@@ -225,6 +225,12 @@ def test_every_integrator_is_in_pictures_curves_and_numbers(text: str) -> None:
         assert body.count("<circle") == 5  # 1, 2, 4, 8, 16 spp
     numbers = re.findall(r"<tr>(<td>.*?)</tr>", text)
     assert {row.count("<td") for row in numbers} == {text.count('<th scope="col"')}
+
+
+def test_what_the_reference_leaves_out_is_said(ladder: Ladder, text: str) -> None:
+    assert ladder.reference.missing == ""
+    lacking = html(replace(ladder, reference=replace(ladder.reference, missing="caustics")))
+    assert lacking.count("Leaves out caustics.") == text.count("Leaves out caustics.") + 1
 
 
 def test_names_are_escaped(ladder: Ladder) -> None:

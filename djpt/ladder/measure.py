@@ -115,6 +115,8 @@ class Reference:
     """The image that all others are compared with."""
 
     title: str
+    missing: str
+    """What it can't show of this scene: images that do seem to have an error."""
     image: Pixels
     variance: float
     """Of `image`, mean over pixels and channels."""
@@ -352,6 +354,7 @@ def reference_image(
         seconds += batch.seconds
     return Reference(
         title="path" if kind == "own" else "path, Mitsuba",
+        missing=step.missing(scene),
         image=batches.mean,
         variance=float(batches.variance_of_mean().mean()),
         mean_error=float(np.std(means, ddof=1) / math.sqrt(BATCHES)),

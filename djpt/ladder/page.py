@@ -81,23 +81,29 @@ def pictures(ladder: Ladder) -> str:
         "<figure>"
         f'<img id="reference" src="{address(shown(reference.image))}" alt="{name}, the reference">'
         f'<figcaption><strong>reference</strong><span class="numbers">{plain(reference.spp)} spp</span>'
-        f"<span>{escape(reference.title)}, other seeds.</span>{remarks(reference.notes)}</figcaption></figure>"
+        f"<span>{escape(reference.title)}, other seeds.</span>{leaves_out(reference.missing)}"
+        f"{remarks(reference.notes)}</figcaption></figure>"
     ]
     for i, found in enumerate(ladder.measured):
         title = escape(found.step.title)
         alt = f"{name} by {title}, {found.last.spp} samples per pixel"
         picture = f'<img src="{address(shown(found.image))}" alt="{alt}" data-step="{i}" data-title="{title}">'
-        missing = f'<span class="missing">Leaves out {escape(found.missing)}.</span>' if found.missing else ""
         numbers = f"{plain(found.last.spp)} spp, RMSE {decimals(found.last.rmse)}"
         cards.append(
             f'<figure><button aria-label="Compare {title} with the reference">{picture}</button>'
             f'<figcaption><strong>{title}</strong><span class="numbers">{numbers}</span>'
-            f"<span>{escape(found.step.idea)}</span>{missing}{remarks(found.notes)}</figcaption></figure>"
+            f"<span>{escape(found.step.idea)}</span>{leaves_out(found.missing)}"
+            f"{remarks(found.notes)}</figcaption></figure>"
         )
     return (
         '<section id="pictures">\n<h2>Pictures</h2>\n<p class="note">Select one to compare it with the reference.</p>\n'
         '<div class="cards pictures">\n' + "\n".join(cards) + "\n</div>\n</section>"
     )
+
+
+def leaves_out(missing: str) -> str:
+    """What an image doesn't show."""
+    return f'<span class="missing">Leaves out {escape(missing)}.</span>' if missing else ""
 
 
 def remarks(notes: tuple[str, ...]) -> str:
