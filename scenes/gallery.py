@@ -377,7 +377,7 @@ def fitting_font(line: str, height: int, width: int) -> ImageFont | FreeTypeFont
     """Pillow's own font, as high as `height` pixels if the line fits into `width`, otherwise smaller."""
     from PIL import ImageFont as fonts
 
-    for points in range(height, 5, -1):
+    for points in range(max(height, 6), 5, -1):
         font = fonts.load_default(points)
         if font.getlength(line) <= width:
             break
