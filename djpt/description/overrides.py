@@ -150,5 +150,7 @@ def _set_integrator(scene: dict[str, Any], integrator: str | Mapping[str, Any]) 
     if not isinstance(integrator, str):
         scene[key] = dict(integrator)
         return
-    kept = {name: old[name] for name in KEPT.get(integrator, COMMON) if name in old}
+    # Of somebody's own integrator nothing else is known.
+    takes = KEPT.get(integrator, COMMON if integrator in INTEGRATORS else ("hide_emitters",))
+    kept = {name: old[name] for name in takes if name in old}
     scene[key] = {"type": integrator, **kept}
