@@ -6,36 +6,24 @@ them move samples: both then have the same mean.
 
 from __future__ import annotations
 
-from typing import Any
-
-import drjit as dr
 import numpy as np
 import pytest
 from emitters import NAMES, entry, plugin_of
 from lit_floor import floor_scene
+from slopes import Slopes, numbers
 
-import djpt
 from djpt import ParamFlags
-
-SIZE, SPP, STEP = 16, 64, 0.02
-SEEDS, MORE_SEEDS = 4, 28
-
 
 JUMPS = {"spot-checkerboard": {"light.cutoff_angle"}}
 """The squares of a checkerboard grow with the cone, and derivatives don't see edges that move."""
 
 
-class Slopes:
-    """The derivative of an image's mean in one direction of one parameter, by AD and by differences."""
-
-    # What only turns the hue would cancel in a plain mean.
-    weights = djpt.Float([1.5, 1.0, 0.5] * SIZE**2)
+class EmitterSlopes(Slopes):
+    """By the parameters of a light over the floor."""
 
     def __init__(self, name: str, schedule: str = "auto") -> None:
-        self.schedule = schedule
         integrator = {"type": "prb", "max_depth": 4, "rr_depth": 1000}
-        self.scene = djpt.load_dict(floor_scene({"light": entry(name)}, size=SIZE, integrator=integrator))
-        self.params = djpt.traverse(self.scene)
+        super().__init__(floor_scene({"light": entry(name)}, size=self.size, integrator=integrator), schedule)
         self.keys = [
             key
             for key in self.params
@@ -45,7 +33,6 @@ class Slopes:
             and key not in JUMPS.get(name, ())
         ]
         rng = np.random.default_rng(3)
-        self.at, self.along = {}, {}
         for key in self.keys:
             value = numbers(self.params[key])
             # Off the ends of all ranges; angles in degrees have as much effect as other numbers by larger steps.
@@ -54,67 +41,13 @@ class Slopes:
             self.along[key] = rng.uniform(0.5, 1, value.shape) * (10 if degrees else 1)
         self.put(self.at)
 
-    def put(self, values: dict[str, Any]) -> None:
-        for key, value in values.items():
-            shape, kind = np.shape(value), type(self.params[key])
-            flat = np.asarray(value, np.float32)
-            self.params[key] = kind(flat) if len(shape) > 1 else kind(*np.atleast_1d(flat).tolist())
-        self.params.update()
-
-    def loss(self, seed: int) -> Any:
-        image = djpt.render(self.scene, self.params, spp=SPP, seed=seed, seed_grad=seed, schedule=self.schedule)
-        return dr.mean(image.array * self.weights)
-
-    def attached(self, seed: int) -> dict[str, float]:
-        """All directions at once."""
-        self.put(self.at)
-        for key in self.keys:
-            dr.enable_grad(self.params[key])
-        self.params.update()
-        dr.backward(self.loss(seed))
-        slopes = {key: float((numbers(dr.grad(self.params[key])) * self.along[key]).sum()) for key in self.keys}
-        for key in self.keys:
-            dr.disable_grad(self.params[key])
-        self.params.update()
-        return slopes
-
-    def difference(self, key: str, seed: int) -> float:
-        ends = []
-        for sign in (1, -1):
-            self.put({key: self.at[key] + sign * STEP * self.along[key]})
-            ends.append(float(self.loss(seed)[0]))
-        self.put({key: self.at[key]})
-        return (ends[0] - ends[1]) / (2 * STEP)
-
-    def check(self, key: str, exact: dict[int, dict[str, float]], factor: float = 1.0) -> tuple[bool, str]:
-        """Are both within 1 % or 3 standard deviations? `factor` makes the derivative wrong."""
-        errors: list[float] = []
-        slopes: list[float] = []
-        for count in (SEEDS, MORE_SEEDS):
-            for seed in range(1 + len(errors), 1 + count):
-                if seed not in exact:
-                    exact[seed] = self.attached(seed)
-                slopes.append(factor * exact[seed][key])
-                errors.append(slopes[-1] - self.difference(key, seed))
-            error, sigma = np.mean(errors), np.std(errors, ddof=1) / np.sqrt(len(errors))
-            text = f"{key}: {np.mean(slopes):.6f}, off by {error:.6f} +- {sigma:.6f}"
-            if abs(error) <= max(0.01 * abs(np.mean(slopes)), 3 * sigma):
-                return True, text
-        return False, text
-
-
-def numbers(value: Any) -> np.ndarray:
-    """A parameter as NumPy numbers: (), (3,) or a tensor's shape."""
-    array = np.array(dr.detach(value), np.float64)
-    return array if dr.is_tensor_v(value) else array.ravel() if dr.depth_v(value) > 1 else array.reshape(())
-
 
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
 
 
 @pytest.mark.parametrize("name", SEEN)
 def test_every_parameter(name: str) -> None:
-    slopes, exact = Slopes(name), {}
+    slopes, exact = EmitterSlopes(name), {}
     assert slopes.keys
     verdicts = [slopes.check(key, exact) for key in slopes.keys]
     print(name, *(text for _, text in verdicts), sep="\n  ")
@@ -125,7 +58,7 @@ def test_every_parameter(name: str) -> None:
 @pytest.mark.parametrize("name", ["directional-turned", "projector-bitmap", "spot-turned", "spot-bitmap"])
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""
-    flat, wave = (Slopes(name, schedule).attached(1) for schedule in ("flat", "wave"))
+    flat, wave = (EmitterSlopes(name, schedule).attached(1) for schedule in ("flat", "wave"))
     largest = max(map(abs, flat.values()))
     for key, slope in flat.items():
         assert wave[key] == pytest.approx(slope, rel=1e-3, abs=1e-4 * largest), key
@@ -144,9 +77,9 @@ def test_schedules_agree(name: str) -> None:
 )
 def test_wrong_derivatives_fail(name: str, key: str) -> None:
     """The test's power."""
-    assert not Slopes(name).check(key, {}, 1.05)[0]
+    assert not EmitterSlopes(name).check(key, {}, 1.05)[0]
 
 
 def test_a_hidden_light_has_no_gradient() -> None:
     with pytest.warns(UserWarning, match="can't show light"):
-        assert Slopes("directionalarea-rectangle").attached(1) == {"light.emitter.radiance.value": 0.0}
+        assert EmitterSlopes("directionalarea-rectangle").attached(1) == {"light.emitter.radiance.value": 0.0}
