@@ -18,9 +18,9 @@ from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
 from djpt.schedules.light import splat_image
-from djpt.schedules.passes import Schedule, primal_image
+from djpt.schedules.passes import Schedule, picture, primal_image
 from djpt.tracing import begin_trace
-from djpt.types import Float, TensorXf, UInt32
+from djpt.types import TensorXf
 
 __all__ = ["channel_names", "render"]
 
@@ -98,12 +98,8 @@ def with_unfiltered(job: Job, image: TensorXf | None) -> TensorXf:
     with dr.suspend_grad():
         width, height = job.film.crop_size
         values = job.integrator.unfiltered_channels(job.scene, job.centre_rays())
-        flat = dr.empty(Float, width * height * len(values))
         dr.eval(values)
-        pixel = dr.arange(UInt32, width * height) * dr.opaque(UInt32, len(values))
-        for i, value in enumerate(values):
-            dr.scatter(flat, value, pixel + i)
-        centres = TensorXf(flat, shape=(height, width, len(values)))
+        centres = picture(values, width, height)
     return centres if image is None else dr.concat([image, centres], axis=2)
 
 

@@ -14,7 +14,7 @@ from djpt.lookup import as_vector
 from djpt.minmax import maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
-__all__ = ["Hierarchical2D", "place_in_cell"]
+__all__ = ["Hierarchical2D", "entry", "lerp", "place_in_cell"]
 
 HIDDEN = ParamFlags.NonDifferentiable
 LEAST = 2.0**-33
@@ -187,7 +187,7 @@ def linear(a: Float, b: Float, sample: Float) -> Float:
     return minimum(sample * (a + b) * dr.rcp(maximum(a + root, Float(TINY))), Float(1))
 
 
-def lerp(a: Float, b: Float, t: Float) -> Float:
+def lerp(a: Any, b: Any, t: Float) -> Any:
     """From `a` to `b`."""
     return dr.fma(b - a, t, a)
 

@@ -14,7 +14,7 @@ from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.distributions import Hierarchical2D
-from djpt.distributions.hierarchical_2d import place_in_cell
+from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
@@ -26,7 +26,7 @@ from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteract
 from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
-from djpt.types import Array4f, Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["EnvironmentMap"]
@@ -286,19 +286,9 @@ def sine(d: Vector3f) -> Float:
     return dr.sqrt(maximum(dr.fma(d.x, d.x, dr.square(d.z)), Float(LEAST_SINE**2)))
 
 
-def lerp(a: Any, b: Any, t: Float) -> Any:
-    """From `a` to `b`."""
-    return dr.fma(b - a, t, a)
-
-
 def is_attached(table: Any) -> bool:
     """Would what is read from a table be attached to AD leaves? A tensor stands outside of kernels."""
     return dr.grad_enabled(table) if dr.is_tensor_v(table) else table.attached
-
-
-def entry(table: Any, index: UInt32) -> Any:
-    """Four numbers of a table; outside of kernels there are only tensors."""
-    return dr.gather(Array4f, table.array, index) if dr.is_tensor_v(table) else table.at(index)
 
 
 # ---- texels --------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from djpt.integrators.ptracer import LightPath, ParticleTracer
 from djpt.lanewide import wide
 from djpt.lookup import as_float
 from djpt.schedules.job import Job
-from djpt.schedules.passes import ranges, report
+from djpt.schedules.passes import picture, ranges, report
 from djpt.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, TensorXf, UInt32
 
 __all__ = ["splat_image"]
@@ -93,17 +93,10 @@ def splat_image(job: Job) -> TensorXf:
     for begin, end in ranges(job.spp, per_pass):
         trace(job, splats, begin * width * height, end * width * height)
         report(job, end * width * height)
-    channels = splats.sums()
-    dr.eval(channels)
-    sums = job.channels(Color3f(*channels), Bool(False), [])
-    dr.eval(sums)
     inverse = dr.rcp(dr.opaque(Float, job.spp))
-    index = dr.arange(UInt32, width * height * len(sums))
-    pixel = index // len(sums)
-    value = Float(0)
-    for c, channel in enumerate(sums):
-        value = dr.select(index - pixel * len(sums) == c, dr.gather(Float, channel, pixel), value)
-    return TensorXf(value * inverse, shape=(height, width, len(sums)))
+    channels = [channel * inverse for channel in job.channels(Color3f(*splats.sums()), Bool(False), [])]
+    dr.eval(channels)
+    return picture(channels, width, height)
 
 
 def brightness(job: Job) -> float:

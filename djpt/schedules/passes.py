@@ -22,6 +22,7 @@ __all__ = [
     "develop",
     "filtered_sums",
     "image_of_samples",
+    "picture",
     "primal_image",
     "ranges",
     "register_spp",
@@ -170,6 +171,15 @@ def report(job: Job, done: int) -> None:
     if job.progress is not None:
         dr.sync_thread()
         job.progress(done, job.samples)
+
+
+def picture(channels: list[Float], width: int, height: int) -> TensorXf:
+    """Finished channels, one array each, as an image. They must be evaluated."""
+    flat, count = dr.empty(Float, width * height * len(channels)), dr.opaque(UInt32, len(channels))
+    first = dr.arange(UInt32, width * height) * count
+    for i, channel in enumerate(channels):
+        dr.scatter(flat, channel, first + i)
+    return TensorXf(flat, shape=(height, width, len(channels)))
 
 
 def develop(job: Job, sums: list[Float], weight: Float) -> TensorXf:
