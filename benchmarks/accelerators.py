@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.frame import Frame3f
-from djpt.geometry.accelerator import Accelerator
-from djpt.geometry.brute_force import BruteForce
-from djpt.geometry.bvh.accelerator import Bvh
-from djpt.geometry.grid import UniformGrid
-from djpt.geometry.kdtree import KdTree
+from djpt.geometry.accelerators.base import Accelerator
+from djpt.geometry.accelerators.brute_force import BruteForce
+from djpt.geometry.accelerators.bvh import Bvh
+from djpt.geometry.accelerators.grid import UniformGrid
+from djpt.geometry.accelerators.kdtree import KdTree
 from djpt.records import Ray3f
 from djpt.types import PCG32, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere

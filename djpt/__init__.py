@@ -56,10 +56,11 @@ if TYPE_CHECKING:
     from djpt.errors import SceneError as SceneError
     from djpt.frame import Frame3f as Frame3f
     from djpt.geometry.bounding_box import BoundingBox3f as BoundingBox3f
-    from djpt.image import Image as Image
-    from djpt.image import read as read
-    from djpt.image import read_metadata as read_metadata
-    from djpt.image import write as write
+    from djpt.images.image import Image as Image
+    from djpt.images.image import read as read
+    from djpt.images.image import read_metadata as read_metadata
+    from djpt.images.image import write as write
+    from djpt.images.tone_mapping import tonemap as tonemap
     from djpt.integrators import Integrator as Integrator
     from djpt.integrators.moment import variance as variance
     from djpt.materials import BSDF as BSDF
@@ -86,7 +87,6 @@ if TYPE_CHECKING:
     from djpt.scene import Scene as Scene
     from djpt.scenes import cornell_box as cornell_box
     from djpt.shapes import Mesh as Mesh
-    from djpt.tone_mapping import tonemap as tonemap
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms import Transform4f as Transform4f
     from djpt.types import PCG32 as PCG32
@@ -129,7 +129,7 @@ _EXPORTS = {
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f",
     "djpt.geometry.bounding_box": "BoundingBox3f",
-    "djpt.image": "Image read read_metadata write",
+    "djpt.images.image": "Image read read_metadata write",
     "djpt.integrators": "Integrator",
     "djpt.integrators.moment": "variance",
     "djpt.materials": "BSDF",
@@ -143,7 +143,7 @@ _EXPORTS = {
     "djpt.scene": "Scene",
     "djpt.scenes": "cornell_box",
     "djpt.shapes": "Mesh",
-    "djpt.tone_mapping": "tonemap",
+    "djpt.images.tone_mapping": "tonemap",
     "djpt.transforms": "ScalarTransform4f Transform4f",
     "djpt.types": (
         "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "

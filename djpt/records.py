@@ -18,7 +18,7 @@ from djpt.frame import Frame3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.pointers import BSDFPtr, EmitterPtr
+    from djpt.dispatch.pointers import BSDFPtr, EmitterPtr
     from djpt.scene import Scene
 
 __all__ = [

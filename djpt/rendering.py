@@ -10,11 +10,11 @@ from typing import Any
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.differentiation import differentiable_image, gradient_seed
 from djpt.errors import RenderError, near_miss
+from djpt.gradients.derivatives import differentiable_image, gradient_seed
+from djpt.gradients.leaves import attached_parameters
 from djpt.integrators import Integrator, ParticleTracer, Path
 from djpt.records import BSDFFlags, EmitterFlags, has_flag
-from djpt.replay import attached_parameters
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
 from djpt.schedules.light import splat_image

@@ -11,19 +11,19 @@ import numpy as np
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch import Detached, Ensemble, Lookup
+from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
+from djpt.dispatch.lookup import Members
+from djpt.dispatch.pointers import BSDFPtr, EmitterPtr
 from djpt.emitters import Emitter
+from djpt.emitters.choice import EmitterChoice, make_choice
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.geometry.contents import unseen
 from djpt.geometry.parity import is_inside
-from djpt.interior import Interior
-from djpt.light_choice import EmitterChoice, make_choice
-from djpt.lookup import Members
 from djpt.materials import BSDF
+from djpt.media.interior import Interior
 from djpt.nesting import black, collect, default_bsdf
-from djpt.pointers import BSDFPtr, EmitterPtr
 from djpt.records import (
     RAY_EPSILON,
     BSDFFlags,
@@ -175,7 +175,7 @@ class Scene(Plugin):
         return view
 
     def choosing_emitters(self, choice: str) -> Scene:
-        """A view of this scene whose emitters are chosen in another way: see `djpt.light_choice`."""
+        """A view of this scene whose emitters are chosen in another way: see `djpt.emitters.choice`."""
         if choice == self._choice_name:
             return self
         view = copy.copy(self)

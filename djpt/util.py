@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from djpt.image import Image, write
+from djpt.images.image import Image, write
 
 __all__ = ["convert_to_bitmap", "write_bitmap"]
 

@@ -15,9 +15,9 @@ from unittest.mock import patch
 import numpy as np
 
 from djpt import ScalarTransform4f as T
-from djpt.ladder.strips import samples
-from djpt.ladder.strips import strip as side_by_side
 from djpt.scenes.gallery import GLASS, MATERIALS, Panel, sheet
+from djpt.validation.ladder.strips import samples
+from djpt.validation.ladder.strips import strip as side_by_side
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"

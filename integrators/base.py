@@ -47,7 +47,7 @@ class Integrator(Plugin):
     starts_at_lights = False
     """Are rays traced from emitters? Those that shine in one direction only are seen in no other way."""
     emitter_choice = "uniform"
-    """How light sampling chooses emitters: see `djpt.light_choice`."""
+    """How light sampling chooses emitters: see `djpt.emitters.choice`."""
     writes_color = True
     """False if the image consists of AOVs alone."""
     measures_distance = False
@@ -98,7 +98,7 @@ class PathState:
     covered: Bool | None = None
     """Has a vertex been met that isn't a mere opening (a null interface)? None in scenes without such."""
     body: UInt32 | None = None
-    """The absorbing body that the ray runs through: see `djpt.interior`; None in scenes without any."""
+    """The absorbing body that the ray runs through: see `djpt.media.interior`; None in scenes without any."""
 
 
 @dataclass

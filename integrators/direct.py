@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.emitters.choice import CHOICES
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator, mis_weight
-from djpt.light_choice import CHOICES
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float

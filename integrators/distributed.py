@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import Integrator, mis_weight
 from djpt.integrators.ray_stack import Branch, RayStack
 from djpt.lanewide import wide
-from djpt.light_choice import CHOICES
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, UInt32

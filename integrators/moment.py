@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
-from djpt.colorimetry import XYZ_TO_RGB
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
+from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.integrators.nesting import NestingIntegrator
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import PathState, Vertex
 from djpt.integrators.unidirectional import UnidirectionalPath
-from djpt.light_choice import CHOICES
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Float

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.dispatch.pointers import EmitterPtr
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.path import Path
 from djpt.integrators.unidirectional import UNBOUNDED, roulette
 from djpt.minmax import maximum
-from djpt.pointers import EmitterPtr
 from djpt.records import RAY_EPSILON, BSDFContext, Ray3f, SurfaceInteraction3f, TransportMode
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
@@ -39,7 +39,7 @@ class LightPath:
     depth: UInt32
     """Edges so far."""
     body: UInt32 | None
-    """The absorbing body that the ray runs through: see `djpt.interior`; None in scenes without any."""
+    """The absorbing body that the ray runs through: see `djpt.media.interior`; None in scenes without any."""
 
 
 @dataclass

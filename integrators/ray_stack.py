@@ -29,7 +29,7 @@ class Branch:
     depth: UInt32
     """Surfaces before it."""
     body: UInt32
-    """The absorbing body that it runs through: see `djpt.interior`."""
+    """The absorbing body that it runs through: see `djpt.media.interior`."""
 
 
 class RayStack:

@@ -20,7 +20,7 @@ __all__ = ["BSDF"]
 class BSDF(Plugin):
     """How a surface scatters light: f(wi, wo) and a way to sample it.
 
-    All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch`).
+    All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch.ensemble`).
 
     * `si.wi` and `wo` point away from the surface, in the shading frame (normal +z).
     * `eval` gives f(wi, wo) abs(cos theta_o): the cosine is included. Zero means black.

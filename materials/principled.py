@@ -12,8 +12,8 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.dispatch.lookup import as_float
 from djpt.errors import ParameterError
-from djpt.lookup import as_float
 from djpt.materials.fresnel import fresnel, reflect, refract, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.materials.principled_lobes import (

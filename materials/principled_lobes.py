@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.color import LUMINANCE
 from djpt.description.properties import Properties
+from djpt.images.color import LUMINANCE
 from djpt.materials.base import BSDF
 from djpt.minmax import maximum, minimum
 from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f

@@ -12,7 +12,7 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.lookup import as_float
+from djpt.dispatch.lookup import as_float
 from djpt.materials.fresnel import fresnel, reflect, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.materials.principled_lobes import (

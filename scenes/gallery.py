@@ -361,7 +361,7 @@ def render_panel(
 ) -> NDArray[np.uint8]:
     """One picture as bytes of sRGB."""
     from djpt.description.loader import load_dict
-    from djpt.image import Image
+    from djpt.images.image import Image
     from djpt.rendering import render
 
     each = size * size * spp

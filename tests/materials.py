@@ -12,7 +12,7 @@ import pytest
 import djpt
 from djpt.description import registry
 from djpt.description.plugin import Plugin
-from djpt.dispatch import Attached, Group
+from djpt.dispatch.ensemble import Attached, Group
 from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T

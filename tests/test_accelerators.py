@@ -13,11 +13,11 @@ from machines import ROOT, run_python
 from numpy.typing import NDArray
 from soups import SOUPS, sphere
 
-from djpt.geometry.accelerator import Accelerator, Approach
-from djpt.geometry.brute_force import BruteForce, closest_in_double
-from djpt.geometry.bvh.accelerator import Bvh
-from djpt.geometry.grid import UniformGrid
-from djpt.geometry.kdtree import KdTree
+from djpt.geometry.accelerators.base import Accelerator, Approach
+from djpt.geometry.accelerators.brute_force import BruteForce, closest_in_double
+from djpt.geometry.accelerators.bvh import Bvh
+from djpt.geometry.accelerators.grid import UniformGrid
+from djpt.geometry.accelerators.kdtree import KdTree
 from djpt.records import Ray3f
 from djpt.types import Float, Point3f, UInt32, Vector3f
 

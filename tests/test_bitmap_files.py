@@ -11,7 +11,7 @@ from PIL import Image as Pictures
 
 import djpt
 from djpt.errors import SceneError
-from djpt.image_formats import from_srgb8
+from djpt.images.formats import from_srgb8
 from djpt.types import TensorXf
 
 

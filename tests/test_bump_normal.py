@@ -10,7 +10,7 @@ import pytest
 from renders import ours, theirs
 
 import djpt
-from djpt.dispatch import Detached, Ensemble
+from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import SceneError
 from djpt.frame import Frame3f
 from djpt.materials.bumpmap import sees_tangent

@@ -13,10 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 import djpt
-from djpt.cli import ExitCode, app, main
-from djpt.console import short
+from djpt.cli.commands import ExitCode, app, main
+from djpt.cli.console import short
 from djpt.errors import BackendError, DjptError, FileError, RenderError
-from djpt.image import read_pixels
+from djpt.images.image import read_pixels
 
 SMALL = ["cornell_box", "--width", "16", "--spp", "4"]
 
@@ -334,7 +334,7 @@ def test_doctor_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, _ = run("doctor")
     assert code == ExitCode.DONE
     assert "LLVM" in out
-    monkeypatch.setattr("djpt.doctor.main", lambda: 3)
+    monkeypatch.setattr("djpt.cli.doctor.main", lambda: 3)
     assert run("doctor")[0] == ExitCode.UNUSABLE
 
 

@@ -10,10 +10,10 @@ from machines import old_llvm, run_python
 from rich.console import Console
 
 import djpt
-from djpt import doctor
-from djpt.doctor import Finding, Report, examine, print_report
+from djpt.cli import doctor
+from djpt.cli.doctor import Finding, Report, examine, print_report
 
-DOCTOR = "import sys; from djpt.doctor import main; sys.exit(main())"
+DOCTOR = "import sys; from djpt.cli.doctor import main; sys.exit(main())"
 
 
 def test_this_machine() -> None:

@@ -18,8 +18,8 @@ from test_sampling import examples, lit, looked_at, reference
 
 import djpt
 from djpt.description import registry
+from djpt.dispatch.pointers import EmitterPtr
 from djpt.frame import Frame3f
-from djpt.pointers import EmitterPtr
 from djpt.records import EmitterFlags, has_flag
 from djpt.types import Float, Point2f, Point3f, UInt32
 

@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 import djpt
-from djpt.cli import ExitCode, app
+from djpt.cli.commands import ExitCode, app
 from djpt.description.registry import registered
 from djpt.errors import SceneError
-from djpt.image import read_pixels
+from djpt.images.image import read_pixels
 from djpt.scenes import SCENES
 from djpt.scenes.gallery import GLASS, PANELS, Panel, fitting_font, panels, shader_ball, sheet
 

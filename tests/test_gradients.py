@@ -15,7 +15,7 @@ import pytest
 from renders import box, lights, pixels, theirs, two_sided
 
 import djpt
-from djpt import replay
+from djpt.gradients import leaves as replay
 from djpt.integrators import Integrator
 
 SEED, SPP = 3, 16

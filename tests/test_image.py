@@ -15,8 +15,8 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image as Picture
 
 from djpt.errors import DjptError, FileError
-from djpt.image import Image, check_writable, read, read_metadata, read_pixels, write
-from djpt.image_formats import FORMATS, from_srgb8, to_srgb8
+from djpt.images.formats import FORMATS, from_srgb8, to_srgb8
+from djpt.images.image import Image, check_writable, read, read_metadata, read_pixels, write
 from djpt.util import convert_to_bitmap, write_bitmap
 
 

@@ -9,8 +9,8 @@ from soups import sphere
 from typer.testing import CliRunner
 
 import djpt
-from djpt.cli import ExitCode, app
-from djpt.info import describe
+from djpt.cli.commands import ExitCode, app
+from djpt.cli.info import describe
 
 
 def mesh(count: int) -> djpt.Mesh:

@@ -19,15 +19,15 @@ import pytest
 from typer.testing import CliRunner
 
 import djpt
-from djpt.cli import ExitCode, app
+from djpt.cli.commands import ExitCode, app
 from djpt.description.registry import registered
-from djpt.image import read_pixels
-from djpt.ladder.curves import LINE, Curve, chart, plain, spread
-from djpt.ladder.measure import Budget, Ladder, Reference, error_floor, measure, shared_error
-from djpt.ladder.page import decimals, html
-from djpt.ladder.pictures import ERROR_COLORS, error_map
-from djpt.ladder.steps import ELSEWHERE, STEPS
-from djpt.ladder.strips import bounces, samples, strip
+from djpt.images.image import read_pixels
+from djpt.validation.ladder.curves import LINE, Curve, chart, plain, spread
+from djpt.validation.ladder.measure import Budget, Ladder, Reference, error_floor, measure, shared_error
+from djpt.validation.ladder.page import decimals, html
+from djpt.validation.ladder.pictures import ERROR_COLORS, error_map
+from djpt.validation.ladder.steps import ELSEWHERE, STEPS
+from djpt.validation.ladder.strips import bounces, samples, strip
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2, kstest
 
 import djpt
 from djpt.emitters.bounds import LightBounds
-from djpt.light_choice import CHOICES, TreeChoice, make_choice
+from djpt.emitters.choice import CHOICES, TreeChoice, make_choice
 
 
 @dataclass

@@ -14,9 +14,9 @@ from lit_floor import floor_scene
 from renders import ours, pixels, theirs
 
 import djpt
-from djpt.differentiation import gradient_seed
-from djpt.light_choice import CHOICES
-from djpt.pointers import EmitterPtr
+from djpt.dispatch.pointers import EmitterPtr
+from djpt.emitters.choice import CHOICES
+from djpt.gradients.derivatives import gradient_seed
 from djpt.scene import Scene
 from djpt.validation import agreement
 from djpt.validation.statistics import Batches, block_test, mean_test

@@ -12,7 +12,8 @@ from mesh_scenes import gallery, uv_texture
 from renders import pixels
 
 import djpt
-from djpt.schedules import machine_replay, passes
+from djpt.gradients import machine_replay
+from djpt.schedules import passes
 from djpt.transforms import ScalarTransform4f as T
 
 SEED, SPP = 5, 8

@@ -15,9 +15,9 @@ from meshes import bumpy_sheet, properties, write_binary_ply, write_obj, write_p
 
 import djpt
 from djpt.errors import DjptError, FileError, SceneError
-from djpt.meshes.obj import read_obj
-from djpt.meshes.ply import read_ply
-from djpt.meshes.serialized import read_serialized
+from djpt.shapes.meshes.obj import read_obj
+from djpt.shapes.meshes.ply import read_ply
+from djpt.shapes.meshes.serialized import read_serialized
 from djpt.transforms import ScalarTransform4f as T
 
 CORNERS = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"

@@ -12,7 +12,7 @@ from chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from renders import box, ours, theirs
 
 import djpt
-from djpt.dispatch import structure
+from djpt.dispatch.ensemble import structure
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

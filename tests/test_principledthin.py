@@ -24,7 +24,7 @@ from test_principled import (
 )
 
 import djpt
-from djpt.dispatch import structure
+from djpt.dispatch.ensemble import structure
 from djpt.types import Vector3f
 from djpt.validation import agreement
 

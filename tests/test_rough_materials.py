@@ -13,7 +13,7 @@ from renders import box, ours, pixels, theirs
 
 import djpt
 from djpt.description.plugin import Plugin
-from djpt.dispatch import Attached, Group
+from djpt.dispatch.ensemble import Attached, Group
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, TransportMode, has_flag
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.colorimetry import spectrum_to_rgb
+from djpt.images.colorimetry import spectrum_to_rgb
 
 SPECTRA = {
     "inside": [(400, 0.1), (500, 0.5), (600, 0.9)],

@@ -11,7 +11,7 @@ from mesh_scenes import ball, kernels
 from renders import ours, theirs
 
 import djpt
-from djpt.dispatch import Detached, Ensemble
+from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, TensorXf, UInt32

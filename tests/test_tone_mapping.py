@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
-from djpt.colorimetry import XYZ_TO_RGB, black_body_xyz
-from djpt.tone_mapping import OPERATORS, balance_matrix, log_average, tonemap
+from djpt.images.colorimetry import XYZ_TO_RGB, black_body_xyz
+from djpt.images.tone_mapping import OPERATORS, balance_matrix, log_average, tonemap
 
 LIGHT = np.concatenate([[0.0], np.geomspace(1e-6, 1e6, 200)])
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError
-from djpt.image import Image, write
-from djpt.image_formats import DISPLAY_FORMATS
+from djpt.images.formats import DISPLAY_FORMATS
+from djpt.images.image import Image, write
 
 if TYPE_CHECKING:
     from djpt.validation.compare import Comparison

@@ -51,7 +51,7 @@ class Plugin:
     * `values`: Dr.Jit arrays of width 1 that may differ between instances and that edits
       may change. Kernels read them as opaque inputs, so an edit compiles nothing.
     * `tables`: tensors of any shape, such as the texels of a bitmap. Kernels read single entries, through a
-      `djpt.tables.Table` that stands in the tensor's place.
+      `djpt.dispatch.tables.Table` that stands in the tensor's place.
     * `children`: attributes that hold further plugins (a texture in a BSDF).
     * `statics`: everything else that a kernel depends on (a distribution's name, a flag).
       Instances with equal class, statics and children are traced **once**, with per-lane

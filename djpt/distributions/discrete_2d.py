@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.lookup import as_float
+from djpt.dispatch.lookup import as_float
 from djpt.minmax import maximum
 from djpt.types import Bool, Float, Point2f, TensorXf, UInt32
 
@@ -38,7 +38,7 @@ class DiscreteDistribution2D(Plugin):
     children = ()
     statics = ("steps",)
 
-    # In kernels a `djpt.tables.Table` stands in the place of these tensors.
+    # In kernels a `djpt.dispatch.tables.Table` stands in the place of these tensors.
     marginal: Any
     """Running sums of the rows' weights, (rows,)."""
     conditional: Any

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.lookup import as_vector
+from djpt.dispatch.lookup import as_vector
 from djpt.minmax import maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
@@ -41,7 +41,7 @@ class Hierarchical2D(Plugin):
     children = ()
     statics = ("levels",)
 
-    # In kernels a `djpt.tables.Table` stands in the place of these tensors.
+    # In kernels a `djpt.dispatch.tables.Table` stands in the place of these tensors.
     splits: Any
     """The tree from its root down: per node the shares of the upper half, and of the left half of either, and 0."""
     corners: Any

@@ -20,7 +20,7 @@ __all__ = ["Emitter"]
 class Emitter(Plugin):
     """A source of light: radiance along a ray, and a way to sample directions towards it.
 
-    All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch`).
+    All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch.ensemble`).
     Densities are per unit solid angle at the reference point.
 
     Parameters of all emitters: `sampling_weight` (default 1).
@@ -57,7 +57,7 @@ class Emitter(Plugin):
         """The light that it sends out, in W, averaged over the colours.
 
         For light from infinity: what enters the scene's bounding sphere. An estimate will do: it guides
-        the choice of emitters (see `djpt.light_choice`).
+        the choice of emitters (see `djpt.emitters.choice`).
         """
         raise NotImplementedError
 

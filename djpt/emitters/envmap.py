@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.dispatch.lookup import as_float, as_vector
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
 from djpt.emitters.bounds import LightBounds
@@ -20,7 +21,6 @@ from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
-from djpt.lookup import as_float, as_vector
 from djpt.minmax import maximum, minimum
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.textures.allowed import Allowed
@@ -81,7 +81,7 @@ class EnvironmentMap(OrientedEmitter):
         super().__init__(props)
         self.mis_compensation = props.boolean("mis_compensation", False)
         self.scale: Any = Float(props.float("scale", 1.0, low=0.0))
-        # In kernels a `djpt.tables.Table` stands in its place.
+        # In kernels a `djpt.dispatch.tables.Table` stands in its place.
         self.data: Any = with_halo(load_texels(props, raw=False, half=False))
         self.distribution = Hierarchical2D()
         if self.mis_compensation:

@@ -6,10 +6,10 @@ import operator
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from djpt.color import LUMINANCE
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
+from djpt.images.color import LUMINANCE
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
 from djpt.types import Bool, Color3f, Float
 

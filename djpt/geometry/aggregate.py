@@ -13,7 +13,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.dispatch import Ensemble, Lookup
+from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.lookup import Numbers, as_vector, is_one_of
 from djpt.frame import Frame3f
 from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
 from djpt.geometry.contents import Contents
@@ -21,7 +22,6 @@ from djpt.geometry.query import ANALYTIC, FACE, Near, Query
 from djpt.geometry.recentre import recentre
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
-from djpt.lookup import Numbers, as_vector, is_one_of
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

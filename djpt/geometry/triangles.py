@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.dispatch.lookup import Numbers
 from djpt.frame import Frame3f, coordinate_system
 from djpt.geometry.bvh.records import LEAF, NUMBER, SOLID, WORDS
 from djpt.geometry.bvh.search import Found, search
@@ -20,7 +21,6 @@ from djpt.geometry.query import Near
 from djpt.geometry.sharing import float_in
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
-from djpt.lookup import Numbers
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 

@@ -19,9 +19,9 @@ from collections.abc import Hashable, Sequence
 import drjit as dr
 import numpy as np
 
+from djpt.dispatch.lookup import Members, Numbers, Rows
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.lookup import Members, Numbers, Rows
 from djpt.records import Ray3f
 from djpt.shapes.base import Face, Shape
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from djpt.hashing import sample_tea_32
 from djpt.samplers.base import SampleIndex, Sampler
+from djpt.samplers.hashing import sample_tea_32
 from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
 
 __all__ = ["Independent", "IndependentStream", "copy_of", "generator"]

@@ -8,9 +8,9 @@ from typing import TypeVar
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.hashing import sample_tea_32
 from djpt.minmax import minimum
 from djpt.samplers.base import SampleIndex, Sampler
+from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import copy_of, generator
 from djpt.samplers.permutation import quotient
 from djpt.types import PCG32, Bool, Float, UInt32

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 
-from djpt.hashing import sample_tea_32
 from djpt.samplers.base import SampleIndex
+from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.jittered import PointSets, below_one
 from djpt.samplers.sobol import pascal
 from djpt.types import Bool, Float, Point2f, UInt32

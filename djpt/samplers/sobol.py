@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.hashing import sample_tea_32
 from djpt.samplers.base import SampleIndex, Sampler
+from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.permutation import quotient
 from djpt.types import Bool, Float, Point2f, UInt32
 

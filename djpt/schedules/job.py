@@ -8,7 +8,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.dispatch import Detached, Ensemble
+from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.films import HDRFilm
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f

@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import drjit as dr
 
-from djpt.films.reconstruction import add_box, add_samples, by_pixels, spread
 from djpt.schedules import flat, machine, wave
 from djpt.schedules.job import MAX_SAMPLES, Band, Job
+from djpt.schedules.reconstruction import add_box, add_samples, by_pixels, spread
 from djpt.types import Float, TensorXf, UInt32
 
 __all__ = [

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import drjit as dr
 
-from djpt.films.reconstruction import add_taps
 from djpt.schedules.job import Band, Job
+from djpt.schedules.reconstruction import add_taps
 from djpt.types import Bool, Float, Point2f, UInt32
 
 __all__ = ["FilmSums", "Finished", "Sink", "Store", "Sums", "Write", "blank_sums", "sample_buffers"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch import Detached, Ensemble
+from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.minmax import maximum, minimum
 from djpt.records import Ray3f

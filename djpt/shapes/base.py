@@ -49,7 +49,7 @@ class Shape(Plugin):
 
     Two kinds of methods read a shape's `values`: `intersect` is unrolled per instance, on
     opaque values; `surface`, `sample_position` and the like are traced once per class, with
-    values looked up per lane (see `djpt.dispatch`).
+    values looked up per lane (see `djpt.dispatch.ensemble`).
     """
 
     kind: ClassVar[str] = "shape"

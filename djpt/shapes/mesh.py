@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from djpt.description.numeric import describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.dispatch.lookup import as_float
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.geometry.mesh_set import own_copy, own_floats
 from djpt.geometry.triangle_sampling import square_to_triangle
-from djpt.lookup import as_float
-from djpt.meshes.cleaning import check_indices, clean
-from djpt.meshes.data import MeshData, unit
-from djpt.meshes.normals import face_areas
-from djpt.meshes.ply_writer import write_ply
-from djpt.meshes.topology import is_closed
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
+from djpt.shapes.meshes.cleaning import check_indices, clean
+from djpt.shapes.meshes.data import MeshData, unit
+from djpt.shapes.meshes.normals import face_areas
+from djpt.shapes.meshes.ply_writer import write_ply
+from djpt.shapes.meshes.topology import is_closed
 from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:

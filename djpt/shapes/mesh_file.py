@@ -8,8 +8,8 @@ from typing import ClassVar
 from djpt.description.files import resolve
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
-from djpt.meshes.data import MeshData
 from djpt.shapes.mesh import Mesh
+from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["MeshFile"]
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
-from djpt.meshes.data import MeshData
-from djpt.meshes.obj import read_obj
 from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.obj import read_obj
 
 __all__ = ["Obj"]
 

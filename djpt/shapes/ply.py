@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
-from djpt.meshes.data import MeshData
-from djpt.meshes.ply import read_ply
 from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.ply import read_ply
 
 __all__ = ["Ply"]
 
@@ -14,7 +14,7 @@ class Ply(MeshFile):
     """A mesh from a PLY file, ascii or binary; see `MeshFile` for the parameters.
 
     Normals ``nx, ny, nz`` and texture coordinates ``u, v`` or ``s, t`` are read, and attributes of
-    vertices and faces: see `djpt.meshes.ply.read_ply`.
+    vertices and faces: see `djpt.shapes.meshes.ply.read_ply`.
     """
 
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
-from djpt.meshes.data import MeshData
-from djpt.meshes.serialized import read_serialized
 from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.serialized import read_serialized
 
 __all__ = ["Serialized"]
 

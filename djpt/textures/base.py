@@ -15,7 +15,7 @@ class Texture(Plugin):
     """A colour (linear sRGB) or a scalar that may vary over a surface.
 
     The eval methods run in kernels, once per class, with per-lane values (see
-    `djpt.dispatch`). `si` is anything with a `uv`: a surface interaction or a sample on a
+    `djpt.dispatch.ensemble`). `si` is anything with a `uv`: a surface interaction or a sample on a
     surface.
     """
 

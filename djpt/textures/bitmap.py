@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.color import LUMINANCE
 from djpt.description.numeric import is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.dispatch.lookup import as_float
 from djpt.distributions import DiscreteDistribution2D
 from djpt.errors import ParameterError, SceneError
-from djpt.lookup import as_float
+from djpt.images.color import LUMINANCE
 from djpt.minmax import maximum, minimum
 from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import cell_weights, luminance
@@ -59,7 +59,7 @@ class Bitmap(UVTexture):
         half = props.string("format", "auto", choices=("auto", "variant", "fp16")) == "fp16"
         props.boolean("accel", True)
         self._allowed = Allowed()
-        # In kernels a `djpt.tables.Table` stands in its place.
+        # In kernels a `djpt.dispatch.tables.Table` stands in its place.
         self.data: Any = load_texels(props, raw, half)
         self.distribution: DiscreteDistribution2D | None = None
         """Cells of the unit square by their brightness, if the texture is that of a light."""

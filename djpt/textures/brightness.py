@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.color import LUMINANCE
+from djpt.images.color import LUMINANCE
 from djpt.types import Float, Point2f
 
 if TYPE_CHECKING:

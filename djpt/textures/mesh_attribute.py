@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.color import LUMINANCE
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
+from djpt.dispatch.lookup import as_float
 from djpt.errors import SceneError
 from djpt.geometry.bvh.records import LEAF, PORTAL, WORDS
 from djpt.geometry.bvh.traversal import NONE
-from djpt.lookup import as_float
+from djpt.images.color import LUMINANCE
 from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float, UInt32, Vector2f

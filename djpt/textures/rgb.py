@@ -9,11 +9,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.color import LUMINANCE
 from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.images.color import LUMINANCE
 from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float

@@ -13,8 +13,8 @@ from djpt.description.files import resolve
 from djpt.description.numeric import LARGEST, describe
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
-from djpt.image import read_pixels
-from djpt.image_formats import DISPLAY_FORMATS
+from djpt.images.formats import DISPLAY_FORMATS
+from djpt.images.image import read_pixels
 from djpt.types import TensorXf
 
 __all__ = ["as_texels", "check_texels", "load_texels"]

@@ -1,0 +1,1 @@
+"""Calling plugins per lane: an index, the values behind it, the call."""

@@ -1,0 +1,303 @@
+"""Calling plugins per lane: each structure is traced once, values are looked up.
+
+An `Ensemble` holds the plugins of one kind that a scene refers to by index. Plugins with
+equal class, statics and children form a *group*: their methods are traced once, on a
+*representative*, a shallow copy of a member whose values are per-lane lookups. So a scene
+with a hundred diffuse materials traces one diffuse BSDF, and editing a value (the arrays
+of `Plugin.values`) never changes a kernel.
+
+How values are looked up is the ensemble's `Lookup`:
+
+* `Detached` selects among opaque copies (or gathers, if there are many): rendering.
+* `Attached` gathers from a buffer that stays attached to the parameters: plain AD.
+* `djpt.gradients.leaves` adds one that makes fresh AD leaves at each path vertex: path replay.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import drjit as dr
+
+from djpt.description.plugin import Plugin
+from djpt.dispatch.lookup import Flat, Members, Numbers, Rows, opaque
+from djpt.dispatch.tables import Buffer, channels_of
+from djpt.types import Bool, UInt32
+
+__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "structure"]
+
+P = TypeVar("P", bound=Plugin)
+
+
+def structure(plugin: Plugin) -> Hashable:
+    """What a kernel depends on: class, statics, types of the values, structure of the children."""
+    children = []
+    for name in plugin.children:
+        child = getattr(plugin, name)
+        children.append(structure(child) if isinstance(child, Plugin) else child)
+    statics = tuple(getattr(plugin, name) for name in plugin.statics)
+    value_types = tuple(type(getattr(plugin, name)) for name in plugin.values)
+    channels = tuple(channels_of(getattr(plugin, name)) for name in plugin.tables)
+    return (type(plugin), statics, value_types, channels, tuple(children))
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One value attribute of a group: where it stands in each member."""
+
+    owners: tuple[Plugin, ...]
+    """The plugin that holds the value, for each member of the group."""
+    attribute: str
+
+    def rows(self) -> list[Any]:
+        """The current values, one per member."""
+        return [getattr(owner, self.attribute) for owner in self.owners]
+
+    def identity(self) -> list[Hashable]:
+        """Members that share the plugin share the value."""
+        return [id(owner) for owner in self.owners]
+
+
+class TableLeaf(Leaf):
+    """A leaf whose values are tensors: what is looked up is a `Table`."""
+
+
+class Lookup(Protocol):
+    """How a group's values are read by a kernel."""
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        """The value of `leaf` for the member number `slot` of its group."""
+
+    def attaches(self, leaf: Leaf) -> bool:
+        """Are looked-up values of `leaf` AD leaves, or depend on some?"""
+
+
+@dataclass
+class BufferTable:
+    """One member's tensor in the buffer of its group."""
+
+    buffer: Buffer
+    slot: UInt32
+
+    @property
+    def attached(self) -> bool:
+        """See `Table`."""
+        return self.buffer.attached
+
+    def at(self, index: UInt32, active: Bool | bool = True) -> Any:
+        """See `Table`."""
+        return self.buffer.read(self.buffer.address(self.slot, index), active)
+
+
+class Detached:
+    """Opaque copies of the values, made when first used and kept until `forget`."""
+
+    def __init__(self) -> None:
+        self._copies: dict[tuple[int, str], Any] = {}
+        self._tables: dict[int, tuple[Leaf, Any]] = {}
+
+    def prepare(self, leaves: Iterable[Leaf]) -> None:
+        """Build the tables of some leaves. Long ones must exist before a kernel's loop asks for them."""
+        for leaf in leaves:
+            self._table(leaf)
+
+    def _table(self, leaf: Leaf) -> Any:
+        if id(leaf) not in self._tables:
+            if isinstance(leaf, TableLeaf):
+                table: Any = Buffer([dr.detach(tensor) for tensor in leaf.rows()], leaf.identity())
+            else:
+                table = Rows([self.value(owner, leaf.attribute) for owner in leaf.owners], leaf.identity())
+            # The leaf is kept beside its table so that its id stays taken.
+            self._tables[id(leaf)] = (leaf, table)
+        return self._tables[id(leaf)][1]
+
+    def buffer(self, leaf: TableLeaf) -> Buffer:
+        """The tensors of a leaf."""
+        return self._table(leaf)
+
+    def value(self, owner: Plugin, attribute: str) -> Any:
+        """The opaque copy of one plugin's value."""
+        key = (id(owner), attribute)
+        if key not in self._copies:
+            self._copies[key] = opaque(getattr(owner, attribute))
+        return self._copies[key]
+
+    def snapshot(self, needed: Sequence[tuple[Plugin, str]]) -> Detached:
+        """A copy that holds the `needed` values as they are now, whatever happens to the plugins."""
+        clone = Detached()
+        for owner, attribute in needed:
+            if attribute in owner.values:  # tables are there already
+                self.value(owner, attribute)
+        clone._copies, clone._tables = dict(self._copies), dict(self._tables)
+        return clone
+
+    def forget(self) -> None:
+        """Values have changed: read them again at the next use."""
+        self._copies.clear()
+        self._tables.clear()
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        table = self._table(leaf)
+        return BufferTable(table, slot) if isinstance(leaf, TableLeaf) else table.at(slot)
+
+    def attaches(self, leaf: Leaf) -> bool:
+        return False
+
+
+class Attached:
+    """Gathers from buffers attached to AD variables that stand in for some of the values."""
+
+    def __init__(self, overrides: dict[tuple[int, str], Any]) -> None:
+        """`overrides`: (id of a plugin, attribute) -> the attached value; all others are detached."""
+        self._overrides = overrides
+        self._flats: dict[int, tuple[Leaf, Any]] = {}
+
+    def attaches(self, leaf: Leaf) -> bool:
+        return any((id(owner), leaf.attribute) in self._overrides for owner in leaf.owners)
+
+    def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        if id(leaf) not in self._flats:
+            rows = [
+                self._overrides.get((id(owner), leaf.attribute), dr.detach(getattr(owner, leaf.attribute)))
+                for owner in leaf.owners
+            ]
+            # The leaf is kept beside its buffer so that its id stays taken.
+            table = Buffer(rows, leaf.identity()) if isinstance(leaf, TableLeaf) else Flat(rows)
+            self._flats[id(leaf)] = (leaf, table)
+        found = self._flats[id(leaf)][1]
+        return BufferTable(found, slot) if isinstance(leaf, TableLeaf) else found.at(slot)
+
+
+class Group(Generic[P]):
+    """The members of an ensemble that share one structure."""
+
+    def __init__(self, plugins: Sequence[P], indices: Sequence[int]) -> None:
+        self.plugins = tuple(plugins)
+        self.indices = tuple(indices)
+        self._tree = self._collect(self.plugins)
+
+    @classmethod
+    def _collect(cls, owners: Sequence[Plugin]) -> dict[str, Any]:
+        tree: dict[str, Any] = {name: Leaf(tuple(owners), name) for name in owners[0].values}
+        tree.update({name: TableLeaf(tuple(owners), name) for name in owners[0].tables})
+        for name in owners[0].children:
+            if isinstance(getattr(owners[0], name), Plugin):
+                tree[name] = cls._collect([getattr(owner, name) for owner in owners])
+        return tree
+
+    def leaves(self) -> list[Leaf]:
+        """All values of the group, children's included."""
+        return leaves_of(self._tree)
+
+    def at(self, slot: UInt32, lookup: Lookup) -> P:
+        """The representative whose values belong to member `slot` of this group."""
+        return representative(self.plugins[0], self._tree, slot, lookup)
+
+
+def is_attached(group: Group[Any], lookup: Lookup) -> bool:
+    """Do the group's methods compute with AD leaves?"""
+    return any(lookup.attaches(leaf) for leaf in group.leaves())
+
+
+# These two are functions of the module because recursive closures are reference cycles: they would
+# keep `slot`, and with it whole graphs of Dr.Jit variables, alive until the garbage collector runs.
+
+
+def leaves_of(tree: dict[str, Any]) -> list[Leaf]:
+    """The leaves of a group's tree."""
+    found: list[Leaf] = []
+    for node in tree.values():
+        found += leaves_of(node) if isinstance(node, dict) else [node]
+    return found
+
+
+def representative(plugin: Any, tree: dict[str, Any], slot: UInt32, lookup: Lookup) -> Any:
+    """A shallow copy of `plugin` with looked-up values, and so for its children."""
+    clone = copy.copy(plugin)
+    for name, node in tree.items():
+        if isinstance(node, dict):
+            value = representative(getattr(plugin, name), node, slot, lookup)
+        else:
+            value = lookup(node, slot)
+        setattr(clone, name, value)
+    return clone
+
+
+class Ensemble(Generic[P]):
+    """Plugins of one kind, addressed by a per-lane index."""
+
+    def __init__(self, plugins: Sequence[P]) -> None:
+        self.plugins = tuple(plugins)
+        by_structure: dict[Hashable, list[int]] = {}
+        for i, plugin in enumerate(self.plugins):
+            by_structure.setdefault(structure(plugin), []).append(i)
+        self.groups = [Group([self.plugins[i] for i in ids], ids) for ids in by_structure.values()]
+        self._keys = list(zip(by_structure, self.groups, strict=True))
+        self._members = {id(group): Members(group.indices, len(self.plugins)) for group in self.groups}
+        self._slots = {id(group): Numbers(self._positions(group)) for group in self.groups}
+
+    def is_current(self) -> bool:
+        """Have all plugins still the structure of their group?"""
+        return all(structure(plugin) == key for key, group in self._keys for plugin in group.plugins)
+
+    def _positions(self, group: Group[P]) -> list[int]:
+        position = {i: k for k, i in enumerate(group.indices)}
+        return [position.get(i, 0) for i in range(len(self.plugins))]
+
+    def leaves(self) -> list[Leaf]:
+        """All values of all groups."""
+        return [leaf for group in self.groups for leaf in group.leaves()]
+
+    def __len__(self) -> int:
+        return len(self.plugins)
+
+    def slots(self, group: Group[P], index: UInt32) -> UInt32:
+        """The position within `group` of the plugin number `index`; any number for the members of other groups."""
+        first = group.indices[0]
+        if list(group.indices) == list(range(first, first + len(group.indices))):
+            return index - first if first else index
+        return self._slots[id(group)].at(index)
+
+    def call(
+        self,
+        index: UInt32,
+        lookup: Lookup,
+        method: Callable[[P], Any],
+        otherwise: Any,
+        active: Bool | None = None,
+    ) -> Any:
+        """``method(plugin)`` per lane; `otherwise` where `index` is beyond the last plugin.
+
+        The first group's method is evaluated for all lanes. So are the others', unless `active` lanes are
+        given: they are then branches, which a packet of lanes skips if none of its active lanes needs them.
+        `method` must return a PyTree of the type of `otherwise`.
+        """
+        groups = self.groups
+        if active is not None:
+            # Attached results must not pass through the branches of other groups: those come first.
+            groups = sorted(groups, key=lambda group: is_attached(group, lookup))
+        result = otherwise
+        for number, group in enumerate(groups):
+
+            def evaluate(group: Group[P] = group) -> Any:
+                return method(group.at(self.slots(group, index), lookup))
+
+            if number == 0 and otherwise is None:
+                result = evaluate()
+                continue
+            mine = self.members(group, index)
+            # The leaves of a branch couldn't be differentiated from outside of it.
+            if active is None or is_attached(group, lookup):
+                result = dr.select(mine, evaluate(), result)
+            else:
+                (result,) = dr.if_stmt(
+                    (result,), mine & active, lambda result: (evaluate(),), lambda result: (result,), label="bsdf"
+                )
+        return result
+
+    def members(self, group: Group[P], index: UInt32) -> Bool:
+        """True where plugin number `index` belongs to `group`."""
+        return self._members[id(group)].contain(index)

@@ -1,0 +1,185 @@
+"""Per-lane plugins: what `si.bsdf()` and `si.emitter()` return.
+
+A pointer holds an index per lane and forwards each call through the scene's ensembles, so
+that scripts written against Mitsuba's `BSDFPtr` and `EmitterPtr` run unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Detached
+from djpt.dispatch.lookup import choose
+from djpt.records import (
+    BSDFContext,
+    BSDFFlags,
+    BSDFSample3f,
+    DirectionSample3f,
+    Ray3f,
+    SurfaceInteraction3f,
+    has_flag,
+)
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.materials import BSDF
+    from djpt.scene import Scene
+
+__all__ = ["BSDFPtr", "EmitterPtr"]
+
+
+class BSDFPtr:
+    """The BSDF of each lane's surface point. Methods as in `djpt.materials.base.BSDF`."""
+
+    def __init__(self, scene: Scene, index: UInt32) -> None:
+        self._scene, self.index = scene, index
+
+    def flags(self) -> UInt32:
+        """The `BSDFFlags` per lane."""
+        flags = [bsdf.flags() for bsdf in self._scene.bsdfs.plugins]
+        return choose(self.index, [UInt32(f) for f in flags], flags)
+
+    def sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        """Sample `wo`, detached; the weight is 0 on inactive lanes."""
+
+        def method(bsdf: BSDF) -> tuple[BSDFSample3f, Color3f]:
+            bs, weight = bsdf.sample(ctx, si, sample1, sample2, active)
+            bs = dr.detach(bs)
+            return bs, self._reattached(bsdf, ctx, si, bs, weight, active)
+
+        bs, weight = self._call(method)
+        return bs, dr.select(active, weight, 0)
+
+    def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
+        """F abs(cos); 0 on inactive lanes."""
+        return dr.select(active, self._call(lambda bsdf: bsdf.eval(ctx, si, wo, active)), 0)
+
+    def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
+        """Density of `sample`; 0 on inactive lanes."""
+        return dr.select(active, self._call(lambda bsdf: bsdf.pdf(ctx, si, wo, active)), 0)
+
+    def eval_pdf(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        """`eval` and `pdf` in one dispatch; 0 on inactive lanes."""
+        value, pdf = self._call(lambda bsdf: bsdf.eval_pdf(ctx, si, wo, active))
+        return dr.select(active, value, 0), dr.select(active, pdf, 0)
+
+    def eval_pdf_sample(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        wo: Vector3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        """`eval_pdf` and `sample` in one dispatch, all but `value` and `weight` detached.
+
+        Inactive lanes aren't zeroed: callers mask.
+        """
+
+        def method(bsdf: BSDF) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+            value, pdf, bs, weight = bsdf.eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
+            bs = dr.detach(bs)
+            return value, dr.detach(pdf), bs, self._reattached(bsdf, ctx, si, bs, weight, active)
+
+        return self._call(method, Bool(active))
+
+    def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """What passes straight through; 0 on inactive lanes."""
+        return dr.select(active, self._call(lambda bsdf: bsdf.eval_null_transmission(si, active)), 0)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The albedo; 0 on inactive lanes."""
+        value = self._call(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
+        return dr.select(active, value, 0)
+
+    def _call(self, method: Callable[[BSDF], Any], active: Bool | None = None) -> Any:
+        # Every surface has a BSDF, so no value is needed for "none".
+        return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None, active)
+
+    def _reattached(
+        self,
+        bsdf: BSDF,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        bs: BSDFSample3f,
+        weight: Color3f,
+        active: Bool | bool,
+    ) -> Color3f:
+        """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
+
+        What `sample` computes may have cancelled terms of value and density, and differentiates as if the
+        direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
+        """
+        if isinstance(self._scene.lookup, Detached):
+            return weight
+        value = bsdf.eval(ctx, si, bs.wo, active)
+        if not dr.grad_enabled(weight, value):
+            return weight
+        fixed, plain = dr.detach(weight), dr.detach(value)
+        smooth = dr.select(plain != 0, fixed * value * dr.rcp(plain), fixed)
+        change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, smooth)
+        return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
+
+
+class EmitterPtr:
+    """The emitter of each lane, or none. Methods as in `djpt.emitters.base.Emitter`."""
+
+    def __init__(self, scene: Scene, index: UInt32) -> None:
+        self._scene, self.index = scene, index
+
+    def is_valid(self) -> Bool:
+        """True where there is an emitter."""
+        return self.index < len(self._scene.lights)
+
+    def flags(self) -> UInt32:
+        """The `EmitterFlags` per lane; 0 where there is no emitter."""
+        flags = [emitter.flags() for emitter in self._scene.lights.plugins]
+        if not flags:
+            return UInt32(0)
+        return dr.select(self.is_valid(), choose(self.index, [UInt32(f) for f in flags], flags), 0)
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """Radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
+        scene = self._scene
+        value = scene.lights.call(self.index, scene.lookup, lambda e: e.eval(si, active), Color3f(0))
+        return dr.select(active, value, 0)
+
+    def sample_direction(
+        self, ref: SurfaceInteraction3f | Point3f, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """A direction towards the emitter; weight 0 where there is none."""
+        scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
+        ds, weight = scene.lights.call(self.index, scene.lookup, lambda e: e.sample_direction(p, sample, active), None)
+        ds.emitter_index = self.index
+        return ds, dr.select(self.is_valid() & active, weight, 0)
+
+    def sample_ray(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f]:
+        """A ray that leaves the emitter; weight 0 where there is none."""
+        scene = self._scene
+        ray, weight = scene.lights.call(
+            self.index, scene.lookup, lambda e: e.sample_ray(position_sample, direction_sample, active), None
+        )
+        return ray, dr.select(self.is_valid() & active, weight, 0)
+
+    def pdf_direction(
+        self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> Float:
+        """Density of `sample_direction`; 0 where there is no emitter."""
+        scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
+        pdf = scene.lights.call(self.index, scene.lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
+        return dr.select(active, pdf, 0)

@@ -1,0 +1,135 @@
+"""What finds the triangles that rays hit: one interface, several structures to compare.
+
+Scenes are rendered with `djpt.geometry.bvh`; the others are there to teach and to test it. All of them
+see the same centred triangles and origins through `TriangleTable`, so that they agree bit by bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.dispatch.lookup import as_float, as_vector
+from djpt.geometry.bvh.traversal import enter, reciprocal
+from djpt.geometry.sharing import aligned
+from djpt.geometry.triangle import RayPlane, intersect_triangle
+from djpt.lanewide import wide
+from djpt.minmax import maximum, minimum
+from djpt.records import Ray3f
+from djpt.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
+
+__all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "Statistics", "TriangleTable"]
+
+NO_FACE = 0xFFFFFFFF
+
+
+@dataclass
+class Statistics:
+    """The size and quality of an acceleration structure."""
+
+    primitives: int
+    nodes: int
+    """Nodes of a tree, cells of a grid."""
+    references: int
+    """How often primitives occur in leaves or cells."""
+    depth: int
+    """Levels of nodes."""
+    sah_cost: float
+    """How many nodes and primitives a line through the structure's box meets on average; see `sah`."""
+    bytes: int
+    """Memory that kernels read."""
+    build_seconds: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.primitives} primitives in {self.nodes} nodes ({self.references} references), depth {self.depth}, "
+            f"SAH cost {self.sah_cost:.2f}, {self.bytes / 2**20:.1f} MiB, built in {self.build_seconds:.3f} s"
+        )
+
+
+class Accelerator(Protocol):
+    """Built from corners (F, 3, 3) float32: face, corner, axis."""
+
+    def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
+        """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
+
+    def any_hit(self, ray: Ray3f) -> Bool:
+        """Is there a hit with 0 < t < maxt?"""
+
+    def statistics(self) -> Statistics:
+        """Size and quality."""
+
+
+@dataclass
+class Found:
+    """The nearest hit so far: loop state."""
+
+    t: Float
+    face: UInt32
+    """NO_FACE for none."""
+
+
+class Approach:
+    """A ray as accelerators see it: from where it comes near the triangles, seen from their centre."""
+
+    def __init__(self, table: TriangleTable, ray: Ray3f) -> None:
+        anchor: Any = table
+        self.o, self.entry = enter(anchor, ray)
+        self.d, self.maxt = ray.d, ray.maxt - self.entry
+        self.lanes = dr.width(ray, self.o)
+        self.plane = RayPlane(self.o, self.d)
+        self.inv = reciprocal(self.d)
+
+    def nothing_yet(self) -> Found:
+        """The state before the first triangle."""
+        found: Found = wide(Found(self.maxt, UInt32(NO_FACE)), self.lanes)
+        return found
+
+    def through(self, low: Vector3f, high: Vector3f) -> tuple[Float, Float]:
+        """Where the ray enters and leaves a box."""
+        a, b = (low - self.o) * self.inv, (high - self.o) * self.inv
+        entry, leave = Float(0), self.maxt
+        for axis in range(3):
+            entry = maximum(entry, minimum(a[axis], b[axis]))
+            leave = minimum(leave, maximum(a[axis], b[axis]))
+        return wide(entry, self.lanes), wide(leave, self.lanes)
+
+    def answer(self, found: Found) -> tuple[Float, UInt32]:
+        """The result of `Accelerator.closest`."""
+        hit = found.face != NO_FACE
+        t: Float = dr.select(hit, found.t + self.entry, dr.inf)
+        return t, dr.select(hit, found.face, 0)
+
+
+class TriangleTable:
+    """Triangles ready for kernels: 16 words each, corners as seen from the middle of all."""
+
+    def __init__(self, corners: NDArray[np.float32]) -> None:
+        self.count = len(corners)
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        center = ((low.astype(np.float64) + high) / 2).astype(np.float32)
+        extent = float(np.linalg.norm(high.astype(np.float64) - low))
+        self.center = as_vector(center.astype(np.float64))
+        self.radius = as_float(0.50001 * extent)
+        centred = corners - center
+        rows = aligned((self.count, 16))
+        rows[:, :9] = centred.reshape(-1, 9).view(np.uint32)
+        self.words = UInt32(rows.ravel())
+        # Kernels round where rays cross planes; boxes that are a little larger lose no hits by it.
+        self.slack = np.float32(max(2e-6 * extent, 1e-30))
+        self.low: NDArray[np.float32] = centred.min(axis=1) - self.slack
+        self.high: NDArray[np.float32] = centred.max(axis=1) + self.slack
+
+    def visit(self, ray: Approach, face: UInt32, found: Found) -> Found:
+        """Test one triangle per lane."""
+        words: list[Any] = []
+        for half in (2 * face, 2 * face + 1):
+            loaded: Any = dr.gather(ArrayXu, self.words, half, shape=(8, 1))
+            words += [dr.reinterpret_array(Float, word) for word in loaded]
+        hit = intersect_triangle(ray.plane, Point3f(words[0:3]), Point3f(words[3:6]), Point3f(words[6:9]))
+        closer = hit.hit & (hit.t > 0) & (hit.t < found.t)
+        return Found(dr.select(closer, hit.t, found.t), dr.select(closer, face, found.face))

@@ -1,0 +1,1 @@
+"""`render` as an operation that Dr.Jit can differentiate: path replay, or automatic differentiation."""

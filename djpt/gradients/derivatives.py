@@ -1,0 +1,240 @@
+"""Differentiable images: `render` as an operation that Dr.Jit can differentiate.
+
+The image itself is rendered without derivative tracking. Its derivatives are estimated when
+they are asked for, with samples of their own, in the mode asked for:
+
+* reverse: from the derivative of a loss by each pixel to one gradient per parameter;
+* forward: from a change of the parameters to a change of the image.
+
+Integrators that advance vertex by vertex are differentiated by path replay; those that only
+offer `sample` by Dr.Jit's automatic differentiation of their code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, cast
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Attached, Detached
+from djpt.errors import RenderError
+from djpt.gradients import replay
+from djpt.gradients.leaves import Parameter
+from djpt.samplers.hashing import sample_tea_32
+from djpt.schedules import wave
+from djpt.schedules.job import Band, Job
+from djpt.schedules.passes import (
+    BAND_PIXELS,
+    develop,
+    image_of_samples,
+    ranges,
+    register_spp,
+    stepwise_sums,
+    stored_image,
+    stored_passes,
+)
+from djpt.schedules.reconstruction import add_samples, sample_adjoints, spread
+from djpt.tracing import begin_trace
+from djpt.types import Float, TensorXf, UInt32
+
+__all__ = ["differentiable_image", "gradient_seed"]
+
+MAX_ATTACHED_SAMPLES = 2**25
+"""Plain AD holds the graph of all samples at once."""
+
+
+def gradient_seed(seed: int, seed_grad: int) -> int:
+    """The seed of the gradient's samples: as in Mitsuba a hash of `seed`, unless one is given."""
+    return seed_grad or int(sample_tea_32(UInt32(seed), UInt32(1))[0][0])
+
+
+def differentiable_image(
+    job: Job, parameters: list[Parameter], primal: Callable[[], TensorXf], machine: bool = False
+) -> TensorXf:
+    """The image `primal()`, attached to `parameters`; derivatives use the samples of `job`.
+
+    Paths are replayed in the machine schedule or in the flat one.
+    """
+    if job.integrator.stepwise:
+        derivative: Derivative = ReplayDerivative(job, parameters, machine)
+    else:
+        derivative = AttachedDerivative(job, parameters)
+    return dr.custom(ImageOp, [p.value for p in parameters], primal, derivative)
+
+
+class Derivative(Protocol):
+    """An estimator of an image's derivative."""
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        """Gradients of the parameters, from the derivatives by the pixels (H, W, C)."""
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        """The derivative of the image in the direction of `tangents`, one per parameter."""
+
+
+class ImageOp(dr.CustomOp):
+    """An image with its derivative."""
+
+    def eval(self, values: list[Any], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
+        self.derivative = derivative
+        return primal()
+
+    def backward(self) -> None:
+        begin_trace()
+        self.set_grad_in("values", self.derivative.backward(cast(TensorXf, self.grad_out())))
+
+    def forward(self) -> None:
+        begin_trace()
+        self.set_grad_out(self.derivative.forward(list(cast("list[Any]", self.grad_in("values")))))
+
+    def name(self) -> str:
+        return "djpt.render"
+
+
+class ReplayDerivative:
+    """Path replay."""
+
+    def __init__(self, job: Job, parameters: list[Parameter], machine: bool) -> None:
+        assert isinstance(job.scene.lookup, Detached)
+        self.job, self.parameters, self.machine = job, parameters, machine
+        self._constant = not job.film.filters and not machine
+        """Can the samples of a pixel be treated alike, in registers?"""
+        # Later edits of the scene must not change what is differentiated.
+        self.values = job.scene.lookup.snapshot([(p.owner, p.attribute) for p in parameters])
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        with dr.suspend_grad():
+            adjoints = on_grid(self.job, image)
+            return self._box(adjoints) if self._constant else self._filtered(adjoints)
+
+    def _box(self, adjoints: list[Float]) -> list[Any]:
+        job = self.job
+        inverse = dr.opaque(Float, 1 / job.spp)
+        adjoints = [a * inverse for a in adjoints]
+        dr.eval(adjoints)
+        return add(
+            replay.backward_constant(job, self.values, self.parameters, adjoints, begin, end)
+            for begin, end in ranges(job.spp, register_spp(job))
+        )
+
+    def _filtered(self, adjoints: list[Float]) -> list[Any]:
+        job, adjoints = self.job, over_weights(self.job, adjoints)
+        return add(
+            replay.backward_samples(
+                job,
+                self.values,
+                self.parameters,
+                sample_adjoints(job, band, adjoints, begin, end),
+                band,
+                begin,
+                end,
+                self.machine,
+            )
+            for band, begin, end in stored_passes(job)
+        )
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        with dr.suspend_grad():
+            if self._constant:
+
+                def step(begin: int, end: int, sums: Any) -> list[Float]:
+                    return replay.forward_sums(self.job, self.values, self.parameters, tangents, begin, end, sums)
+
+                return develop(self.job, stepwise_sums(self.job, step), dr.opaque(Float, self.job.spp))
+
+            def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
+                return replay.forward_samples(
+                    job, self.values, self.parameters, tangents, band, begin, end, self.machine
+                )
+
+            return stored_image(self.job, samples)
+
+
+class AttachedDerivative:
+    """Automatic differentiation of `Integrator.sample`: one attached pass over all samples."""
+
+    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
+        if job.samples > MAX_ATTACHED_SAMPLES:
+            raise RenderError(
+                f"'{type(job.integrator).__name__}' is differentiated by plain AD, which holds all samples in memory: "
+                f"at most {MAX_ATTACHED_SAMPLES} are possible, found {job.samples}; use a smaller spp_grad"
+            )
+        self.job, self.parameters = job, parameters
+        self.snapshot = [type(p.value)(dr.detach(p.value)) for p in parameters]
+
+    def _samples(self) -> tuple[list[Any], list[Float]]:
+        """Fresh leaves in place of the parameters, and the samples' channels attached to them."""
+        fresh = [type(value)(value) for value in self.snapshot]
+        dr.enable_grad(fresh)
+        overrides = {(id(p.owner), p.attribute): leaf for p, leaf in zip(self.parameters, fresh, strict=True)}
+        view = self.job.with_scene(self.job.scene.with_lookup(Attached(overrides)))
+        return fresh, wave.radiance_samples(view, Band(0, self.job.height), 0, self.job.spp)
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        band = Band(0, self.job.height)
+        with dr.suspend_grad():
+            adjoints = over_weights(self.job, on_grid(self.job, image))
+            deltas = sample_adjoints(self.job, band, adjoints, 0, self.job.spp)
+        with dr.resume_grad():
+            fresh, samples = self._samples()
+            loss = Float(0)
+            for sample, delta in zip(samples, deltas, strict=True):
+                loss += sample * delta
+            if dr.grad_enabled(loss):
+                dr.backward(loss)
+            return [dr.grad(leaf) for leaf in fresh]
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        with dr.resume_grad():
+            fresh, samples = self._samples()
+            for leaf, tangent in zip(fresh, tangents, strict=True):
+                dr.set_grad(leaf, tangent)
+            dr.enqueue(dr.ADMode.Forward, *fresh)
+            # A channel may be an intermediate result of another: keep those gradients.
+            dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)
+            changes = [dr.grad(sample) for sample in samples]
+        with dr.suspend_grad():
+            dr.eval(changes)
+            return image_of_samples(self.job, changes)
+
+
+def on_grid(job: Job, image: TensorXf) -> list[Float]:
+    """The channels of an image (H, W, C) on the sampled grid, zero on its border."""
+    height, width, channels = image.shape
+    border = job.film.border
+    pixel = dr.arange(UInt32, job.width * job.height)
+    row = pixel // job.width_value
+    # Unsigned: rows and columns of the border wrap around to large numbers and fall outside.
+    y, x = row - border, pixel - row * job.width_value - border
+    inside = (x < dr.opaque(UInt32, width)) & (y < dr.opaque(UInt32, height))
+    start = (y * dr.opaque(UInt32, width) + x) * channels
+    result = [dr.gather(Float, image.array, start + c, inside) for c in range(channels)]
+    dr.eval(result)
+    return result
+
+
+def over_weights(job: Job, adjoints: list[Float]) -> list[Float]:
+    """Derivatives by the pixels' weighted sums, from those by the pixels."""
+    weight = filter_weights(job)
+    result = [a * dr.select(weight == 0, 0, dr.rcp(weight)) for a in adjoints]
+    dr.eval(result)
+    return result
+
+
+def filter_weights(job: Job) -> Float:
+    """The sum of the weights of all samples that reach a pixel of the grid."""
+    image = [dr.opaque(Float, 0, job.width * job.height)]
+    for band in job.bands(BAND_PIXELS):
+        rows = add_samples(job, band, [], 0, job.spp, None)
+        image = spread(job, band, rows, image)
+    return image[0]
+
+
+def add(parts: Any) -> list[Any]:
+    """The sums over passes, parameter by parameter."""
+    total: list[Any] | None = None
+    for part in parts:
+        total = part if total is None else [a + b for a, b in zip(total, part, strict=True)]
+    assert total is not None
+    return total

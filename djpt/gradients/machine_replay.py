@@ -1,0 +1,156 @@
+"""Path replay in the machine schedule.
+
+As in `djpt.gradients.replay` every sample is walked twice. The first walk notes which of its shadow
+rays were free, a bit per vertex, so that the second traces none: it needs to know the visibility of a
+light when it processes the vertex, not some turns later.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Detached
+from djpt.geometry.bvh.records import EMPTY
+from djpt.geometry.query import Query
+from djpt.gradients.leaves import Numbering
+from djpt.gradients.modes import Mode
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.lanewide import wide
+from djpt.records import Ray3f
+from djpt.scene import Scene
+from djpt.schedules.flat import restart
+from djpt.schedules.job import Job
+from djpt.schedules.lanes import TiledLanes
+from djpt.schedules.machine import passes_lights
+from djpt.types import Bool, Color3f, Float, UInt32, UInt64
+
+__all__ = ["run"]
+
+NOTED = 64
+"""Vertices whose visibility is noted, a power of two; beyond them the second walk traces shadow rays again."""
+
+
+@dataclass
+class Lane:
+    """Loop state; see `djpt.schedules.machine` and `djpt.gradients.replay`."""
+
+    query: Query
+    shadow: Bool
+    pending: Color3f
+    next_ray: Ray3f
+    active: Bool
+    sampler: Any
+    path: PathState
+    free: UInt64
+    """Bit i: was the shadow ray of vertex i free?"""
+    radiance: Color3f
+    again: Bool
+    entry: UInt32
+    slot: UInt32
+    delta: Color3f
+    sums: list[Float]
+
+
+def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mode: Mode) -> tuple[list[Float], UInt32]:
+    """Walk all samples twice; returns the sums, and a number to evaluate if there are none."""
+    integrator, scene, width = job.integrator, job.scene, lanes.count
+    assert isinstance(integrator, PathIntegrator)
+    geometry = scene.geometry
+    first = lanes.at(lanes.first)
+    sampler, ray, _ = job.begin(first.pixel, first.k, first.x, first.y)
+    path, usable = integrator.start(scene), first.left
+    start = Lane(
+        query=wide(geometry.begin(ray, usable, through_lights=integrator.passes_lights(path)), width),
+        shadow=dr.full(Bool, False, width),
+        pending=dr.zeros(Color3f, width),
+        next_ray=wide(Ray3f(), width),
+        active=dr.full(Bool, True, width),
+        sampler=sampler,
+        path=wide(path, width),
+        free=dr.zeros(UInt64, width),
+        radiance=dr.zeros(Color3f, width),
+        again=dr.full(Bool, False, width),
+        entry=wide(lanes.first, width),
+        slot=wide(first.slot, width),
+        delta=wide(mode.delta_of(first.slot, usable & first.exists), width),
+        sums=mode.start(),
+    )
+
+    def advance(lane: Lane) -> Lane:
+        shadow = lane.shadow
+        ray, hit = geometry.end(lane.query)
+        stream = lane.sampler.clone()
+        leaves, view = mode.view(scene, values, numbering)
+        si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
+        si.scene = view
+        with dr.resume_grad():
+            v = integrator.vertex(view, stream, lane.path, ray, si)
+        vertex_ray, vertex_state = dr.detach(v.ray), dr.detach(v.state)
+        visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
+        radiance, delta, sums = mode.visit(lane, leaves, v, visible, lane.again & ~shadow)
+
+        # A shadow ray has ended: its vertex was processed before, and `path.depth` counts it already.
+        arrived = shadow & ~hit.is_valid()
+        lane.radiance = dr.select(shadow, lane.radiance + dr.select(arrived, lane.pending, 0), radiance)
+        lane.delta, lane.sums = delta, sums
+        free = lane.free | dr.select(arrived, bit(lane.path.depth - 1), 0)
+
+        reflected = dr.detach(v.reflected)
+        lit = ~shadow & ~lane.again & (dr.max(reflected) > 0)
+        active = dr.select(shadow, lane.active, v.active)
+        next_ray = dr.select(shadow, lane.next_ray, vertex_ray)
+        state = dr.select(shadow, lane.path, vertex_state)
+        ended = ~lit & ~active
+        finished = ended & lane.again
+
+        entry, here = lanes.next(lane.entry, finished), lanes.at(lane.entry)
+        sample = lanes.at(entry)
+        more = finished & sample.left & sample.exists
+        delta, sums = mode.hand_over(job, lane, finished, sample.slot, more, here.exists)
+        fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
+        path = restart(ended, integrator.start(scene), state)
+        new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
+        return Lane(
+            query=geometry.begin(new_ray, sample.left, lit, passes_lights(integrator, path, lit)),
+            shadow=lit,
+            pending=reflected,
+            next_ray=next_ray,
+            active=active,
+            sampler=dr.select(ended, fresh, dr.select(shadow, lane.sampler, stream)),
+            path=path,
+            free=dr.select(finished, 0, free),
+            radiance=dr.select(finished, 0, lane.radiance),
+            again=lane.again ^ ended,
+            entry=entry,
+            slot=dr.select(finished, sample.slot, lane.slot),
+            delta=delta,
+            sums=sums,
+        )
+
+    def turn(lane: Lane) -> tuple[Lane]:
+        through = passes_lights(integrator, lane.path, lane.shadow)
+        lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
+        ended = lane.query.cursor.current == EMPTY
+        (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
+        return (lane,)
+
+    (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label=mode.label + ", machine")
+    return end.sums, end.entry
+
+
+def bit(depth: UInt32) -> UInt64:
+    """The bit of a vertex; none beyond NOTED."""
+    return dr.select(depth < NOTED, UInt64(1) << UInt64(depth & (NOTED - 1)), 0)
+
+
+def known_free(scene: Scene, integrator: PathIntegrator, lane: Lane, shadow_ray: Ray3f) -> Bool:
+    """Was the shadow ray of this vertex free on the first walk?"""
+    depth = lane.path.depth
+    noted = (lane.free & bit(depth)) != 0
+    if 0 <= integrator.longest_path <= NOTED:
+        return noted
+    beyond = lane.again & ~lane.shadow & (depth >= NOTED)
+    return dr.if_stmt((noted, shadow_ray), beyond, lambda noted, ray: scene.unoccluded(ray), lambda noted, ray: noted)

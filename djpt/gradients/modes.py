@@ -1,0 +1,157 @@
+"""What path replay does at a vertex: reverse mode and forward mode.
+
+Both are methods of the loop in `djpt.gradients.replay`, whatever schedule it runs in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Detached
+from djpt.gradients.leaves import Accumulator, Leaves, Numbering, Tangents
+from djpt.integrators.base import Vertex
+from djpt.scene import Scene
+from djpt.schedules.job import Job
+from djpt.schedules.sinks import Write
+from djpt.types import Bool, Color3f, Float, UInt32
+
+__all__ = ["Adjoint", "Forward", "Mode", "Reverse"]
+
+Adjoint = Callable[[UInt32, Bool], Color3f]
+"""Gives the derivative of the loss by the sample stored at a slot, for active lanes."""
+
+
+class Walk(Protocol):
+    """What a mode reads of a lane."""
+
+    radiance: Color3f
+    """First walk: radiance so far. Second walk: radiance still to come."""
+    slot: UInt32
+    delta: Color3f
+    """Reverse mode: derivative of the loss by the sample. Forward mode: derivative of the sample."""
+    sums: list[Float]
+    again: Bool
+    """Is this the second walk?"""
+
+
+class Mode:
+    """The parts that differ between the modes."""
+
+    label: ClassVar[str]
+
+    def start(self) -> list[Float]:
+        """The sums at the start of the loop."""
+        raise NotImplementedError
+
+    def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
+        """`delta` when a lane begins the sample that is stored at `slot`."""
+        raise NotImplementedError
+
+    def view(self, scene: Scene, values: Detached, numbering: Numbering) -> tuple[Leaves, Scene]:
+        """Fresh leaves for one vertex, and the scene that reads them."""
+        leaves = Leaves(values, numbering, None)
+        return leaves, scene.with_lookup(leaves)
+
+    def visit(
+        self, walk: Walk, leaves: Leaves, v: Vertex, visible: Bool, differentiate: Bool
+    ) -> tuple[Color3f, Color3f, list[Float]]:
+        """Radiance, delta and sums after a vertex.
+
+        Lanes that `differentiate` are on their second walk: there Lo = emitted + reflected +
+        L weight / detach(weight) is all that depends on parameters, L being the radiance still to come.
+        """
+        with dr.resume_grad():
+            here = v.emitted + dr.select(visible, v.reflected, 0)
+            passed = dr.detach(here)
+            radiance = dr.select(walk.again, walk.radiance - passed, walk.radiance + passed)
+            weight = dr.detach(v.weight)
+            scattered = v.weight * dr.select(weight != 0, radiance * dr.rcp(weight), 0)
+            outgoing = here + dr.select(v.active, scattered, 0)
+            return radiance, *self.differentiate(walk, leaves, outgoing, differentiate)
+
+    def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
+        """Delta and sums after a vertex with the attached radiance `outgoing`."""
+        raise NotImplementedError
+
+    def hand_over(
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+    ) -> tuple[Color3f, list[Float]]:
+        """Delta and sums after the second walk of the lanes that have `finished`.
+
+        `more`: another sample follows; `counts`: the one that has ended is part of the image.
+        """
+        raise NotImplementedError
+
+
+@dataclass
+class Reverse(Mode):
+    """Sum the parameters' gradients, given the samples' adjoints.
+
+    The adjoints are `delta` for all samples of a lane, or what `adjoint` reads for each.
+    """
+
+    label = "replay backward"
+    accumulator: Accumulator
+    delta: Color3f | None
+    adjoint: Adjoint | None
+
+    def start(self) -> list[Float]:
+        return self.accumulator.start()
+
+    def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
+        if self.adjoint is not None:
+            return self.adjoint(slot, active)
+        assert self.delta is not None
+        return self.delta
+
+    def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
+        adjoint: Any = dr.select(active, walk.delta, 0)
+        # A parameter may have no effect at all.
+        if dr.grad_enabled(outgoing):
+            dr.backward(dr.dot(outgoing, adjoint))
+        return walk.delta, self.accumulator.add(walk.sums, leaves, active)
+
+    def hand_over(
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+    ) -> tuple[Color3f, list[Float]]:
+        if self.adjoint is None:
+            return walk.delta, walk.sums
+        return dr.select(finished, self.adjoint(next_slot, more), walk.delta), walk.sums
+
+
+@dataclass
+class Forward(Mode):
+    """Tangents in, one derivative per sample out, to sums or to ``store``."""
+
+    label = "replay forward"
+    tangents: Tangents
+    store: Write | None
+    sums: list[Float]
+
+    def start(self) -> list[Float]:
+        return self.sums
+
+    def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
+        return Color3f(0)
+
+    def view(self, scene: Scene, values: Detached, numbering: Numbering) -> tuple[Leaves, Scene]:
+        leaves = Leaves(values, numbering, self.tangents)
+        return leaves, scene.with_lookup(leaves)
+
+    def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
+        change = dr.forward_to(outgoing) if dr.grad_enabled(outgoing) else Color3f(0)
+        return walk.delta + dr.select(active, change, 0), walk.sums
+
+    def hand_over(
+        self, job: Job, walk: Walk, finished: Bool, next_slot: UInt32, more: Bool, counts: Bool | bool = True
+    ) -> tuple[Color3f, list[Float]]:
+        channels, sums = job.tangent_channels(walk.delta), walk.sums
+        if self.store is None:
+            sums = [s + dr.select(finished & counts, c, 0) for s, c in zip(sums, channels, strict=True)]
+        else:
+            self.store(walk.slot, channels, finished & counts)
+        return dr.select(finished, 0, walk.delta), sums

@@ -1,0 +1,1 @@
+"""Finished images: files, colour, tone mapping."""

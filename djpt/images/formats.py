@@ -1,0 +1,319 @@
+"""How pixels become bytes: one encoder and one decoder per file format.
+
+Encoders take an array of shape (H, W, C) and a path that they may overwrite; decoders
+return such an array. They know nothing of djpt's types and errors: `djpt.images.image` checks what
+goes in, keeps writes atomic and turns whatever is raised here into a `FileError`.
+
+The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The display formats
+(`png`, `jpg`) carry 8-bit sRGB, without dithering, so that equal images give equal bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+
+__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "RESERVED", "Format", "Labels", "from_srgb8", "to_srgb8"]
+
+Pixels = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
+
+
+class Labels(NamedTuple):
+    """What a file says about its pixels."""
+
+    channels: Sequence[str] | None
+    """Names of the channels; None: the usual ones."""
+    metadata: Mapping[str, str]
+
+
+class Format(NamedTuple):
+    """A file format: which channel counts it holds (empty = any), how to write and to read it."""
+
+    channels: tuple[int, ...]
+    encode: Callable[[Path, Pixels, Labels], None]
+    decode: Callable[[Path], Pixels]
+
+
+# ---------------------------------------------------------------- sRGB
+
+
+def to_srgb8(linear: Pixels) -> Bytes:
+    """Linear values to 8-bit sRGB (IEC 61966-2-1): clipped to [0, 1], encoded, rounded to nearest.
+
+    Shape (H, W, C), any C. The last of 2 or 4 channels is alpha, which stays linear. NaN becomes 0.
+    """
+    x = np.clip(np.nan_to_num(linear, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float64)
+    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
+    if linear.shape[2] in (2, 4):
+        encoded[..., -1] = x[..., -1]
+    return np.floor(encoded * 255.0 + 0.5).astype(np.uint8)
+
+
+def from_srgb8(encoded: Bytes) -> Pixels:
+    """The inverse of `to_srgb8` on its own output: `to_srgb8(from_srgb8(b)) == b`."""
+    x = encoded.astype(np.float64) / 255.0
+    linear = np.where(x <= 0.04045, x / 12.92, np.power((x + 0.055) / 1.055, 2.4))
+    if encoded.shape[2] in (2, 4):
+        linear[..., -1] = x[..., -1]
+    return linear.astype(np.float32)
+
+
+# ---------------------------------------------------------------- OpenEXR
+
+_EXR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
+
+# OpenEXR sorts channels by name; this header attribute of ours remembers their order.
+_EXR_ORDER = "channelOrder"
+
+
+def _write_exr(path: Path, image: Pixels, labels: Labels) -> None:
+    import OpenEXR
+
+    count = image.shape[2]
+    names = tuple(labels.channels) if labels.channels is not None else _EXR_NAMES.get(count)
+    if names is None:
+        digits = len(str(count - 1))
+        names = tuple(f"C{i:0{digits}d}" for i in range(count))
+    header = {
+        **labels.metadata,
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        _EXR_ORDER: ",".join(names),
+    }
+    planes = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate(names)}
+    OpenEXR.File(header, planes).write(str(path))
+
+
+def _exr_metadata(path: Path) -> dict[str, str]:
+    import OpenEXR
+
+    with OpenEXR.File(str(path), header_only=True) as file:
+        # The header is emptied when the file is closed.
+        return {name: value for name, value in file.header().items() if isinstance(value, str) and name != _EXR_ORDER}
+
+
+def _read_exr(path: Path) -> Pixels:
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        planes = {name: channel.pixels for name, channel in file.channels().items()}
+        order = str(file.header().get(_EXR_ORDER, "")).split(",")
+    if sorted(order) != sorted(planes):
+        # Somebody else's file: colour first, in the usual order, then the rest by name.
+        usual = ("R", "G", "B", "Y", "A")
+        order = [name for name in usual if name in planes] + sorted(set(planes) - set(usual))
+    if len({plane.shape for plane in planes.values()}) != 1:
+        raise ValueError("subsampled channels are not supported")
+    return np.stack([planes[name].astype(np.float32) for name in order], axis=2)
+
+
+# ---------------------------------------------------------------- Radiance RGBE
+
+
+def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
+    """Radiance RGBE (Ward, *Real Pixels*, Graphics Gems II), flat scanlines.
+
+    Three 8-bit mantissas share one exponent: relative error 2^-8 of the largest channel.
+    Mantissas are rounded (not truncated) for readers that compute `m * 2^(e - 136)`, which
+    most do. Negative values and NaN become 0.
+    """
+    height, width, _ = image.shape
+    rgb = np.clip(np.nan_to_num(image, nan=0.0), 0.0, 2.0**126).astype(np.float64)
+    largest = rgb.max(axis=2)
+    _, exponent = np.frexp(largest)
+    # Rounding may lift the largest mantissa to 256: such a pixel needs the next exponent.
+    exponent = np.where(np.floor(np.ldexp(largest, 8 - exponent) + 0.5) > 255, exponent + 1, exponent)
+    mantissa = np.floor(np.ldexp(rgb, (8 - exponent)[..., None]) + 0.5)
+    black = (largest <= 0) | (exponent < -127)
+    rgbe = np.concatenate([mantissa, (exponent + 128)[..., None]], axis=2)
+    rgbe[black] = 0
+    header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
+    # Flat scanlines can't be mistaken for run lengths (which begin with 2 2 or 1 1 1): the
+    # largest mantissa of a pixel that isn't black is at least 128, and black is 0 0 0 0.
+    path.write_bytes(header.encode("ascii") + rgbe.astype(np.uint8).tobytes())
+
+
+def _read_hdr(path: Path) -> Pixels:
+    data = path.read_bytes()
+    header, separator, rest = data.partition(b"\n\n")
+    size, newline, body = rest.partition(b"\n")
+    if not (header.startswith(b"#?") and separator and newline):
+        raise ValueError("no Radiance header")
+    words = size.split()
+    if len(words) != 4 or words[0] != b"-Y" or words[2] != b"+X":
+        raise ValueError(f"unsupported orientation '{size.decode('latin-1')[:40]}'")
+    height, width = int(words[1]), int(words[3])
+    if height <= 0 or width <= 0:
+        raise ValueError(f"size {width} x {height}")
+    if len(body) == 4 * height * width:
+        rgbe = np.frombuffer(body, np.uint8).reshape(height, width, 4)
+    else:
+        # A run of at most 127 bytes takes 2: bounds the memory that a forged header can ask for.
+        if height * width * 4 > len(body) * 64:
+            raise ValueError("the file is too short for its size")
+        rgbe = _rgbe_run_lengths(body, height, width)
+    scale = np.where(rgbe[..., 3] > 0, np.ldexp(1.0, rgbe[..., 3].astype(np.int32) - 136), 0.0)
+    return (rgbe[..., :3] * scale[..., None]).astype(np.float32)
+
+
+def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
+    """Decode scanlines that hold the four components one after the other, as runs and literals."""
+    rgbe = np.empty((height, 4, width), np.uint8)
+    at = 0
+    for y in range(height):
+        if body[at : at + 2] != b"\x02\x02" or body[at + 2] * 256 + body[at + 3] != width:
+            raise ValueError(f"scanline {y} is not run-length encoded")
+        at += 4
+        for component in range(4):
+            x = 0
+            while x < width:
+                count = body[at]
+                if count > 128:
+                    count -= 128
+                    run: Bytes | int = body[at + 1]
+                    at += 2
+                else:
+                    run = np.frombuffer(body, np.uint8, count, at + 1)
+                    at += 1 + count
+                if count == 0 or x + count > width:
+                    raise ValueError(f"a bad run in scanline {y}")
+                rgbe[y, component, x : x + count] = run
+                x += count
+    return rgbe.transpose(0, 2, 1)
+
+
+# ---------------------------------------------------------------- PFM, NPY
+
+
+def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
+    """Portable float map: bottom row first; a negative scale says little endian."""
+    height, width, count = image.shape
+    header = f"{'PF' if count == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
+    path.write_bytes(header.encode("ascii") + np.ascontiguousarray(image[::-1], "<f4").tobytes())
+
+
+def _read_pfm(path: Path) -> Pixels:
+    words = path.read_bytes().split(maxsplit=3)
+    magic, width, height = words[0], int(words[1]), int(words[2])
+    # Exactly one white space follows the scale; the pixels may begin with bytes that look like more.
+    scale, _, body = words[3].partition(b"\n")
+    if magic not in (b"PF", b"Pf") or width <= 0 or height <= 0:
+        raise ValueError("not a PFM header")
+    count = 3 if magic == b"PF" else 1
+    if len(body) != 4 * width * height * count:
+        raise ValueError(f"{len(body)} bytes of pixels for {width} x {height} x {count}")
+    pixels = np.frombuffer(body, "<f4" if float(scale) < 0 else ">f4").reshape(height, width, count)
+    return pixels[::-1].astype(np.float32)
+
+
+def _write_npy(path: Path, image: Pixels, labels: Labels) -> None:
+    with path.open("wb") as file:
+        np.save(file, image, allow_pickle=False)
+
+
+def _read_npy(path: Path) -> Pixels:
+    # Mapped, so that a forged header can't ask for more memory than the file has bytes.
+    pixels = np.load(path, mmap_mode="r", allow_pickle=False)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or pixels.dtype.kind not in "fiu":
+        raise ValueError(f"an array of shape {pixels.shape} and type {pixels.dtype} is not an image")
+    return np.array(pixels, np.float32)
+
+
+# ---------------------------------------------------------------- PNG, JPEG
+
+_MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
+
+
+def encode_png(file: Path | IO[bytes], pixels: Bytes, metadata: Mapping[str, str] | None = None) -> None:
+    """Write 8-bit pixels of 1 to 4 channels as PNG to a path or a binary stream.
+
+    The file says that it is sRGB, in the chunk of that name and, for readers that don't know it, by a gamma of
+    1 / 2.2. Metadata become text chunks: tEXt, or iTXt for what isn't Latin-1.
+    """
+    from PIL.PngImagePlugin import PngInfo
+
+    chunks = PngInfo()
+    chunks.add(b"sRGB", b"\0")  # rendering intent: perceptual
+    chunks.add(b"gAMA", (45455).to_bytes(4, "big"))
+    for name, text in (metadata or {}).items():
+        chunks.add_text(name, text)
+    _picture(pixels).save(file, format="PNG", pnginfo=chunks)
+
+
+def _png_metadata(path: Path) -> dict[str, str]:
+    from PIL import Image
+
+    with Image.open(path, formats=("PNG",)) as file:
+        file.load()  # text may follow the pixels
+        return {name: str(text) for name, text in getattr(file, "text", {}).items()}
+
+
+def _picture(pixels: Bytes) -> Picture:
+    from PIL import Image
+
+    height, width, count = pixels.shape
+    return Image.frombytes(_MODES[count], (width, height), np.ascontiguousarray(pixels).tobytes())
+
+
+def _write_png(path: Path, image: Pixels, labels: Labels) -> None:
+    encode_png(path, _as_bytes(image), labels.metadata)
+
+
+def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
+    """JPEG has no alpha; rendered images are premultiplied, so dropping it means black behind."""
+    pixels = _as_bytes(image)
+    pixels = pixels[..., : 1 if pixels.shape[2] < 3 else 3]
+    _picture(pixels).save(path, format="JPEG", quality=95, subsampling=0)
+
+
+def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
+    return image if image.dtype == np.uint8 else to_srgb8(image)
+
+
+def _read_picture(path: Path) -> Pixels:
+    from PIL import Image
+
+    with Image.open(path, formats=("PNG", "JPEG")) as file:
+        picture: Picture = file
+        if picture.mode.startswith("I"):  # 16 bit grey
+            wide = np.asarray(picture, np.float64)[..., None] / 65535.0
+            return np.where(wide <= 0.04045, wide / 12.92, ((wide + 0.055) / 1.055) ** 2.4).astype(np.float32)
+        if picture.mode not in _MODES.values():
+            picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
+        pixels = np.asarray(picture, np.uint8)
+    return from_srgb8(pixels[..., None] if pixels.ndim == 2 else pixels)
+
+
+# ---------------------------------------------------------------- the table
+
+FORMATS = {
+    ".exr": Format((), _write_exr, _read_exr),
+    ".hdr": Format((3,), _write_hdr, _read_hdr),
+    ".pfm": Format((1, 3), _write_pfm, _read_pfm),
+    ".npy": Format((), _write_npy, _read_npy),
+    ".png": Format((1, 2, 3, 4), _write_png, _read_picture),
+    ".jpg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
+    ".jpeg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
+}
+
+DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg"})
+
+METADATA = {".exr": _exr_metadata, ".png": _png_metadata}
+"""The formats that carry metadata, with what reads them."""
+
+RESERVED = frozenset(
+    f"{_EXR_ORDER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
+    "maxSamplesPerPixel multiView name pixelAspectRatio preview screenWindowCenter screenWindowWidth tiles type "
+    "version view zipCompressionLevel".split()
+)
+"""Header attributes of EXR that have a meaning of their own."""

@@ -1,0 +1,266 @@
+"""Images: read, write, show.
+
+`render()` returns a plain `TensorXf`, which keeps working in Dr.Jit expressions. Files are
+written and read as such tensors; `Image` is only a view for notebooks and for NumPy.
+
+    djpt.write("out.exr", image)     # exr hdr pfm npy: linear radiance, float32
+    djpt.write("out.png", image)     # png jpg: 8-bit sRGB
+    djpt.Image(image)                # shows itself in a notebook
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from djpt.errors import FileError, near_miss
+from djpt.images.formats import (
+    DISPLAY_FORMATS,
+    FORMATS,
+    METADATA,
+    RESERVED,
+    Format,
+    Labels,
+    encode_png,
+    to_srgb8,
+)
+
+if TYPE_CHECKING:
+    from djpt.types import TensorXf
+
+__all__ = ["Image", "check_writable", "read", "read_metadata", "write"]
+
+METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
+
+
+class Image:
+    """A view of an image that shows itself: `Image(djpt.render(scene))` as the last line of a cell.
+
+    `tensor`: a `TensorXf`, a NumPy array or an `Image`, of shape (H, W) or (H, W, C). Floating
+    point values are linear; `uint8` values are already sRGB. Nothing is clipped until it is shown.
+    Channels mean what they mean in the file formats: 1 grey, 2 grey and alpha, 3 RGB, 4 RGB and
+    alpha; of more channels the first three are shown.
+    Raises `FileError` if the shape or the type isn't an image's.
+    """
+
+    def __init__(self, tensor: Any) -> None:
+        self._pixels = _pixels(tensor, "the image")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels, as `film.size`."""
+        return self._pixels.shape[1], self._pixels.shape[0]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W, C)."""
+        return self._pixels.shape
+
+    def numpy(self) -> npt.NDArray[Any]:
+        """The pixels: (H, W, C), float32 (linear) or uint8 (sRGB)."""
+        return self._pixels
+
+    def srgb(self) -> npt.NDArray[np.uint8]:
+        """What is seen: (H, W, C) bytes of sRGB; see `djpt.images.formats.to_srgb8`."""
+        shown = self._pixels if self._pixels.shape[2] <= 4 else self._pixels[..., :3]
+        return shown if shown.dtype == np.uint8 else to_srgb8(shown)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """For `numpy.asarray(image)` and `matplotlib.pyplot.imshow(image)`."""
+        pixels = self._pixels if dtype is None else self._pixels.astype(dtype, copy=False)
+        return pixels.copy() if copy else pixels
+
+    def __repr__(self) -> str:
+        height, width, channels = self._pixels.shape
+        return f"Image({width} x {height}, {channels} channels, {self._pixels.dtype})"
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        encode_png(stream, self.srgb())
+        return stream.getvalue()
+
+
+def write(
+    path: str | os.PathLike[str],
+    image: Any,
+    channels: Sequence[str] | None = None,
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an image; the extension of `path` chooses the format.
+
+    * `image`: `TensorXf`, NumPy array or `Image`; (H, W) or (H, W, C), linear values. `uint8`
+      values are taken for sRGB and only accepted by png and jpg.
+    * `exr`, `hdr` (3 channels), `pfm` (1 or 3), `npy`: linear, float32 (`hdr`: shared 8-bit exponent).
+    * `png`, `jpg`, `jpeg` (1 to 4 channels): 8-bit sRGB: clipped to [0, 1] and rounded, never
+      dithered, so equal images give equal bytes. `jpg` drops alpha.
+    * `channels`: names for the channels of an `exr`, such as those of an `aov` integrator.
+      Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take what stands before the last dot
+      for a layer: `albedo.R`, `albedo.G` and `albedo.B` are the layer `albedo`.
+    * `metadata`: names and values that the header of an `exr` or `png` carries, as text, for `read_metadata` and for
+      other programs. Names have up to 31 letters, digits and ``_ . : -``; values are strings, numbers or booleans.
+
+    The file appears whole or not at all: a failed write leaves an old file as it was.
+    Raises `FileError` for an unknown extension, a wrong shape, a path that can't be written.
+    """
+    target = Path(path)
+    form = check_writable(target)
+    pixels = _pixels(image, f"'{target}'")
+    suffix = target.suffix.lower()
+    count = pixels.shape[2]
+    if form.channels and count not in form.channels:
+        raise FileError(
+            f"can't write '{target}': {suffix[1:]} holds {_either(form.channels)} channels, found {count}; "
+            "exr and npy hold any number"
+        )
+    if pixels.dtype == np.uint8 and suffix not in DISPLAY_FORMATS:
+        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix[1:]} holds linear values")
+    if channels is not None:
+        if suffix != ".exr":
+            raise FileError(f"can't write '{target}': only exr names its channels")
+        if len(set(channels)) != count or len(channels) != count or any(not c or "," in c for c in channels):
+            raise FileError(f"can't write '{target}': {count} different channel names needed, found {list(channels)}")
+
+    labels = Labels(channels, _texts(target, metadata or {}))
+
+    # A link is followed, so that it stays a link. The name begins with a dot and keeps the extension.
+    real = Path(os.path.realpath(target))
+    temporary = real.with_name(f".{real.stem[:100]}.{secrets.token_hex(4)}{real.suffix}")
+    try:
+        form.encode(temporary, pixels, labels)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())  # otherwise a crash may leave the new name with no content
+        if real.exists():
+            temporary.chmod(real.stat().st_mode & 0o777)
+        temporary.replace(real)
+    except (OSError, RuntimeError, ValueError, MemoryError) as error:
+        raise FileError(f"can't write '{target}': {_reason(error)}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def read(path: str | os.PathLike[str]) -> TensorXf:
+    """Read an image as a tensor of shape (H, W, C) with linear values.
+
+    exr, hdr, pfm and npy as they are; png and jpg are decoded from sRGB (alpha is linear). What `write`
+    wrote comes back: bit for bit from exr, pfm and npy, to the nearest representable value
+    from the others. Raises `FileError` if the file is missing, damaged or of an unknown format.
+    """
+    from djpt.types import TensorXf
+
+    return TensorXf(read_pixels(path))
+
+
+def read_pixels(path: str | os.PathLike[str]) -> npt.NDArray[np.float32]:
+    """`read()` for NumPy: float32 (H, W, C). Needs no Dr.Jit backend."""
+    source = Path(path)
+    form = _format(source, "read")
+    with _reading(source):
+        return np.ascontiguousarray(form.decode(source), np.float32)
+
+
+def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
+    """What the header of an `exr` or `png` says about the image: names and texts, as given to `write`.
+
+    Of files that other programs wrote, the attributes of type string or the text chunks. Raises `FileError`
+    as `read` does, and for formats without metadata.
+    """
+    source = Path(path)
+    _format(source, "read")
+    decode = METADATA.get(source.suffix.lower())
+    if decode is None:
+        raise FileError(f"'{source}' has no metadata: only exr and png carry any")
+    with _reading(source):
+        return decode(source)
+
+
+@contextlib.contextmanager
+def _reading(source: Path) -> Iterator[None]:
+    """Whatever goes wrong while a file is read becomes a `FileError`."""
+    try:
+        if source.is_dir():
+            raise IsADirectoryError("it is a folder")
+        if not source.exists():
+            raise FileNotFoundError("there is no such file")
+        yield
+    except Exception as error:  # decoders of damaged files raise nearly anything
+        raise FileError(f"can't read '{source}': {_reason(error)}") from error
+
+
+def check_writable(path: str | os.PathLike[str]) -> Format:
+    """Raise `FileError` if `path` can't be written, before a long render rather than after it."""
+    target = Path(path)
+    form = _format(target, "write")
+    folder = Path(os.path.realpath(target)).parent
+    if target.is_dir():
+        raise FileError(f"can't write '{target}': it is a folder")
+    if not folder.is_dir():
+        raise FileError(f"can't write '{target}': there is no folder '{folder}'")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise FileError(f"can't write '{target}': no permission to write in '{folder}'")
+    return form
+
+
+def _format(path: Path, verb: str) -> Format:
+    try:
+        return FORMATS[path.suffix.lower()]
+    except KeyError:
+        known = [suffix[1:] for suffix in FORMATS]
+        if not path.suffix:
+            hint = f"the name has no extension; possible: {', '.join(known)}"
+        else:
+            hint = f"unknown extension '{path.suffix[1:]}'{near_miss(path.suffix[1:], known)}"
+        raise FileError(f"can't {verb} '{path}': {hint}") from None
+
+
+def _pixels(image: Any, name: str) -> npt.NDArray[Any]:
+    """Any accepted image as a NumPy array (H, W, C) of float32 or uint8."""
+    try:
+        pixels = image.numpy() if hasattr(image, "numpy") else np.asarray(image)
+    except (TypeError, ValueError):  # a ragged list, for one
+        pixels = np.asarray(None)
+    if pixels.dtype.kind not in "fiub":
+        raise FileError(f"{name}: an image must be a TensorXf or a NumPy array, found {type(image).__name__}")
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise FileError(f"{name}: an image has shape (height, width, channels), found {pixels.shape}")
+    return pixels if pixels.dtype == np.uint8 else np.asarray(pixels, np.float32)
+
+
+def _texts(target: Path, metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Metadata as text, checked."""
+    if metadata and target.suffix.lower() not in METADATA:
+        raise FileError(f"can't write '{target}': only exr and png carry metadata")
+    texts = {}
+    for name, value in metadata.items():
+        if not isinstance(name, str) or not METADATA_NAME.fullmatch(name) or name in RESERVED:
+            problem = "is used by the format itself" if name in RESERVED else "up to 31 letters, digits and _ . : -"
+            raise FileError(f"can't write '{target}': the name {name!r} of metadata: {problem}")
+        if not isinstance(value, (str, bool, int, float, np.integer, np.floating)) or "\0" in str(value):
+            raise FileError(f"can't write '{target}': metadata '{name}' must be a string or a number, found {value!r}")
+        texts[name] = str(value)
+    return texts
+
+
+def _either(numbers: Sequence[int]) -> str:
+    return " or ".join(str(n) for n in numbers) if len(numbers) < 3 else f"{numbers[0]} to {numbers[-1]}"
+
+
+def _reason(error: BaseException) -> str:
+    """One line that says what went wrong, without the path that the message begins with anyway."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    if isinstance(error, MemoryError):
+        return "out of memory"
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__

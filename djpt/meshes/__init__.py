@@ -1,5 +1,0 @@
-"""Triangle meshes on the host: their data, readers, vertex normals, cleaning."""
-
-from djpt.meshes.data import MeshData
-
-__all__ = ["MeshData"]

@@ -1,0 +1,53 @@
+"""What a mesh is made of, on the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.shapes.meshes.normals import weighted_normals
+from djpt.transforms import ScalarTransform4f
+
+__all__ = ["MeshData"]
+
+
+@dataclass
+class MeshData:
+    """Vertices, triangles and what is attached to them."""
+
+    positions: NDArray[np.float32]
+    """(V, 3)."""
+    indices: NDArray[np.uint32]
+    """(F, 3): the corners of each triangle, counter-clockwise seen from the side of its normal."""
+    normals: NDArray[np.float32] | None = None
+    """(V, 3), unit length; a zero stands for "none here", which means the triangle's own."""
+    texcoords: NDArray[np.float32] | None = None
+    """(V, 2)."""
+    attributes: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """(V, C) for names that begin with ``vertex_``, (F, C) for ``face_``."""
+
+    def transform(self, to_world: ScalarTransform4f) -> None:
+        """Move to world space; normals go by the inverse transpose and keep their side."""
+        matrix = to_world.matrix
+        if np.array_equal(matrix, np.eye(4)):
+            return
+        # Overflow to infinity is found and reported by the cleaning.
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.positions = (self.positions @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+            if self.normals is not None:
+                self.normals = unit(self.normals @ np.linalg.inv(matrix[:3, :3]))
+
+    def compute_normals(self) -> None:
+        """Give every vertex the angle-weighted mean of the normals around it."""
+        self.normals = weighted_normals(self.positions, self.indices)
+
+
+def unit(vectors: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Vectors (N, 3) of length 1; those without a direction become zero."""
+    wide = vectors.astype(np.float64)
+    length = np.sqrt(np.einsum("ij,ij->i", wide, wide))
+    usable = np.isfinite(length) & (length > 0)
+    scale = np.divide(1.0, length, out=np.zeros_like(length), where=usable)
+    return np.where(usable[:, None], wide * scale[:, None], 0.0).astype(np.float32)

@@ -1,0 +1,67 @@
+"""Writing meshes as binary PLY files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import FileError
+from djpt.shapes.meshes.data import MeshData
+
+__all__ = ["write_ply"]
+
+
+def write_ply(path: str | os.PathLike[str], mesh: MeshData) -> None:
+    """Write a little-endian PLY file, with the names that `read_ply` and Mitsuba understand.
+
+    The file is written under another name first, so that a failure leaves an older one whole.
+
+    Raises:
+        FileError: it can't be written.
+    """
+    vertex = {"xyz": mesh.positions}
+    names = ["x", "y", "z"]
+    if mesh.normals is not None:
+        vertex["normals"] = mesh.normals
+        names += ["nx", "ny", "nz"]
+    if mesh.texcoords is not None:
+        vertex["texcoords"] = mesh.texcoords
+        names += ["u", "v"]
+    face: dict[str, NDArray[np.float32]] = {}
+    face_names: list[str] = []
+    for name, values in mesh.attributes.items():
+        kind, _, base = name.partition("_")
+        channels = channel_names(base, values.shape[1])
+        (vertex if kind == "vertex" else face)[name] = values
+        (names if kind == "vertex" else face_names).extend(channels)
+
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.positions)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"element face {len(mesh.indices)}", "property list uchar int vertex_indices"]
+    header += [f"property float {name}" for name in face_names]
+    rows = np.zeros(len(mesh.indices), [("n", "u1"), ("i", "<u4", 3), ("f", "<f4", len(face_names))])
+    rows["n"], rows["i"] = 3, mesh.indices
+    if face:
+        rows["f"] = np.concatenate(list(face.values()), axis=1)
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("wb") as file:
+            file.write("\n".join([*header, "end_header\n"]).encode())
+            file.write(np.concatenate(list(vertex.values()), axis=1).astype("<f4").tobytes())
+            file.write(rows.tobytes())
+        temporary.replace(target)
+    except OSError as error:
+        raise FileError(f"can't write '{target}': {error.strerror}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def channel_names(base: str, count: int) -> list[str]:
+    """The properties of an attribute."""
+    if base == "color" and count in (3, 4):
+        return list("rgba"[:count])
+    return [f"{base}_{k}" for k in range(count)]

@@ -1,0 +1,177 @@
+"""Strips of pictures: light by its number of bounces, and noise by the number of samples."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image as Picture
+from PIL import ImageDraw
+
+from djpt.description.loader import load_dict
+from djpt.description.overrides import described, override
+from djpt.errors import RenderError
+from djpt.images.image import Image
+from djpt.images.tone_mapping import stops
+from djpt.rendering import channel_names, render
+from djpt.scenes.gallery import GREY, INK, PAPER, fitting_font
+from djpt.schedules.job import Progress
+from djpt.validation.ladder.measure import BATCHES, colors, seeds
+from djpt.validation.ladder.steps import STEPS
+from djpt.validation.statistics import Batches
+
+__all__ = ["Panel", "bounces", "samples", "strip"]
+
+Bytes = npt.NDArray[np.uint8]
+
+FIRST = ("emitted", "scattered once", "scattered twice")
+"""What the first terms of the Neumann series are called."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A picture with a title, in which ``K^2`` is written with a raised 2, and a subtitle."""
+
+    title: str
+    subtitle: str
+    picture: Bytes
+
+
+def bounces(
+    scene: Mapping[str, Any] | str,
+    max_depth: int = 6,
+    spp: int = 256,
+    *,
+    exposure: float | str = 0.0,
+    width: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[Panel]:
+    """The terms of L = E + K E + K^2 E + .. one by one, and their sum: light by how often it was scattered.
+
+    Args:
+        scene: A dict of Mitsuba's schema, a built-in name, or a scene file.
+        max_depth: Edges of the longest path, which is the number of terms: 1 to 32.
+        spp: Samples per pixel.
+        exposure: In stops, of all panels; ``"auto"``: what suits the sum.
+        width: Pixels of a panel, instead of the scene's; the image keeps its shape.
+        seed: Of the image.
+        progress: Called with (samples done, samples in all).
+    """
+    loaded = load_dict(override(described(scene)[1], width=width))
+    path = next(step for step in STEPS if step.title == "path").description(loaded)
+    integrator = load_dict({**path, "max_depth": max_depth, "bounces": True})
+    image = np.array(render(loaded, integrator=integrator, spp=spp, seed=seed, progress=progress), np.float64)
+    first = channel_names(loaded, integrator=integrator).index("bounce0.R")
+    terms = [image[..., first + 3 * k : first + 3 * k + 3] for k in range(max_depth)]
+    total = np.sum(terms, axis=0)
+    gain = 2.0 ** stops(exposure, total)
+    panels = [Panel(term_title(k), FIRST[k] if k < 3 else f"{k} times", shown(gain * t)) for k, t in enumerate(terms)]
+    return [*panels, Panel("sum", f"up to {max_depth} edges", shown(gain * total))]
+
+
+def term_title(k: int) -> str:
+    """The k-th term of the Neumann series."""
+    return ("E", "KE")[k] if k < 2 else f"K^{k}E"
+
+
+def samples(
+    scene: Mapping[str, Any] | str,
+    most: int = 4096,
+    *,
+    integrator: str | None = None,
+    reference_spp: int | None = None,
+    repeats: int = 4,
+    width: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[Panel]:
+    """The same image with 1, 16, 64, 256, .. samples per pixel, and the RMSE of each.
+
+    The RMSE is that of `repeats` images with seeds of their own, against a reference with yet others, whose noise is
+    known from its parts and taken out: see `djpt.validation.ladder.measure`.
+
+    Args:
+        scene: A dict of Mitsuba's schema, a built-in name, or a scene file.
+        most: Samples per pixel of the last panel.
+        integrator: By name, instead of the scene's.
+        reference_spp: Samples per pixel of the reference, in 16 equal parts (default: 4 times `most`).
+        repeats: Images that an RMSE is the mean of.
+        width: Pixels of a panel, instead of the scene's; the image keeps its shape.
+        seed: Changes all seeds.
+        progress: Called with (samples per pixel done, samples per pixel in all).
+    """
+    if most < 1 or repeats < 1:
+        raise RenderError(f"the strip of samples needs positive numbers, found most={most}, repeats={repeats}")
+    counts = [count for count in (1, *(4**k for k in range(2, 16))) if count < most] + [most]
+    loaded = load_dict(override(described(scene)[1], width=width, integrator=integrator))
+    part = math.ceil((reference_spp or 4 * most) / BATCHES)
+    total, done = part * BATCHES + repeats * sum(counts), 0
+
+    def image(spp: int, seed: int) -> npt.NDArray[np.float64]:
+        nonlocal done
+        result = colors(np.array(render(loaded, spp=spp, seed=seed), np.float64))
+        done += spp
+        if progress is not None:
+            progress(done, total)
+        return result
+
+    random = seeds(seed, 0)
+    reference = Batches()
+    for _ in range(BATCHES):
+        reference.add(image(part, next(random)))
+    variance = float(reference.variance_of_mean().mean())
+    panels = []
+    for number, count in enumerate(counts):
+        random = seeds(seed, number + 1)
+        images = [image(count, next(random)) for _ in range(repeats)]
+        squares = float(np.mean([np.square(one - reference.mean).mean() for one in images]))
+        error = math.sqrt(max(squares - variance, 0.0))
+        panels.append(Panel(f"{count} spp", f"RMSE {error:.2g}", shown(images[0])))
+    return panels
+
+
+def shown(image: npt.NDArray[np.float64]) -> Bytes:
+    """Linear light as bytes of sRGB, (H, W, 3)."""
+    return np.asarray(np.broadcast_to(Image(image.astype(np.float32)).srgb(), (*image.shape[:2], 3)))
+
+
+# ---- putting them side by side ----------------------------------------------------------------
+
+
+def strip(panels: Sequence[Panel], columns: int | None = None) -> Bytes:
+    """Panels of one size side by side, in rows of `columns` (default: one row): (H, W, 3) bytes of sRGB."""
+    columns = min(columns or len(panels), len(panels))
+    height, width, _ = panels[0].picture.shape
+    gap, text = max(2, width // 20), max(9, width // 14)
+    caption = round(2.9 * text)
+    rows = -(-len(panels) // columns)
+    page = Picture.new("RGB", (columns * (width + gap) + gap, rows * (height + caption + gap) + gap), PAPER)
+    draw = ImageDraw.Draw(page)
+    for i, panel in enumerate(panels):
+        x, y = gap + i % columns * (width + gap), gap + i // columns * (height + caption + gap)
+        page.paste(Picture.fromarray(panel.picture), (x, y))
+        write_line(draw, panel.title, (x, y + height + 0.25 * text), width, text + 1, INK)
+        write_line(draw, panel.subtitle, (x, y + height + 1.5 * text), width, text, GREY)
+    return np.array(page)
+
+
+def write_line(
+    draw: ImageDraw.ImageDraw, line: str, corner: tuple[float, float], width: int, height: int, color: tuple[int, ...]
+) -> None:
+    """Text in the middle of a panel; ``^`` raises the digits that follow."""
+    pieces = [piece for piece in re.split(r"(\^\d+)", line) if piece]
+    font = fitting_font(line.replace("^", ""), height, width)
+    raised = fitting_font("0", max(6, round(0.7 * height)), width)
+    fonts = [raised if piece.startswith("^") else font for piece in pieces]
+    words = [piece.removeprefix("^") for piece in pieces]
+    x = corner[0] + (width - sum(f.getlength(word) for f, word in zip(fonts, words, strict=True))) / 2
+    for word, f in zip(words, fonts, strict=True):
+        top = corner[1] - (0.15 * height if f is raised else 0)
+        draw.text((x, top), word, color, f, anchor="la")
+        x += f.getlength(word)
