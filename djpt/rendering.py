@@ -14,12 +14,12 @@ from djpt.errors import RenderError, near_miss
 from djpt.gradients.derivatives import differentiable_image, gradient_seed
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators import Integrator, ParticleTracer, Path
+from djpt.kernels import begin_trace
 from djpt.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress
 from djpt.schedules.light import splat_image
 from djpt.schedules.passes import Schedule, picture, primal_image
-from djpt.tracing import begin_trace
 from djpt.types import TensorXf
 
 __all__ = ["channel_names", "render"]

@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32

@@ -11,7 +11,7 @@ from djpt.description.properties import Properties
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import Integrator, mis_weight
 from djpt.integrators.ray_stack import Branch, RayStack
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, UInt32

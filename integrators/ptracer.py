@@ -13,7 +13,7 @@ from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.path import Path
 from djpt.integrators.unidirectional import UNBOUNDED, roulette
-from djpt.minmax import maximum
+from djpt.kernels import maximum
 from djpt.records import RAY_EPSILON, BSDFContext, Ray3f, SurfaceInteraction3f, TransportMode
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import Integrator
-from djpt.minmax import minimum
+from djpt.kernels import minimum
 from djpt.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.minmax import maximum, minimum
+from djpt.kernels import maximum, minimum
 from djpt.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f

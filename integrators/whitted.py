@@ -12,7 +12,7 @@ from djpt.dispatch.pointers import EmitterPtr
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.ray_stack import Branch, RayStack
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import BSDFContext, BSDFFlags, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32

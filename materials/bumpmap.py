@@ -9,8 +9,8 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.errors import SceneError
+from djpt.kernels import as_float
 from djpt.materials.perturbed import PerturbedBSDF
 from djpt.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.textures.allowed import Allowed

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
+from djpt.kernels import as_float
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior

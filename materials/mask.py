@@ -8,9 +8,9 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
+from djpt.kernels import minimum
 from djpt.materials.base import BSDF
 from djpt.materials.delta import derivative_of_choice
-from djpt.minmax import minimum
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 

@@ -11,8 +11,8 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.frame import Frame3f
+from djpt.kernels import maximum
 from djpt.materials.base import BSDF
-from djpt.minmax import maximum
 from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 

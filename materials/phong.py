@@ -11,8 +11,8 @@ from djpt.description.numeric import as_array
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
+from djpt.kernels import maximum
 from djpt.materials.base import BSDF
-from djpt.minmax import maximum
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere

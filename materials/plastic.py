@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
+from djpt.kernels import as_float
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, fresnel_diffuse_reflectance, reflect
 from djpt.materials.ior import check_eta, ior

@@ -12,8 +12,8 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.errors import ParameterError
+from djpt.kernels import as_float, maximum
 from djpt.materials.fresnel import fresnel, reflect, refract, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.materials.principled_lobes import (
@@ -30,7 +30,6 @@ from djpt.materials.principled_lobes import (
     square_root,
     tint,
 )
-from djpt.minmax import maximum
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere

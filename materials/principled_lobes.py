@@ -14,8 +14,8 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.images.color import LUMINANCE
+from djpt.kernels import maximum, minimum
 from djpt.materials.base import BSDF
-from djpt.minmax import maximum, minimum
 from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f

@@ -12,8 +12,8 @@ import numpy as np
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, opaque
 from djpt.errors import ParameterError, SceneError
+from djpt.kernels import as_float, opaque
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior

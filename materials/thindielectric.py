@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
+from djpt.kernels import as_float
 from djpt.materials.delta import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect

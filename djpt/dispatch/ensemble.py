@@ -23,8 +23,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import drjit as dr
 
 from djpt.description.plugin import Plugin
-from djpt.dispatch.lookup import Flat, Members, Numbers, Rows, opaque
+from djpt.dispatch.lookup import Flat, Members, Numbers, Rows
 from djpt.dispatch.tables import Buffer, channels_of
+from djpt.kernels import opaque
 from djpt.types import Bool, UInt32
 
 __all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "structure"]

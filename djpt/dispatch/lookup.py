@@ -9,37 +9,18 @@ larger ones a gather.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
-from djpt.types import Bool, Float, UInt32, Vector3f
+from djpt.kernels import opaque, own_copy
+from djpt.types import Bool, UInt32
 
-__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "as_float", "as_vector", "choose", "is_one_of", "opaque"]
+__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "choose", "is_one_of"]
 
 MAX_CHAIN = 16
 """Longest select chain; beyond it a table is gathered."""
-
-T = TypeVar("T")
-
-
-def opaque(value: T) -> T:
-    """A detached copy of the Dr.Jit array `value` that kernels take as an input, not as a literal."""
-    copy = type(value)(dr.detach(value))  # type: ignore[call-arg]
-    dr.make_opaque(copy)
-    return copy
-
-
-def as_float(value: float) -> Float:
-    """An opaque width-1 `Float`."""
-    return dr.opaque(Float, float(value))
-
-
-def as_vector(v: NDArray[np.float64]) -> Vector3f:
-    """An opaque width-1 vector from three numbers."""
-    return Vector3f(*(as_float(float(x)) for x in v))
 
 
 def runs(members: Iterable[int]) -> list[tuple[int, int]]:
@@ -132,7 +113,7 @@ class Numbers:
 
     def __init__(self, values: Sequence[int]) -> None:
         self.values = tuple(values)
-        self._long = memory(self.values) if len(same_rows(self.values)) > MAX_CHAIN else None
+        self._long = own_copy(np.array(self.values, np.uint32)) if len(same_rows(self.values)) > MAX_CHAIN else None
 
     def at(self, index: UInt32) -> UInt32:
         """The number at `index`, an unspecified one beyond the last; 0 if the table is empty."""
@@ -151,7 +132,7 @@ class Members:
         self._members = sorted(set(members))
         long = len(runs(self._members)) > MAX_CHAIN
         # One number beyond the last stands for "none of them" (an emitter index may say so).
-        self._long = memory([int(i in set(self._members)) for i in range(size + 1)]) if long else None
+        self._long = own_copy(np.isin(np.arange(size + 1), self._members).astype(np.uint32)) if long else None
 
     def contain(self, index: UInt32) -> Bool:
         """True where `index` is in the set."""
@@ -163,10 +144,3 @@ class Members:
 def inside(index: UInt32, last: int) -> UInt32:
     """`index`, but not beyond the end of memory: lanes that mean nothing may have any number."""
     return dr.select(index < last, index, last)
-
-
-def memory(values: Sequence[int]) -> UInt32:
-    """Whole numbers in memory of our own (arrays shared with NumPy may be unaligned)."""
-    table = UInt32(np.array(values, dtype=np.uint32)) ^ dr.opaque(UInt32, 0)
-    dr.eval(table)
-    return table

@@ -6,7 +6,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import Rows, as_float
+from djpt.dispatch.lookup import Rows
+from djpt.kernels import as_float
 from djpt.types import Float, UInt32
 
 __all__ = ["Discrete"]

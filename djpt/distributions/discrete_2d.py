@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.dispatch.lookup import as_float
-from djpt.minmax import maximum
+from djpt.kernels import as_float, maximum
 from djpt.types import Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["DiscreteDistribution2D"]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.dispatch.lookup import as_vector
-from djpt.minmax import maximum, minimum
+from djpt.kernels import as_vector, maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Hierarchical2D", "entry", "lerp", "place_in_cell"]

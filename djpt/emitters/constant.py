@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.frame import Frame3f
+from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere

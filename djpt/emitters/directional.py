@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import SceneError
 from djpt.frame import coordinate_system
+from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f

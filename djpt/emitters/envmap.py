@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
 from djpt.emitters.bounds import LightBounds
@@ -21,7 +20,7 @@ from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
-from djpt.minmax import maximum, minimum
+from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import luminance

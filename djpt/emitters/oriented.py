@@ -9,9 +9,9 @@ import numpy as np
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_vector
 from djpt.emitters.base import Emitter
 from djpt.errors import SceneError
+from djpt.kernels import as_vector
 from djpt.transforms import ScalarTransform4f, as_transform
 from djpt.types import Point2f, Vector3f
 

@@ -11,11 +11,11 @@ import drjit as dr
 from djpt.description.numeric import as_array, is_readable, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import towards_point
+from djpt.kernels import as_float
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap

@@ -16,7 +16,7 @@ from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import towards_point
 from djpt.errors import ParameterError
-from djpt.minmax import maximum, minimum
+from djpt.kernels import maximum, minimum
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
 from djpt.warp import square_to_uniform_cone

@@ -14,7 +14,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.dispatch.lookup import Numbers, as_vector, is_one_of
+from djpt.dispatch.lookup import Numbers, is_one_of
 from djpt.frame import Frame3f
 from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
 from djpt.geometry.contents import Contents
@@ -22,6 +22,7 @@ from djpt.geometry.query import ANALYTIC, FACE, Near, Query
 from djpt.geometry.recentre import recentre
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
+from djpt.kernels import as_vector
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

@@ -18,7 +18,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import as_float
+from djpt.kernels import as_float
 from djpt.records import Ray3f
 from djpt.types import Float, Vector3f
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from djpt.minmax import maximum, minimum
+from djpt.kernels import maximum, minimum
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["FLAT_KINDS", "KINDS", "LocalSurface", "intersect", "surface"]

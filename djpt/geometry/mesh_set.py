@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.sharing import float_in
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle_sampling import AreaTable
+from djpt.kernels import float_in, own_copy
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh
 
-__all__ = ["Corners", "MeshSet", "own_copy"]
+__all__ = ["Corners", "MeshSet"]
 
 Corners = tuple[Point3f, Point3f, Point3f]
 
@@ -285,19 +285,3 @@ def load_vector(table: UInt32, row: UInt32, active: Bool | bool = True) -> Vecto
     """The first three of a row's four floats."""
     x, y, z, _ = load(table, row, 4, active)
     return Vector3f(float_in(x), float_in(y), float_in(z))
-
-
-def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
-    """The bits of an array in aligned memory: packet loads from memory shared with NumPy become single ones."""
-    words = UInt32(np.ascontiguousarray(values).view(np.uint32).ravel()) ^ dr.opaque(UInt32, 0)
-    dr.eval(words)
-    # The source may be freed when this returns.
-    dr.sync_thread()
-    return words
-
-
-def own_floats(values: NDArray[np.float32]) -> Float:
-    """An array's own copy as floats."""
-    copy: Float = float_in(own_copy(values))
-    dr.eval(copy)
-    return copy

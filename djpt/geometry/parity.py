@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.dispatch.lookup import Members
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.types import Bool, Point3f, UInt32, Vector3f
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from djpt.minmax import maximum, minimum
+from djpt.kernels import maximum, minimum
 from djpt.types import Bool, Float, Point3f, Vector3f
 
 __all__ = ["RayPlane", "TriangleHit", "intersect_triangle"]

@@ -18,9 +18,9 @@ from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
 from djpt.geometry.query import Near
-from djpt.geometry.sharing import float_in
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
+from djpt.kernels import float_in
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 

@@ -21,6 +21,7 @@ from djpt.dispatch.ensemble import Attached, Detached
 from djpt.errors import RenderError
 from djpt.gradients import replay
 from djpt.gradients.leaves import Parameter
+from djpt.kernels import begin_trace
 from djpt.samplers.hashing import sample_tea_32
 from djpt.schedules import wave
 from djpt.schedules.job import Band, Job
@@ -35,7 +36,6 @@ from djpt.schedules.passes import (
     stored_passes,
 )
 from djpt.schedules.reconstruction import add_samples, sample_adjoints, spread
-from djpt.tracing import begin_trace
 from djpt.types import Float, TensorXf, UInt32
 
 __all__ = ["differentiable_image", "gradient_seed"]

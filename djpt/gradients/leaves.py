@@ -17,9 +17,10 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
-from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of, opaque
+from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
 from djpt.dispatch.tables import Buffer
 from djpt.errors import RenderError
+from djpt.kernels import opaque
 from djpt.scene import Scene
 from djpt.types import Bool, Float, UInt32
 

@@ -18,7 +18,7 @@ from djpt.geometry.query import Query
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.scene import Scene
 from djpt.schedules.flat import restart

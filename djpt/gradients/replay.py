@@ -24,7 +24,7 @@ from djpt.gradients import machine_replay
 from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
 from djpt.gradients.modes import Forward, Mode, Reverse
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job

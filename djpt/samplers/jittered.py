@@ -8,7 +8,7 @@ from typing import TypeVar
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.minmax import minimum
+from djpt.kernels import minimum
 from djpt.samplers.base import SampleIndex, Sampler
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import copy_of, generator

@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered

@@ -13,9 +13,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.dispatch.lookup import as_float
 from djpt.integrators.ptracer import LightPath, ParticleTracer
-from djpt.lanewide import wide
+from djpt.kernels import as_float, wide
 from djpt.schedules.job import Job
 from djpt.schedules.passes import picture, ranges, report
 from djpt.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, TensorXf, UInt32

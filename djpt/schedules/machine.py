@@ -20,7 +20,7 @@ import drjit as dr
 from djpt.geometry.bvh.records import EMPTY
 from djpt.geometry.query import Query
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.schedules.flat import restart
 from djpt.schedules.job import Band, Job

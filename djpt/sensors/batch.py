@@ -14,7 +14,7 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, RenderError, SceneError
-from djpt.minmax import maximum, minimum
+from djpt.kernels import maximum, minimum
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import placed_apart, require_area

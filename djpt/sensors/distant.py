@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_vector
+from djpt.kernels import as_vector
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along, placed_apart, require_area

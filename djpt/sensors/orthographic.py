@@ -10,8 +10,8 @@ import numpy as np
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.errors import SceneError
+from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f, Ray3f
 from djpt.sensors.projective import Projective
 from djpt.transforms import ScalarTransform4f

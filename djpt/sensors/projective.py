@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.errors import ParameterError
+from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

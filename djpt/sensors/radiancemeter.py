@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_vector
 from djpt.errors import SceneError
+from djpt.kernels import as_vector
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along

@@ -10,8 +10,8 @@ import drjit as dr
 from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.errors import ParameterError
+from djpt.kernels import as_float, as_vector
 from djpt.records import Ray3f
 from djpt.sensors.projective import Central
 from djpt.types import Bool, Float, Point2f, Vector3f

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector, choose
+from djpt.dispatch.lookup import choose
 from djpt.errors import ParameterError
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.minmax import maximum, minimum
+from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.transforms import ScalarTransform4f

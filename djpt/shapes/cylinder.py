@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool, ProjectedRay
+from djpt.kernels import as_float
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution, along

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
+from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit, Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

@@ -10,9 +10,9 @@ import numpy as np
 from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.errors import DjptError, ParameterError
 from djpt.geometry.axes import AxisPool
+from djpt.kernels import as_float, as_vector
 from djpt.shapes.level_set import PLACE, LevelSet
 from djpt.types import Float, Point3f, Vector3f
 

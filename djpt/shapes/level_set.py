@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.frame import Frame3f, coordinate_system
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.geometry.march import Zero, first_zero
-from djpt.minmax import maximum, minimum
+from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import RAY_EPSILON, DirectionSample3f, Ray3f
 from djpt.shapes.base import Hit, Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

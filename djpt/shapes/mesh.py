@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from djpt.description.numeric import describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import AxisPool
-from djpt.geometry.mesh_set import own_copy, own_floats
 from djpt.geometry.triangle_sampling import square_to_triangle
+from djpt.kernels import as_float, own_copy, own_floats
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import check_indices, clean

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.frame import Frame3f
 from djpt.geometry.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
+from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f

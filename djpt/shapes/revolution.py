@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_vector
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import ProjectedRay, SignedAxis
+from djpt.kernels import as_vector
 from djpt.shapes.base import Shape
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point2f, Point3f, Vector3f

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
+from djpt.kernels import as_float, as_vector
 from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
 from djpt.shapes.base import Hit, Shape
 from djpt.transforms import ScalarTransform4f

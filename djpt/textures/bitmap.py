@@ -11,11 +11,10 @@ import numpy as np
 from djpt.description.numeric import is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.distributions import DiscreteDistribution2D
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
-from djpt.minmax import maximum, minimum
+from djpt.kernels import as_float, maximum, minimum
 from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import cell_weights, luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of

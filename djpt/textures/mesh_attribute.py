@@ -11,11 +11,11 @@ import numpy as np
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_float
 from djpt.errors import SceneError
 from djpt.geometry.bvh.records import LEAF, PORTAL, WORDS
 from djpt.geometry.bvh.traversal import NONE
 from djpt.images.color import LUMINANCE
+from djpt.kernels import as_float
 from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float, UInt32, Vector2f

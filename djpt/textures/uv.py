@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.lookup import as_vector
 from djpt.errors import ParameterError, SceneError
+from djpt.kernels import as_vector
 from djpt.textures.base import Texture
 from djpt.transforms import ScalarTransform4f, matrix_of
 from djpt.types import Float, Point2f, Vector2f, Vector3f

@@ -14,7 +14,7 @@ from djpt.emitters.choice.base import EmitterChoice
 from djpt.emitters.choice.tree_build import LEAF, Lights, build
 from djpt.emitters.choice.tree_nodes import children, pack
 from djpt.errors import SceneError
-from djpt.geometry.mesh_set import own_copy
+from djpt.kernels import own_copy
 from djpt.samplers.hashing import sample_tea_32
 from djpt.types import Float, Point3f, UInt32, Vector3f
 

@@ -26,9 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.emitters.choice.tree_build import Lights, Tree, angle_between, unit
-from djpt.geometry.mesh_set import own_copy
-from djpt.geometry.sharing import float_in
-from djpt.minmax import maximum
+from djpt.kernels import float_in, maximum, own_copy
 from djpt.types import ArrayXu, Float, Int32, Point3f, UInt32, Vector3f
 
 __all__ = ["Child", "children", "pack"]

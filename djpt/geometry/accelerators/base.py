@@ -13,12 +13,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.geometry.bvh.traversal import enter, reciprocal
-from djpt.geometry.sharing import aligned
 from djpt.geometry.triangle import RayPlane, intersect_triangle
-from djpt.lanewide import wide
-from djpt.minmax import maximum, minimum
+from djpt.kernels import aligned, as_float, as_vector, maximum, minimum, wide
 from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
 

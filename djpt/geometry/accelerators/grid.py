@@ -14,10 +14,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import as_vector
 from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
-from djpt.geometry.sharing import shared
-from djpt.lanewide import wide
+from djpt.kernels import as_vector, shared, wide
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, UInt32
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.bvh.splits import MIDDLE, WORDS, Nodes, center, load, no_split
-from djpt.geometry.sharing import aligned, float_in, shared
+from djpt.kernels import aligned, float_in, shared
 from djpt.types import ArrayXu, UInt32
 
 __all__ = ["Level", "Ranges"]

@@ -29,9 +29,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import as_float, as_vector
 from djpt.errors import SceneError
-from djpt.geometry.sharing import aligned
+from djpt.kernels import aligned, as_float, as_vector
 from djpt.types import Float, Point3f, UInt32
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY, Records
 from djpt.geometry.bvh.traversal import Cursor, enter, start, turn, visit
-from djpt.lanewide import wide
+from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.types import ArrayXf, Bool, Float, Point3f, UInt32, Vector3f
 

@@ -16,9 +16,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.geometry.sharing import float_in
-from djpt.lanewide import wide
-from djpt.minmax import maximum, minimum
+from djpt.kernels import float_in, maximum, minimum, wide
 from djpt.types import ArrayXu, Float, UInt32
 
 __all__ = [

@@ -20,9 +20,8 @@ import drjit as dr
 
 from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, SOLID, Records
 from djpt.geometry.canonical import intersect
-from djpt.geometry.sharing import float_in
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
-from djpt.minmax import maximum, minimum
+from djpt.kernels import float_in, maximum, minimum
 from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 

@@ -1,0 +1,149 @@
+"""Dr.Jit idioms of kernels: reproducible traces, inputs, loop state, minimum and maximum, memory.
+
+A kernel is compiled once for each program text. Numbers that may change between renders must
+therefore be *opaque*: inputs of the kernel, not literals in its text.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.types import Bool, Float, UInt32, Vector3f
+
+__all__ = [
+    "aligned",
+    "as_float",
+    "as_vector",
+    "begin_trace",
+    "float_in",
+    "maximum",
+    "minimum",
+    "opaque",
+    "own_copy",
+    "own_floats",
+    "shared",
+    "wide",
+]
+
+T = TypeVar("T")
+
+
+# ---- traces ----------------------------------------------------------------------------------
+
+
+def begin_trace() -> None:
+    """Trace what follows independently of what was traced before.
+
+    Dr.Jit merges equal subexpressions, literals included, within a scope. Without a scope of
+    its own, a kernel would share literals with whatever happens to be alive, and the same
+    render would compile twice: once with and once without them.
+    """
+    dr.detail.new_scope(dr.backend_v(Float))
+
+
+# ---- inputs ----------------------------------------------------------------------------------
+
+
+def opaque(value: T) -> T:
+    """A detached copy of the Dr.Jit array `value` that kernels take as an input, not as a literal."""
+    copy = type(value)(dr.detach(value))  # type: ignore[call-arg]
+    dr.make_opaque(copy)
+    return copy
+
+
+def as_float(value: float) -> Float:
+    """An opaque `Float` of width 1."""
+    return dr.opaque(Float, float(value))
+
+
+def as_vector(v: NDArray[np.float64]) -> Vector3f:
+    """An opaque vector of width 1 from three numbers."""
+    return Vector3f(*(as_float(float(x)) for x in v))
+
+
+# ---- loop state ------------------------------------------------------------------------------
+
+
+def wide(record: Any, lanes: int) -> Any:
+    """A record, list or tuple of arrays with all of them at full width.
+
+    Loop state must not start as variables of width 1: the loop would be compiled for them and again at full
+    width. None and what isn't a Dr.Jit array stay as they are.
+    """
+    if record is None:
+        return None
+    if is_dataclass(record) and not isinstance(record, type):
+        return type(record)(**{f.name: wide(getattr(record, f.name), lanes) for f in fields(record)})
+    if isinstance(record, (list, tuple)):
+        return type(record)(wide(entry, lanes) for entry in record)
+    if not dr.is_array_v(record):
+        return record
+    if dr.is_mask_v(record):
+        return record | dr.full(Bool, False, lanes)
+    return record + dr.zeros(type(record), lanes)
+
+
+# ---- minimum and maximum ---------------------------------------------------------------------
+#
+# `dr.minimum` and `dr.maximum` propagate NaNs and take three instructions for it. In the inner
+# loop of a path tracer that costs 15 % (docs/performance.md). These take two, for operands that
+# can't be NaN or where a NaN does no harm.
+
+
+def minimum(a: Float, b: Float | float) -> Float:
+    """The smaller of two numbers; `b` if either is NaN."""
+    return dr.select(a < b, a, b)
+
+
+def maximum(a: Float, b: Float | float) -> Float:
+    """The larger of two numbers; `b` if either is NaN."""
+    return dr.select(a > b, a, b)
+
+
+# ---- memory ----------------------------------------------------------------------------------
+#
+# Dr.Jit shares NumPy's memory, and whether that is aligned is part of a kernel: the same code would
+# be compiled several times. Also, only aligned memory of Dr.Jit's own has packet loads.
+
+
+def aligned(shape: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Zeros in NumPy's memory, which starts at a multiple of 64 bytes."""
+    count = math.prod(shape)
+    room = np.zeros(count + 16, np.uint32)
+    first = (-room.ctypes.data % 64) // 4
+    return room[first : first + count].reshape(shape)
+
+
+def shared(values: NDArray[np.uint32]) -> UInt32:
+    """A copy of an array in aligned memory, for kernels that gather single words."""
+    copy = aligned(values.shape)
+    copy[...] = values
+    return UInt32(copy.ravel())
+
+
+def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
+    """The bits of an array in memory of Dr.Jit's own, for kernels that gather packets."""
+    words = UInt32(np.ascontiguousarray(values).view(np.uint32).ravel()) ^ dr.opaque(UInt32, 0)
+    dr.eval(words)
+    # The source may be freed when this returns.
+    dr.sync_thread()
+    return words
+
+
+def own_floats(values: NDArray[np.float32]) -> Float:
+    """A copy of an array of floats in memory of Dr.Jit's own."""
+    copy: Float = float_in(own_copy(values))
+    dr.eval(copy)
+    return copy
+
+
+def float_in(word: UInt32) -> Float:
+    """The float whose bits a word holds."""
+    number: Any = dr.reinterpret_array(Float, word)
+    return number
