@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.frame import Frame3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-
-if TYPE_CHECKING:
-    from djpt.dispatch.pointers import BSDFPtr, EmitterPtr
-    from djpt.scene import Scene
 
 __all__ = [
     "BSDFContext",
@@ -148,6 +144,22 @@ class PreliminaryIntersection3f:
         return self.t < dr.inf
 
 
+class SceneView(Protocol):
+    """What a surface point asks of the scene that it lies in."""
+
+    def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
+        """The `djpt.dispatch.pointers.BSDFPtr` of the shape at `si`."""
+
+    def emitter_at(self, si: SurfaceInteraction3f) -> Any:
+        """The `djpt.dispatch.pointers.EmitterPtr` of what shines at `si`: the shape, or the environment on a miss."""
+
+    def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
+        """The number of the emitter seen at `si`; the count of emitters means none."""
+
+    def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
+        """The primitive of its shape that `si` lies on, as Mitsuba counts."""
+
+
 @dataclass
 class SurfaceInteraction3f:
     """A point on a surface with its frame, and the way back to its shape, BSDF and emitter."""
@@ -214,12 +226,12 @@ class SurfaceInteraction3f:
         o = self.offset_p(target - self.p)
         return Ray3f(o, target - o, Float(1 - SHADOW_EPSILON))
 
-    def bsdf(self, ray: Ray3f | None = None) -> BSDFPtr:
-        """The BSDF at this point (`ray` is accepted for Mitsuba's signature)."""
+    def bsdf(self, ray: Ray3f | None = None) -> Any:
+        """The BSDF at this point, a `djpt.dispatch.pointers.BSDFPtr` (`ray` is accepted for Mitsuba's signature)."""
         return self.scene.bsdf_at(self)
 
-    def emitter(self, scene: Scene | None = None, active: Bool | bool = True) -> EmitterPtr:
-        """The area light of the shape, or the environment on a miss (a null emitter if there is none)."""
+    def emitter(self, scene: SceneView | None = None, active: Bool | bool = True) -> Any:
+        """The light of the shape, or the environment on a miss; a null `djpt.dispatch.pointers.EmitterPtr` without one."""
         return (scene or self.scene).emitter_at(self)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -11,6 +11,7 @@ import numpy as np
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.lookup import Members
 from djpt.dispatch.pointers import BSDFPtr, EmitterPtr
@@ -37,7 +38,6 @@ from djpt.records import (
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.textures import Texture
-from djpt.textures.mesh_attribute import check_attributes
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
@@ -101,7 +101,7 @@ class Scene(Plugin):
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
         self._at_infinity = Members(self._from_infinity, none)
         self._use_bsdfs(bsdfs or [black(f"{self.id}.bsdf")])
-        check_attributes(self)
+        check_textures(self.geometry.contents.shapes)
         self._set_bounds()
         self._prepare()
         self._choices: dict[str, EmitterChoice] = {}
@@ -112,7 +112,7 @@ class Scene(Plugin):
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
-        self.interior = Interior(self)
+        self.interior = Interior(self.bsdfs, self.geometry, self.bsdf_of_shape)
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
@@ -278,7 +278,7 @@ class Scene(Plugin):
 
     def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
         """Is a point within an odd number of closed surfaces? Open shapes don't count; see `djpt.geometry.parity`."""
-        return is_inside(self, p, active)
+        return is_inside(self.geometry, p, active)
 
     def unoccluded(self, ray: Ray3f) -> Bool:
         """Is a `shadow_ray` free? Faster than `ray_test`: shapes that can't shadow anything are left out."""
@@ -319,7 +319,7 @@ class Scene(Plugin):
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
-        return BSDFPtr(self, self._bsdf_of_face.at(si.face))
+        return BSDFPtr(self.bsdfs, self.lookup, self._bsdf_of_face.at(si.face))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
@@ -327,7 +327,11 @@ class Scene(Plugin):
 
     def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
         """The emitter seen at `si`: the shape's, or the environment on a miss."""
-        return EmitterPtr(self, self.emitter_index_at(si))
+        return self.emitter_ptr(self.emitter_index_at(si))
+
+    def emitter_ptr(self, index: UInt32) -> EmitterPtr:
+        """The emitters with the numbers `index`, per lane."""
+        return EmitterPtr(self.lights, self.lookup, index)
 
     # ---- light sampling ------------------------------------------------------------------------
 
@@ -350,7 +354,7 @@ class Scene(Plugin):
             return nothing, Color3f(0)
         choice = self.emitter_choice
         index, inverse, u = choice.choose(ref.p, ref.n, sample.x)
-        ds, weight = EmitterPtr(self, index).sample_direction(ref, Point2f(u, sample.y), active)
+        ds, weight = self.emitter_ptr(index).sample_direction(ref, Point2f(u, sample.y), active)
         if choice.count > 1:
             probability = dr.select(inverse > 0, dr.rcp(inverse), 0)
             ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
@@ -388,7 +392,7 @@ class Scene(Plugin):
         n: Vector3f | None = None,
     ) -> Float:
         """Density of `sample_emitter_direction` at `ds`; `n` is the normal at `ref`, if that is a mere point."""
-        pdf = EmitterPtr(self, ds.emitter_index).pdf_direction(ref, ds, active)
+        pdf = self.emitter_ptr(ds.emitter_index).pdf_direction(ref, ds, active)
         if len(self._emitters) < 2:
             return pdf
         if isinstance(ref, SurfaceInteraction3f):
@@ -418,6 +422,24 @@ def is_at_infinity(emitter: Emitter) -> bool:
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission
 
 
+def check_textures(shapes: Sequence[Shape]) -> None:
+    """Raise `SceneError` if a texture of a BSDF can't be used on its shape."""
+    for shape in shapes:
+        if shape.bsdf is not None:
+            for texture in textures_in(shape.bsdf):
+                texture.require_on(shape)
+
+
+def textures_in(plugin: Plugin) -> Iterator[Texture]:
+    """All textures in a plugin, itself included."""
+    if isinstance(plugin, Texture):
+        yield plugin
+    for name in plugin.children:
+        child = getattr(plugin, name)
+        if isinstance(child, Plugin):
+            yield from textures_in(child)
+
+
 def reads_uv(plugin: Plugin) -> bool:
     """Does `plugin`, or anything under it, ask for more of a surface point than its place and frame?"""
     if getattr(plugin, "needs_uv", False):
@@ -426,3 +448,6 @@ def reads_uv(plugin: Plugin) -> bool:
         return isinstance(plugin, Texture) and not plugin.is_constant
     children = [getattr(plugin, name) for name in plugin.children]
     return any(reads_uv(child) for child in children if isinstance(child, Plugin) and child.kind != "shape")
+
+
+register("scene", "scene", Scene)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.dispatch.pointers import EmitterPtr
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.path import Path
@@ -102,7 +101,7 @@ class ParticleTracer(Integrator):
         """A path that leaves an emitter."""
         u = sampler.next_1d()
         index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, u)
-        ray, flux = EmitterPtr(scene, index).sample_ray(sampler.next_2d(), sampler.next_2d())
+        ray, flux = scene.emitter_ptr(index).sample_ray(sampler.next_2d(), sampler.next_2d())
         # Off the surface, along the ray: its normal isn't known here.
         a = dr.abs(ray.o)
         largest = maximum(maximum(a.x, a.y), a.z)

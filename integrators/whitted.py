@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.dispatch.pointers import EmitterPtr
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.ray_stack import Branch, RayStack
@@ -133,7 +132,7 @@ class Whitted(Integrator):
         lamps = [i for i, e in enumerate(scene.emitters()) if not has_flag(e.flags(), EmitterFlags.Infinite)]
         total = Color3f(0)
         for lamp in lamps:
-            ds, light = EmitterPtr(scene, UInt32(lamp)).sample_direction(si, MIDDLE)
+            ds, light = scene.emitter_ptr(UInt32(lamp)).sample_direction(si, MIDDLE)
             value = si.bsdf().eval(BSDFContext(), si, si.to_local(ds.d), si.is_valid())
             free = scene.unoccluded(scene.shadow_ray(si, ds))
             total += dr.select(free, value * light, 0)

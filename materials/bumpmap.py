@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import drjit as dr
 
+from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.kernels import as_float
 from djpt.materials.perturbed import PerturbedBSDF
 from djpt.records import BSDFFlags, SurfaceInteraction3f, has_flag
-from djpt.textures.allowed import Allowed
 from djpt.types import Bool, Vector3f
 
 __all__ = ["BumpMap"]

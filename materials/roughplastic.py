@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
@@ -20,7 +21,6 @@ from djpt.materials.ior import check_eta, ior
 from djpt.materials.microfacet import MicrofacetDistribution, distribution_name
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.textures.allowed import Allowed
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 

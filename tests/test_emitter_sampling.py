@@ -18,7 +18,6 @@ from test_sampling import examples, lit, looked_at, reference
 
 import djpt
 from djpt.description import registry
-from djpt.dispatch.pointers import EmitterPtr
 from djpt.frame import Frame3f
 from djpt.records import EmitterFlags, has_flag
 from djpt.types import Float, Point2f, Point3f, UInt32
@@ -111,7 +110,7 @@ def test_no_point_of_space_gives_nonsense(name: str) -> None:
     rng = np.random.default_rng(2)
     points = np.concatenate([[[-2, 3, 2.5], [0, 0, 0], [1e6, -1e6, 1e6]], rng.normal(0, 4, (500, 3))]).T
     p = Point3f(*(Float(x.astype(np.float32)) for x in points))
-    emitter = EmitterPtr(scene, UInt32(0))
+    emitter = scene.emitter_ptr(UInt32(0))
     ds, weight = emitter.sample_direction(p, Point2f(*uniform(503)))
     found = np.array(weight)
     assert np.isfinite(found).all()
@@ -153,7 +152,7 @@ def room(light: dict[str, Any]) -> Any:
 def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarray, list[Any]]:
     """Rays of the first emitter, their weights (3, count), and the numbers that made them."""
     u = uniform(count, 4, seed)
-    ray, weight = EmitterPtr(scene, UInt32(0)).sample_ray(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
+    ray, weight = scene.emitter_ptr(UInt32(0)).sample_ray(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
     return ray, np.broadcast_to(np.array(weight, np.float64), (3, count)), u
 
 
@@ -226,7 +225,7 @@ def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     u = uniform(count, 4, seed=2)
     r, phi = radius * dr.sqrt(u[0]), 2 * math.pi * u[1]
     p = Point3f(r * dr.cos(phi), Float(GROUND), r * dr.sin(phi))
-    ds, light = EmitterPtr(scene, UInt32(0)).sample_direction(p, Point2f(u[2], u[3]))
+    ds, light = scene.emitter_ptr(UInt32(0)).sample_direction(p, Point2f(u[2], u[3]))
     # Lights hide nothing of themselves here: those that could are convex, and only their front sends light.
     second = np.array(light * (dr.select(ds.d.y > 0, ds.d.y, 0) * (math.pi * radius**2)), np.float64)
     second = np.broadcast_to(second, (3, count))

@@ -14,7 +14,6 @@ from lit_floor import floor_scene
 from renders import ours, pixels, theirs
 
 import djpt
-from djpt.dispatch.pointers import EmitterPtr
 from djpt.emitters.choice import CHOICES
 from djpt.gradients.derivatives import gradient_seed
 from djpt.scene import Scene
@@ -64,7 +63,7 @@ def test_each_emitter_can_be_chosen_where_it_shines() -> None:
         n = rng.normal(size=(3, size))
         normal = djpt.Vector3f(*(n / np.linalg.norm(n, axis=0)).astype(np.float32))
         sample = djpt.Point2f(*rng.random((2, size), dtype=np.float32))
-        _, weight = EmitterPtr(scene, djpt.UInt32(i)).sample_direction(p, sample)
+        _, weight = scene.emitter_ptr(djpt.UInt32(i)).sample_direction(p, sample)
         shines = np.broadcast_to(np.array(dr.max(weight)) > 0, size)
         chance = np.broadcast_to(np.array(choice.probability(p, normal, djpt.UInt32(i))), size)
         assert chance[shines].min(initial=1) > 0, NAMES[i]

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import enum
+import functools
 import textwrap
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from djpt.description.inference import Inferred, reporting, sorts_of
+import drjit as dr
+
+from djpt.errors import ParameterError
 
 if TYPE_CHECKING:
     from djpt.description.properties import Properties
@@ -43,6 +47,18 @@ class TraversalCallback(Protocol):
         """
 
 
+class Inferred:
+    """Stands for a class attribute that isn't declared: empty, or inferred from each instance."""
+
+    def __init__(self, sort: str, empty: Any) -> None:
+        self.sort, self.empty = sort, empty
+
+    def __get__(self, plugin: Plugin | None, owner: type) -> Any:
+        if plugin is None or not plugin.infers:
+            return self.empty
+        return getattr(sorts_of(plugin), self.sort)
+
+
 class Plugin:
     """A node of the scene: built from checked properties, edited through `traverse()`.
 
@@ -57,7 +73,8 @@ class Plugin:
       Instances with equal class, statics and children are traced **once**, with per-lane
       values: methods called in kernels must therefore read only these four sorts.
 
-    BSDFs, textures and emitters may also declare nothing, as in Mitsuba: see `djpt.description.inference`.
+    BSDFs, textures and emitters may also declare nothing, as in Mitsuba: all their attributes count then, see
+    `sorts_of`.
 
     Plugins don't know the scene that they are part of.
     """
@@ -110,6 +127,10 @@ class Plugin:
             if isinstance(child, Plugin):
                 callback.put(name, child)
 
+    def as_property(self) -> Any:
+        """What a script's ``props[key]`` gives for this plugin: the plugin, or the value that it stands for."""
+        return self
+
     def check_parameter(self, name: str, value: Any) -> Any:
         """Convert and check a value that is about to be assigned; raise `ParameterError` if it can't be."""
         return value
@@ -133,3 +154,109 @@ class _Listing:
     ) -> None:
         text = repr(value)
         self.lines.append(f"{name} = {text}" if len(text) < 400 or isinstance(value, Plugin) else f"{name} = [...]")
+
+
+# ---- plugins that declare nothing -------------------------------------------------------------
+#
+# A class from a script written for Mitsuba keeps what it likes in its attributes, and may report some of
+# them in `traverse`. So all attributes count: Dr.Jit arrays of width 1 are values, plugins are children, and
+# whatever else there is sets instances apart, so that only those are traced as one that agree in it.
+
+PLAIN = (bool, int, float, str, bytes, type(None), enum.Enum)
+
+
+@dataclass
+class Sorts:
+    """The attributes of a plugin by what they are to kernels."""
+
+    values: Mapping[str, ParamFlags]
+    children: Sequence[str]
+    identity: Hashable
+    """Differs between plugins that can't be traced as one."""
+    statics: Sequence[str] = ("_identity",)
+
+
+def sorts_of(plugin: Plugin) -> Sorts:
+    """Look through a plugin's attributes."""
+    reported, unreported = Collection(), ParamFlags.Differentiable
+    if type(plugin).traverse is not Plugin.traverse:
+        plugin.traverse(reported)
+        unreported = ParamFlags.NonDifferentiable
+    values: dict[str, ParamFlags] = {}
+    children: list[str] = []
+    others: list[Hashable] = []
+    for name, value in vars(plugin).items():
+        if isinstance(value, list):
+            value = tuple(value)
+        if name == "id":
+            continue
+        if isinstance(value, Plugin):
+            children.append(name)
+        elif is_uniform(value):
+            values[name] = reported.flags.get(name, unreported)
+        else:
+            others.append((name, type(value), value) if is_plain(value) else (name, id(plugin)))
+    return Sorts(values, children, (tuple(values), tuple(children), tuple(others)))
+
+
+def is_uniform(value: Any) -> bool:
+    """Is it a Dr.Jit number, vector or matrix of width 1?"""
+    if not dr.is_array_v(value) or dr.is_tensor_v(value) or not dr.is_jit_v(value):
+        return False
+    kind = type(value)
+    return (dr.depth_v(kind) == 1 or dr.size_v(kind) > 0) and dr.width(value) == 1
+
+
+def is_plain(value: Any) -> bool:
+    """Is it made of Python's own immutable values?"""
+    return all(map(is_plain, value)) if isinstance(value, (tuple, frozenset)) else isinstance(value, PLAIN)
+
+
+class Collection:
+    """A traversal callback that notes which attributes are reported."""
+
+    def __init__(self) -> None:
+        self.flags: dict[str, ParamFlags] = {}
+
+    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+        """See `TraversalCallback`."""
+        self.flags[attribute or name] = flags
+
+
+class Report:
+    """The callback that a script's `traverse` sees: it finds out which attribute a reported value is kept in."""
+
+    def __init__(self, plugin: Plugin, callback: TraversalCallback) -> None:
+        self._plugin, self._callback = plugin, callback
+
+    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+        """Report a parameter or a nested plugin, as in Mitsuba."""
+        flags = ParamFlags(int(flags))
+        if not isinstance(value, Plugin):
+            attribute = attribute or self._attribute(name, value)
+            if not is_uniform(value):  # kernels don't look it up: no gradient would arrive
+                flags &= ~ParamFlags.Differentiable
+        self._callback.put(name, value, flags, attribute)
+
+    put_value = put_object = put_parameter = put
+
+    def _attribute(self, name: str, value: Any) -> str:
+        attributes = vars(self._plugin)
+        holders = [name, *attributes]
+        for holder in holders:
+            if attributes.get(holder) is value and value is not None:
+                return holder
+        if hasattr(self._plugin, name):
+            return name
+        kind = type(self._plugin).__name__
+        raise ParameterError(f"{kind}.traverse reports '{name}', but no attribute of the {kind} holds that value")
+
+
+def reporting(traverse: Callable[..., None]) -> Callable[..., None]:
+    """A script's `traverse`, called with a `Report`."""
+
+    @functools.wraps(traverse)
+    def wrapper(self: Plugin, callback: TraversalCallback) -> None:
+        traverse(self, Report(self, callback))
+
+    return wrapper

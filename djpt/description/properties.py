@@ -10,29 +10,21 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import Allowed, bounds
 from djpt.description.numeric import as_integer, as_number, as_vector, describe
 from djpt.description.plugin import Plugin
-from djpt.description.registry import kind_of
+from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f, as_transform
+from djpt.types import Color3f
 
 if TYPE_CHECKING:
-    from djpt.textures.allowed import Allowed
     from djpt.textures.base import Texture
 
-__all__ = ["REQUIRED", "Properties", "bounds"]
+__all__ = ["REQUIRED", "Properties"]
 
 REQUIRED: Final[Any] = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
 """Stands for "no default": the key must be there."""
-
-
-def bounds(low: float | None, high: float | None, low_open: bool = False, high_open: bool = False) -> str:
-    """A range in words: ``lie in [0, 1]``, ``be at least 1``, ``be greater than 0``."""
-    if low is not None and high is not None:
-        return f"lie in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"
-    if low is not None:
-        return f"be {'greater than' if low_open else 'at least'} {low:g}"
-    return f"be {'less than' if high_open else 'at most'} {high:g}"
 
 
 class Properties:
@@ -203,10 +195,7 @@ class Properties:
         high: builtins.float | None = None,
     ) -> Texture:
         """A coloured texture; a number gives a constant grey. Its values must lie between `low` and `high`."""
-        from djpt.textures.allowed import Allowed
-        from djpt.textures.rgb import ConstantTexture
-
-        return self._texture(key, default, ConstantTexture, Allowed(low, high))
+        return self._texture(key, default, "rgb", Allowed(low, high))
 
     def texture_1(
         self,
@@ -221,12 +210,9 @@ class Properties:
 
         Its values must lie between `low` (unless open: included) and `high`.
         """
-        from djpt.textures.allowed import Allowed
-        from djpt.textures.uniform import UniformTexture
+        return self._texture(key, default, "uniform", Allowed(low, high, low_open))
 
-        return self._texture(key, default, UniformTexture, Allowed(low, high, low_open))
-
-    def _texture(self, key: str, default: builtins.float, constant: type[Texture], allowed: Allowed) -> Texture:
+    def _texture(self, key: str, default: builtins.float, constant: str, allowed: Allowed) -> Texture:
         value = self._take(key, default)
         if not isinstance(value, Plugin):
             if isinstance(value, (list, tuple, np.ndarray)):
@@ -241,7 +227,7 @@ class Properties:
                     problem = str(error).replace("a float", "a number or a texture")
                     raise self.error(key, problem) from None
             path = f"{self.id}.{key}"
-            value = constant(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
+            value = lookup("texture", constant)(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
         elif value.kind != "texture":
             raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
         texture: Texture = value
@@ -287,11 +273,8 @@ class Properties:
 
 def as_in_mitsuba(value: Any) -> Any:
     """An entry as scripts expect it: constant colours and triples of numbers are colours, NumPy's scalars Python's."""
-    from djpt.textures.rgb import ConstantTexture
-    from djpt.types import Color3f
-
-    if isinstance(value, ConstantTexture):
-        return Color3f(value.value)
+    if isinstance(value, Plugin):
+        return value.as_property()
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, (list, tuple, np.ndarray)) and np.shape(value) == (3,):

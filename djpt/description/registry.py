@@ -12,13 +12,9 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 from djpt.errors import SceneError, near_miss
-
-if TYPE_CHECKING:
-    from djpt.description.plugin import Plugin
-    from djpt.description.properties import Properties
 
 __all__ = [
     "Factory",
@@ -37,7 +33,8 @@ __all__ = [
     "registered",
 ]
 
-Factory = Callable[["Properties"], "Plugin"]
+Factory = Callable[[Any], Any]
+"""Builds a `Plugin` from the `Properties` of a node: usually the plugin's class."""
 
 PACKAGES = (
     "djpt.textures",
@@ -49,8 +46,9 @@ PACKAGES = (
     "djpt.samplers",
     "djpt.sensors",
     "djpt.integrators",
+    "djpt.scene",
 )
-"""The packages that register djpt's own plugins when they are imported."""
+"""What registers djpt's own plugins when it is imported."""
 
 MITSUBA = {
     "bsdf": (
@@ -213,6 +211,3 @@ def _import_own_packages() -> None:
     except ImportError:
         _own_packages_imported = False  # the next call shall see the same error
         raise
-    from djpt.scene import Scene
-
-    register("scene", "scene", Scene)

@@ -7,12 +7,14 @@ that scripts written against Mitsuba's `BSDFPtr` and `EmitterPtr` run unchanged.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 
-from djpt.dispatch.ensemble import Detached
+from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.lookup import choose
+from djpt.emitters.base import Emitter
+from djpt.materials.base import BSDF
 from djpt.records import (
     BSDFContext,
     BSDFFlags,
@@ -24,22 +26,18 @@ from djpt.records import (
 )
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
-if TYPE_CHECKING:
-    from djpt.materials import BSDF
-    from djpt.scene import Scene
-
 __all__ = ["BSDFPtr", "EmitterPtr"]
 
 
 class BSDFPtr:
     """The BSDF of each lane's surface point. Methods as in `djpt.materials.base.BSDF`."""
 
-    def __init__(self, scene: Scene, index: UInt32) -> None:
-        self._scene, self.index = scene, index
+    def __init__(self, bsdfs: Ensemble[BSDF], lookup: Lookup, index: UInt32) -> None:
+        self._bsdfs, self._lookup, self.index = bsdfs, lookup, index
 
     def flags(self) -> UInt32:
         """The `BSDFFlags` per lane."""
-        flags = [bsdf.flags() for bsdf in self._scene.bsdfs.plugins]
+        flags = [bsdf.flags() for bsdf in self._bsdfs.plugins]
         return choose(self.index, [UInt32(f) for f in flags], flags)
 
     def sample(
@@ -107,7 +105,7 @@ class BSDFPtr:
 
     def _call(self, method: Callable[[BSDF], Any], active: Bool | None = None) -> Any:
         # Every surface has a BSDF, so no value is needed for "none".
-        return self._scene.bsdfs.call(self.index, self._scene.lookup, method, None, active)
+        return self._bsdfs.call(self.index, self._lookup, method, None, active)
 
     def _reattached(
         self,
@@ -123,7 +121,7 @@ class BSDFPtr:
         What `sample` computes may have cancelled terms of value and density, and differentiates as if the
         direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
         """
-        if isinstance(self._scene.lookup, Detached):
+        if isinstance(self._lookup, Detached):
             return weight
         value = bsdf.eval(ctx, si, bs.wo, active)
         if not dr.grad_enabled(weight, value):
@@ -137,32 +135,33 @@ class BSDFPtr:
 class EmitterPtr:
     """The emitter of each lane, or none. Methods as in `djpt.emitters.base.Emitter`."""
 
-    def __init__(self, scene: Scene, index: UInt32) -> None:
-        self._scene, self.index = scene, index
+    def __init__(self, emitters: Ensemble[Emitter], lookup: Lookup, index: UInt32) -> None:
+        self._emitters, self._lookup, self.index = emitters, lookup, index
 
     def is_valid(self) -> Bool:
         """True where there is an emitter."""
-        return self.index < len(self._scene.lights)
+        return self.index < len(self._emitters)
 
     def flags(self) -> UInt32:
         """The `EmitterFlags` per lane; 0 where there is no emitter."""
-        flags = [emitter.flags() for emitter in self._scene.lights.plugins]
+        flags = [emitter.flags() for emitter in self._emitters.plugins]
         if not flags:
             return UInt32(0)
         return dr.select(self.is_valid(), choose(self.index, [UInt32(f) for f in flags], flags), 0)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """Radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
-        scene = self._scene
-        value = scene.lights.call(self.index, scene.lookup, lambda e: e.eval(si, active), Color3f(0))
+        value = self._emitters.call(self.index, self._lookup, lambda e: e.eval(si, active), Color3f(0))
         return dr.select(active, value, 0)
 
     def sample_direction(
         self, ref: SurfaceInteraction3f | Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         """A direction towards the emitter; weight 0 where there is none."""
-        scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
-        ds, weight = scene.lights.call(self.index, scene.lookup, lambda e: e.sample_direction(p, sample, active), None)
+        p = ref.p if isinstance(ref, SurfaceInteraction3f) else ref
+        ds, weight = self._emitters.call(
+            self.index, self._lookup, lambda e: e.sample_direction(p, sample, active), None
+        )
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
 
@@ -170,9 +169,8 @@ class EmitterPtr:
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> tuple[Ray3f, Color3f]:
         """A ray that leaves the emitter; weight 0 where there is none."""
-        scene = self._scene
-        ray, weight = scene.lights.call(
-            self.index, scene.lookup, lambda e: e.sample_ray(position_sample, direction_sample, active), None
+        ray, weight = self._emitters.call(
+            self.index, self._lookup, lambda e: e.sample_ray(position_sample, direction_sample, active), None
         )
         return ray, dr.select(self.is_valid() & active, weight, 0)
 
@@ -180,6 +178,6 @@ class EmitterPtr:
         self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
     ) -> Float:
         """Density of `sample_direction`; 0 where there is no emitter."""
-        scene, p = self._scene, ref.p if isinstance(ref, SurfaceInteraction3f) else ref
-        pdf = scene.lights.call(self.index, scene.lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
+        p = ref.p if isinstance(ref, SurfaceInteraction3f) else ref
+        pdf = self._emitters.call(self.index, self._lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
         return dr.select(active, pdf, 0)

@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
@@ -22,7 +23,6 @@ from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f

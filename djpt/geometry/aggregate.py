@@ -240,6 +240,11 @@ class Geometry:
             return index
         return dr.select(self.on_mesh(face), self.triangles.primitive_index(self.record_of(face), p), index)
 
+    def attribute(self, name: str, face: UInt32, uv: Point2f, active: Bool | bool) -> Any:
+        """An attribute of the meshes at the barycentric coordinates `uv` of triangles; unspecified on other shapes."""
+        assert self.triangles is not None
+        return self.triangles.attribute(name, self.record_of(face), uv, active)
+
 
 class FaceNumbers:
     """Whole numbers by face. Analytic faces lead there in one step, triangles by way of their mesh."""

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import drjit as dr
 
 from djpt.dispatch.lookup import Members
+from djpt.geometry.aggregate import Geometry
 from djpt.kernels import wide
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.types import Bool, Point3f, UInt32, Vector3f
-
-if TYPE_CHECKING:
-    from djpt.scene import Scene
 
 __all__ = ["closed_shapes", "is_inside"]
 
@@ -31,30 +28,27 @@ class Walk:
     active: Bool
 
 
-def closed_shapes(scene: Scene) -> list[int]:
+def closed_shapes(geometry: Geometry) -> list[int]:
     """The indices of shapes that have an inside: meshes whose edges all pair up, and the closed analytic ones."""
-    from djpt.shapes.mesh import Mesh
-
-    shapes = scene.geometry.contents.shapes
-    return [i for i, s in enumerate(shapes) if (s.is_closed() if isinstance(s, Mesh) else s.closed)]
+    return [i for i, shape in enumerate(geometry.contents.shapes) if shape.is_closed()]
 
 
-def is_inside(scene: Scene, p: Point3f, active: Bool | bool = True, shapes: Sequence[int] | None = None) -> Bool:
+def is_inside(geometry: Geometry, p: Point3f, active: Bool | bool = True, shapes: Sequence[int] | None = None) -> Bool:
     """Is a point within an odd number of closed surfaces? Of `shapes` alone (indices), if given.
 
     A ray from an inner point crosses a closed surface an odd number of times (the Jordan-Brouwer theorem);
     crossings of open shapes don't count. After each the ray goes on RAY_EPSILON (1 + max abs(p)) further,
     so walls thinner than that may be missed.
     """
-    inner = closed_shapes(scene) if shapes is None else shapes
-    count = len(scene.geometry.contents.shapes)
+    inner = closed_shapes(geometry) if shapes is None else shapes
+    count = len(geometry.contents.shapes)
     if not inner:
         return Bool(active) & Bool(False)
     closed, direction = Members(inner, count), Vector3f(*DIRECTION)
 
     def step(walk: Walk) -> tuple[Walk]:
         ray = Ray3f(walk.o, direction)
-        hit = scene.closest_hit(ray, walk.active)
+        hit = geometry.closest(ray)
         found = hit.is_valid() & walk.active
         crossings = walk.crossings + dr.select(found & closed.contain(hit.shape_index), UInt32(1), 0)
         there = ray(dr.select(found, hit.t, 0))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.dispatch.lookup import Numbers
 from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.bvh.records import LEAF, NUMBER, SOLID, WORDS
+from djpt.geometry.bvh.records import LEAF, NUMBER, PORTAL, SOLID, WORDS
 from djpt.geometry.bvh.search import Found, search
 from djpt.geometry.bvh.traversal import NONE, enter, into_group, load, load_second, triangle_corners
 from djpt.geometry.canonical import FLAT_KINDS
@@ -106,6 +106,15 @@ class Triangles:
             solid = canonical_surface(self.records.kinds, words[13], local).triangle
             index = dr.select(mesh < self._mesh_count, index, solid)
         return index
+
+    def attribute(self, name: str, record: UInt32, uv: Point2f, active: Bool | bool) -> Any:
+        """An attribute of the meshes at the barycentric coordinates `uv` of triangles; unspecified on other records."""
+        active = active & (record != NONE)
+        words = self.records.words
+        kind, number = (dr.gather(UInt32, words, record * WORDS + k, active) for k in (12, 13))
+        # Records of nodes and of other shapes have something else there.
+        face = dr.select(active & ((kind & (LEAF | PORTAL)) == LEAF), number, 0)
+        return self.meshes.attribute(name, face, uv.x, uv.y)
 
     def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
         """The point where a ray hits a triangle; `t` counts from `near.origin`.

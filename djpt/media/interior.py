@@ -7,19 +7,18 @@ and nowhere else. So absorbing bodies may hold any other objects, but not touch 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import drjit as dr
 import numpy as np
 
-from djpt.dispatch.ensemble import Lookup
+from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.lookup import Members
+from djpt.geometry.aggregate import Geometry
 from djpt.geometry.parity import closed_shapes, is_inside
+from djpt.materials.base import BSDF
+from djpt.records import SurfaceInteraction3f
 from djpt.types import Color3f, Float, Point3f, UInt32, Vector3f
-
-if TYPE_CHECKING:
-    from djpt.records import SurfaceInteraction3f
-    from djpt.scene import Scene
 
 __all__ = ["Interior"]
 
@@ -27,11 +26,11 @@ __all__ = ["Interior"]
 class Interior:
     """The absorbing bodies of a scene. Bodies are numbered like the scene's BSDFs; `outside` is none of them."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self.outside = len(scene.bsdfs)
-        self._absorbing = [i for i, bsdf in enumerate(scene.bsdfs.plugins) if bsdf.absorbs]
-        self._members = Members(self._absorbing, len(scene.bsdfs))
+    def __init__(self, bsdfs: Ensemble[BSDF], geometry: Geometry, bsdf_of_shape: Sequence[int]) -> None:
+        self._bsdfs, self._geometry, self._bsdf_of_shape = bsdfs, geometry, bsdf_of_shape
+        self.outside = len(bsdfs)
+        self._absorbing = [i for i, bsdf in enumerate(bsdfs.plugins) if bsdf.absorbs]
+        self._members = Members(self._absorbing, len(bsdfs))
 
     @property
     def exists(self) -> bool:
@@ -44,12 +43,12 @@ class Interior:
 
     def at(self, p: Point3f) -> UInt32:
         """The body that each point lies in: takes a ray through the scene, for where paths begin."""
-        scene, body = self._scene, UInt32(self.outside)
-        closed = closed_shapes(scene)
+        body = UInt32(self.outside)
+        closed = closed_shapes(self._geometry)
         for bsdf in self._absorbing:
-            shapes = [s for s in closed if scene.bsdf_of_shape[s] == bsdf]
+            shapes = [s for s in closed if self._bsdf_of_shape[s] == bsdf]
             if shapes:
-                body = dr.select(is_inside(scene, p, shapes=shapes), bsdf, body)
+                body = dr.select(is_inside(self._geometry, p, shapes=shapes), bsdf, body)
         return body
 
     def beyond(self, si: SurfaceInteraction3f, wo: Vector3f, body: UInt32) -> UInt32:
@@ -62,4 +61,4 @@ class Interior:
         """What arrives over a distance in `body`; 1 outside."""
         # Rays that meet nothing are infinitely long: whatever they are in has no end.
         length = dr.select(distance < dr.inf, distance, 0)
-        return self._scene.bsdfs.call(body, lookup, lambda bsdf: bsdf.transmittance(length), Color3f(1))
+        return self._bsdfs.call(body, lookup, lambda bsdf: bsdf.transmittance(length), Color3f(1))

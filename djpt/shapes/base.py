@@ -56,7 +56,7 @@ class Shape(Plugin):
     face_count: ClassVar[int] = 1
     """How many faces `intersect` tells apart."""
     closed: ClassVar[bool] = False
-    """Does it have an inside, that every path to the outside leaves through the surface?"""
+    """Whether shapes of this class have an inside, which paths leave through the surface only: see `is_closed`."""
     has_area: ClassVar[bool] = True
     """Is its area known, so that points can be drawn uniformly? Else `sample_direction` draws directions instead."""
     has_parameterization: ClassVar[bool] = False
@@ -112,6 +112,10 @@ class Shape(Plugin):
     def plane(self) -> tuple[NDArray[np.float64], float] | None:
         """(normal, offset) if the whole shape lies in one plane, else None."""
         return None
+
+    def is_closed(self) -> bool:
+        """Whether the shape encloses a volume, so that crossing its surface means going in or out."""
+        return self.closed
 
     def faces(self) -> Sequence[Face]:
         """The frames of the faces; empty for curved shapes, which compute theirs in `surface`."""

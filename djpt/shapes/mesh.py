@@ -216,7 +216,6 @@ class Mesh(Shape):
         write_ply(filename, MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes))
 
     def is_closed(self) -> bool:
-        """Does the mesh enclose a volume, so that crossing parity tells inside from outside?"""
         return is_closed(self.positions, self.indices)
 
     def face_areas(self) -> NDArray[np.float64]:

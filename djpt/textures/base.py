@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from djpt.description.allowed import Allowed
 from djpt.description.plugin import Plugin
-from djpt.textures.allowed import Allowed
 from djpt.types import Bool, Color3f, Float, Point2f, Vector2f
 
 __all__ = ["Texture"]
@@ -54,6 +54,9 @@ class Texture(Plugin):
 
     def used_by(self, kind: str) -> None:
         """Learn the kind of the plugin that uses the texture, before `restrict`: light and paint differ in colour."""
+
+    def require_on(self, shape: Any) -> None:
+        """Raise `SceneError` if the texture can't be used on a shape (`djpt.shapes.Shape`)."""
 
     def restrict(self, allowed: Allowed, where: str) -> None:
         """All values must be `allowed`, now and after each edit.

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
@@ -15,7 +16,6 @@ from djpt.distributions import DiscreteDistribution2D
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
 from djpt.kernels import as_float, maximum, minimum
-from djpt.textures.allowed import Allowed
 from djpt.textures.brightness import cell_weights, luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 from djpt.textures.uv import UVTexture

@@ -6,8 +6,8 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.description.allowed import Allowed
 from djpt.description.properties import Properties
-from djpt.textures.allowed import Allowed
 from djpt.textures.uv import UVTexture
 from djpt.types import Bool, Color3f, Float, Vector2f
 

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, is_readable
-from djpt.description.plugin import ParamFlags, Plugin
+from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
-from djpt.geometry.bvh.records import LEAF, PORTAL, WORDS
-from djpt.geometry.bvh.traversal import NONE
 from djpt.images.color import LUMINANCE
 from djpt.kernels import as_float
-from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, UInt32, Vector2f
+from djpt.types import Bool, Color3f, Float, Vector2f
 
-if TYPE_CHECKING:
-    from djpt.scene import Scene
-    from djpt.shapes import Shape
-
-__all__ = ["MeshAttribute", "check_attributes"]
+__all__ = ["MeshAttribute"]
 
 
 class MeshAttribute(Texture):
@@ -62,8 +56,7 @@ class MeshAttribute(Texture):
         # The numbers are the mesh's: they are looked at when the scene is known.
         self._allowed = self._allowed.within(allowed)
 
-    def require_on(self, shape: Shape) -> None:
-        """Raise `SceneError` if the texture can't be used on `shape`."""
+    def require_on(self, shape: Any) -> None:
         attributes = getattr(shape, "attributes", None)
         if not shape.of_triangles or attributes is None:
             raise SceneError(f"{self.node}: '{shape.id}' isn't a mesh, and has no attribute '{self.name}'")
@@ -90,33 +83,4 @@ class MeshAttribute(Texture):
         raise SceneError(f"{self.node}: a mesh attribute has no gradient by uv, so it can't be a bump map")
 
     def _value(self, si: Any, active: Bool | bool) -> Any:
-        geometry = si.scene.geometry
-        record = geometry.record_of(si.face)
-        active = active & (record != NONE)
-        words = geometry.triangles.records.words
-        kind, number = (dr.gather(UInt32, words, record * WORDS + k, active) for k in (12, 13))
-        # Records of nodes and of other shapes have something else there.
-        face = dr.select(active & ((kind & (LEAF | PORTAL)) == LEAF), number, 0)
-        return geometry.triangles.meshes.attribute(self.name, face, si.prim_uv.x, si.prim_uv.y) * self.scale
-
-
-def check_attributes(scene: Scene) -> None:
-    """Does every shape carry the attributes that its textures ask for, with values in their ranges?
-
-    Raises:
-        SceneError: a shape isn't a mesh, lacks an attribute, or its values can't be used.
-    """
-    for shape in scene.geometry.contents.shapes:
-        if shape.bsdf is not None:
-            for texture in attributes_in(shape.bsdf):
-                texture.require_on(shape)
-
-
-def attributes_in(plugin: Plugin) -> Iterator[MeshAttribute]:
-    """All textures of this kind below a plugin."""
-    if isinstance(plugin, MeshAttribute):
-        yield plugin
-    for name in plugin.children:
-        child = getattr(plugin, name)
-        if isinstance(child, Plugin):
-            yield from attributes_in(child)
+        return si.scene.geometry.attribute(self.name, si.face, si.prim_uv, active) * self.scale

@@ -9,12 +9,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.errors import DjptError, ParameterError, SceneError
 from djpt.images.color import LUMINANCE
-from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float
 
@@ -46,6 +46,9 @@ class ConstantTexture(Texture):
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
         r, g, b = LUMINANCE
         return self.value.x * r + self.value.y * g + self.value.z * b
+
+    def as_property(self) -> Color3f:
+        return Color3f(self.value)
 
     def mean(self) -> Float:
         return (self.value.x + self.value.y + self.value.z) * (1 / 3)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, describe
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.images.colorimetry import spectrum_to_rgb
-from djpt.textures.allowed import Allowed
 from djpt.textures.rgb import ConstantTexture
 from djpt.types import Color3f
 

@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, as_number, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float
-from djpt.textures.allowed import Allowed
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float
 

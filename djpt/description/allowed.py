@@ -1,4 +1,4 @@
-"""The values that a texture may have."""
+"""Ranges of numbers: what a texture may hold, and how messages put it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.properties import bounds
 from djpt.errors import SceneError
 
-__all__ = ["Allowed"]
+__all__ = ["Allowed", "bounds"]
 
 
 @dataclass(frozen=True)
@@ -41,3 +40,12 @@ class Allowed:
             raise SceneError(
                 f"{where} must {bounds(self.low, self.high, self.low_open)}, found {outside[0]:.6g}".lstrip()
             )
+
+
+def bounds(low: float | None, high: float | None, low_open: bool = False, high_open: bool = False) -> str:
+    """A range in words: ``lie in [0, 1]``, ``be at least 1``, ``be greater than 0``."""
+    if low is not None and high is not None:
+        return f"lie in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"
+    if low is not None:
+        return f"be {'greater than' if low_open else 'at least'} {low:g}"
+    return f"be {'less than' if high_open else 'at most'} {high:g}"
