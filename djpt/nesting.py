@@ -2,38 +2,68 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import registered
+from djpt.emitters import Emitter
 from djpt.errors import SceneError
 from djpt.materials import BSDF, Diffuse
+from djpt.sensors import Sensor
 from djpt.shapes import Shape
 
-__all__ = ["black", "collect", "default_bsdf"]
+__all__ = ["black", "collect_emitters", "collect_sensors", "default_bsdf"]
 
 
-def collect(kind: str, plugins: Iterable[Plugin]) -> list[Any]:
-    """All plugins of a kind, `emitter` or `sensor`, in order; those that stand in shapes learn their `shape`.
+def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
+    """The emitters of a scene's `plugins`, in the order in which Mitsuba numbers them.
+
+    A shape's emitter is numbered where the shape stands, whether it is nested there or the shape refers to an area
+    light that stands in the scene: the latter by itself doesn't count. Emitters of shapes learn their `shape`. A
+    warning tells of area lights that no shape refers to.
 
     Raises:
-        SceneError: One stands where it can't.
+        SceneError: A shape's emitter can't be nested, or belongs to two shapes; or a shape that emits light stands in
+            the scene twice.
     """
-    found: list[Any] = []
+    found: list[Emitter] = []
+    of_shapes: list[Emitter] = []
     for plugin in plugins:
-        if plugin.kind == kind:
-            if plugin.on_shape and plugin.shape is None:  # type: ignore[attr-defined]
-                raise SceneError(f"{plugin.id}: this {kind} must be nested in a shape")
+        if isinstance(plugin, Shape) and plugin.emitter is not None:
+            adopt(plugin, plugin.emitter)
+            if plugin.emitter in found:
+                raise SceneError(f"{plugin.id}: a shape that emits light can't stand in the scene twice")
+            found.append(plugin.emitter)
+        elif isinstance(plugin, Emitter):
+            (of_shapes if plugin.on_shape else found).append(plugin)
+    for emitter in of_shapes:
+        if emitter.shape is None:
+            warnings.warn(f"{emitter.id}: no shape refers to this emitter: it sends out no light", stacklevel=2)
+    return found
+
+
+def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
+    """The sensors of a scene's `plugins`, in the order in which Mitsuba numbers them.
+
+    Those of shapes learn their `shape`. One that stands in the scene, and that a shape refers to, has two numbers.
+
+    Raises:
+        SceneError: A shape's sensor can't be nested, or belongs to two shapes.
+    """
+    found: list[Sensor] = []
+    for plugin in plugins:
+        if isinstance(plugin, Shape) and plugin.sensor is not None:
+            found.append(adopt(plugin, plugin.sensor))
+        elif isinstance(plugin, Sensor):
             found.append(plugin)
-        elif isinstance(plugin, Shape) and getattr(plugin, kind, None) is not None:
-            found.append(adopt(plugin, getattr(plugin, kind)))
     return found
 
 
 def adopt(shape: Shape, nested: Any) -> Any:
-    """An emitter or sensor that is nested in a shape, told which one it is."""
+    """An emitter or sensor that a shape has, nested or by reference, told which shape that is."""
     if not nested.on_shape:
         fitting = ", ".join(
             name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False)

@@ -231,7 +231,7 @@ class SurfaceInteraction3f:
         return self.scene.bsdf_at(self)
 
     def emitter(self, scene: SceneView | None = None, active: Bool | bool = True) -> Any:
-        """The light of the shape, or the environment on a miss; a null `djpt.dispatch.pointers.EmitterPtr` without one."""
+        """The light of the shape, or of the sky on a miss; a null `djpt.dispatch.pointers.EmitterPtr` without one."""
         return (scene or self.scene).emitter_at(self)
 
 

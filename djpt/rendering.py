@@ -127,9 +127,9 @@ def make_job(scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pr
         if not 0 <= number < len(sensors):
             raise RenderError(f"the scene has {len(sensors)} sensors; there is no number {number}")
         sensor = sensors[number]
-    elif sensor not in sensors:
-        if sensor.on_shape and sensor.shape is None:
-            raise RenderError(f"'{sensor.id}' must be nested in a shape of the scene to be rendered")
+    if sensor.on_shape and sensor.shape is None:
+        raise RenderError(f"'{sensor.id}' must be nested in a shape of the scene to be rendered")
+    if sensor not in sensors:
         sensor.set_bounds(*scene.bounding_sphere())
     integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):

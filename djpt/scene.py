@@ -24,7 +24,7 @@ from djpt.geometry.contents import unseen
 from djpt.geometry.parity import is_inside
 from djpt.materials import BSDF
 from djpt.media.interior import Interior
-from djpt.nesting import black, collect, default_bsdf
+from djpt.nesting import black, collect_emitters, collect_sensors, default_bsdf
 from djpt.records import (
     RAY_EPSILON,
     BSDFFlags,
@@ -64,9 +64,8 @@ class Scene(Plugin):
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
         plugins = [plugin for _, plugin in self.named]
-        self._sensors: list[Sensor] = collect("sensor", plugins)
-        # Light sampling numbers emitters in the order of the description, those of shapes included.
-        self._emitters: list[Emitter] = collect("emitter", plugins)
+        self._sensors = collect_sensors(plugins)
+        self._emitters = collect_emitters(plugins)
         infinite = [i for i, e in enumerate(self._emitters) if has_flag(e.flags(), EmitterFlags.Infinite)]
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")

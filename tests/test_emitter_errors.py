@@ -53,8 +53,6 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"type": "projector", "fov": 40.0, "focal_length": "30mm"}, "'focal_length' can't be given together with 'fov'"),
     ({"type": "projector", "focal_length": "wide"}, "'focal_length' must be a positive length"),
     ({"type": "projector", "to_world": SHEARED}, "'to_world' must not shear"),
-    ({"type": "area"}, "light: this emitter must be nested in a shape"),
-    ({"type": "directionalarea"}, "light: this emitter must be nested in a shape"),
 ]
 
 

@@ -246,7 +246,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"type": "irradiancemeter", "film": PIXEL, "to_world": T()},
         "'to_world' can't be given: move the shape",
     ),
-    "irradiance at the top": ({"type": "scene", "meter": METER}, "meter: this sensor must be nested in a shape"),
     "irradiance without area": (
         {"type": "scene", "plane": {"type": "plane", "sensor": METER}},
         "'irradiancemeter' draws points by area, and that of 'plane' isn't known",

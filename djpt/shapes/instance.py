@@ -30,6 +30,7 @@ class Instance(Shape):
         Plugin.__init__(self, props)
         self.bsdf: Any = None
         self.emitter: Any = None
+        self.sensor: Any = None
         nested = props.children("shape")
         if len(nested) != 1 or not isinstance(nested[0][1], ShapeGroup):
             found = ", ".join(f"'{key}' ({type(shape).__name__})" for key, shape in nested) or "none"

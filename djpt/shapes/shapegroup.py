@@ -26,10 +26,11 @@ class ShapeGroup(Shape):
     def __init__(self, props: Properties) -> None:
         from djpt.shapes.instance import Instance
 
-        # Not `Shape.__init__`: a group has no BSDF, no emitter and no place of its own.
+        # Not `Shape.__init__`: a group has no BSDF, emitter, sensor or place of its own.
         Plugin.__init__(self, props)
         self.bsdf: Any = None
         self.emitter: Any = None
+        self.sensor: Any = None
         self.named: list[tuple[str, Shape]] = props.children("shape")
         if not self.named:
             raise SceneError(f"{props.node}: the 'shapegroup' is empty; nest the shapes to be instanced in it")
