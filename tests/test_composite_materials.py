@@ -115,17 +115,7 @@ def wide(x: Any) -> np.ndarray:
 
 
 def load_theirs(description: dict[str, Any], mi: Any) -> Any:
-    """The BSDF in Mitsuba, whose checkerboard swaps its colours when it is asked for a scalar."""
-
-    def swapped(node: Any) -> Any:
-        if not isinstance(node, dict):
-            return node
-        node = {key: swapped(value) for key, value in node.items()}
-        if node["type"] == "checkerboard":
-            node.update(color0=node["color1"], color1=node["color0"])
-        return node
-
-    return mi.load_dict(to_mitsuba({"b": swapped(description)})["b"], optimize=False)
+    return mi.load_dict(to_mitsuba({"b": description})["b"], optimize=False)
 
 
 class TheirQuery(Query):

@@ -15,6 +15,7 @@ from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, TensorXf, UInt32
+from djpt.validation import to_mitsuba
 
 TURNED = T().rotate([0, 0, 1], 30).scale([2, 3, 1]).translate([0.1, 0.2, 7])
 PLANES: dict[str, Any] = {"whole": T(), "repeated": T().scale([3, -2, 1]), "turned": TURNED}
@@ -183,14 +184,50 @@ def test_checkerboards_are_mitsubas(plane: str, mi: Any) -> None:
     assert np.mean(np.abs(found - expected).max(axis=0) > 1e-6) < 2e-3
 
 
-def test_scalars_of_a_checkerboard_have_the_pattern_of_its_colours() -> None:
+@pytest.mark.parametrize("plane", PLANES)
+def test_scalars_of_checkerboards_are_mitsubas(plane: str, mi: Any) -> None:
+    places = Places()
+    inner = {"type": "checkerboard", "color0": 0.1, "color1": 0.9, "to_uv": T().scale(3)}
+    outer = {"type": "checkerboard", "color0": inner, "color1": 0.5, "to_uv": PLANES[plane]}
+    mine = djpt.load_dict(outer)
+    theirs = mi.load_dict(to_mitsuba({"t": outer})["t"])
+    expected = np.array(theirs.eval_1(places.theirs(mi)))
+    assert len(np.unique(expected)) == 3
+    # The edges may move by a rounding.
+    assert np.mean(np.abs(np.array(in_kernel(mine, "eval_1", At(places.uv))) - expected) > 1e-6) < 2e-3
+
+
+def test_scalars_of_a_checkerboard_have_its_colours_exchanged() -> None:
     texture = djpt.load_dict({"type": "checkerboard", "color0": 1.0, "color1": 0.0})
     uv = At(Places(500).uv)
-    np.testing.assert_allclose(np.array(texture.eval_1(uv)), np.array(texture.eval(uv))[0], atol=1e-6)
+    np.testing.assert_allclose(np.array(texture.eval_1(uv)), 1 - np.array(texture.eval(uv))[0], atol=1e-6)
     quarter = At(Point2f(Float([0.25, 0.75, 0.75, -0.25]), Float([0.25, 0.25, 0.75, 0.25])))
-    np.testing.assert_allclose(np.array(texture.eval_1(quarter)), [1, 0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(np.array(texture.eval_1(quarter)), [0, 1, 0, 1], atol=1e-6)
     np.testing.assert_allclose(texture.mean()[0], 0.5, atol=1e-6)
     np.testing.assert_array_equal(np.array(texture.eval_1_grad(quarter)), 0)
+
+
+# What a BSDF reads as a scalar.
+SCALARS = {
+    "roughness": lambda texture: {"type": "roughconductor", "alpha": texture},
+    "principled": lambda texture: {"type": "principled", "roughness": texture, "metallic": 0.5},
+    "weight": lambda texture: {
+        "type": "blendbsdf",
+        "weight": texture,
+        "a": {"type": "diffuse", "reflectance": 0.1},
+        "b": {"type": "diffuse", "reflectance": 0.9},
+    },
+    "opacity": lambda texture: {"type": "mask", "opacity": texture, "nested": {"type": "diffuse"}},
+}
+
+
+@pytest.mark.parametrize("name", SCALARS)
+def test_materials_with_checkered_scalars_are_mitsubas(name: str) -> None:
+    pytest.importorskip("mitsuba")
+    checks = {"type": "checkerboard", "color0": 0.15, "color1": 0.7, "to_uv": T().scale(4)}
+    scene = room(0.5, environment={"type": "constant", "radiance": 0.3})
+    scene["floor"]["bsdf"] = SCALARS[name](checks)
+    assert close(ours(scene, 8), theirs(scene, 8)) > 0.98
 
 
 def test_checkerboards_nest_bitmaps_and_checkerboards() -> None:

@@ -15,11 +15,13 @@ __all__ = ["Checkerboard"]
 
 
 class Checkerboard(UVTexture):
-    """`color0` where u mod 1 and v mod 1 lie on the same side of 0.5, elsewhere `color1`.
+    """As a colour: `color0` where u mod 1 and v mod 1 lie on the same side of 0.5, elsewhere `color1`.
+
+    As a scalar (`eval_1`: a roughness, an opacity, the weight of a blend) it is the other way round: `color1` where
+    they lie on the same side. So it is in Mitsuba 3.9.1, by measurement, also for checkerboards in checkerboards.
 
     Parameters: `color0` (texture, default 0.4), `color1` (texture, default 0.2), `to_uv` (see
     `djpt.textures.uv.UVTexture`; the nested textures don't see it). The fields are half a unit wide.
-    `eval_1` has the same pattern (in Mitsuba 3.9.1 its colours are swapped).
     """
 
     children = ("color0", "color1")
@@ -29,24 +31,25 @@ class Checkerboard(UVTexture):
         self.color0 = props.texture("color0", 0.4)
         self.color1 = props.texture("color1", 0.2)
 
-    def _is_first(self, si: Any) -> Bool:
+    def _is_even(self, si: Any) -> Bool:
+        """Do u mod 1 and v mod 1 lie on the same side of 0.5?"""
         uv = self.uv(si)
         right, upper = uv.x - dr.floor(uv.x) > 0.5, uv.y - dr.floor(uv.y) > 0.5
         return ~(right ^ upper)
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
-        first = self._is_first(si)
-        return dr.select(first, self.color0.eval(si, first & active), self.color1.eval(si, ~first & active))
+        even = self._is_even(si)
+        return dr.select(even, self.color0.eval(si, even & active), self.color1.eval(si, ~even & active))
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
-        first = self._is_first(si)
-        return dr.select(first, self.color0.eval_1(si, first & active), self.color1.eval_1(si, ~first & active))
+        even = self._is_even(si)
+        return dr.select(even, self.color1.eval_1(si, even & active), self.color0.eval_1(si, ~even & active))
 
     def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
-        """That of the nested texture: edges have none."""
-        first = self._is_first(si)
-        one, other = self.color0.eval_1_grad(si, first & active), self.color1.eval_1_grad(si, ~first & active)
-        return dr.select(first, one, other)
+        """The nested texture's, in the fields of `eval_1`: edges have none. Mitsuba 3.9.1 can't compute it."""
+        even = self._is_even(si)
+        one, other = self.color1.eval_1_grad(si, even & active), self.color0.eval_1_grad(si, ~even & active)
+        return dr.select(even, one, other)
 
     def mean(self) -> Float:
         return 0.5 * (self.color0.mean() + self.color1.mean())
