@@ -1,0 +1,1 @@
+"""Sensors: the rays that they send, the images that they make."""

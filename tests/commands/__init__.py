@@ -1,0 +1,1 @@
+"""The command line, the installed package, the choice of a backend."""

@@ -1,0 +1,1 @@
+"""Documentation, examples and the public names do what is said of them."""

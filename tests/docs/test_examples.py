@@ -1,0 +1,91 @@
+"""The examples do what they say."""
+
+from __future__ import annotations
+
+import importlib.util
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from tests.kit.processes import ROOT, run_python
+
+EXAMPLES = ROOT / "examples"
+
+pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="not a working copy of the repository")
+
+
+def load_example(name: str) -> ModuleType:
+    """An example as a module, without running it."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def albedo() -> ModuleType:
+    return load_example("albedo")
+
+
+def recovered(albedo: ModuleType, size: int, **options: Any) -> tuple[float, list[float]]:
+    """The largest error of the nine numbers, and the loss of each step."""
+    scene = albedo.load(size)
+    params = djpt.traverse(scene)
+    truth = albedo.values(params)
+    target = djpt.render(scene, spp=256, seed=2**31)
+    for key in albedo.KEYS:
+        params[key] = 0.5
+    params.update()
+    losses: list[float] = []
+    found = albedo.recover(scene, target, report=lambda step, loss: losses.append(loss), **options)
+    return max(float(np.abs(found[key] - truth[key]).max()) for key in albedo.KEYS), losses
+
+
+def test_albedos_are_recovered_from_a_small_picture(albedo: ModuleType) -> None:
+    error, losses = recovered(albedo, 48, steps=60)
+    assert error < 0.015
+    assert np.mean(losses[-5:]) < losses[0] / 5
+
+
+@pytest.mark.slow
+def test_albedos_are_recovered_within_a_hundredth(albedo: ModuleType) -> None:
+    error, losses = recovered(albedo, 256)
+    assert error < 0.01
+    assert losses[-1] < losses[0] / 10
+
+
+def test_the_albedo_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -> None:
+    picture = tmp_path / "albedo.png"
+    done = run_python(
+        str(EXAMPLES / "albedo.py"), "--out", str(picture), "--size", "24", "--steps", "3", "--spp", "4", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "loss" in done.stdout and "white" in done.stdout
+    assert np.array(djpt.read(picture)).shape == (24, 3 * 24, 3)
+
+
+def test_an_own_integrator_is_differentiated_without_adjoint_code(tmp_path: Any) -> None:
+    """The script compares the derivative with a finite difference, and fails if they differ."""
+    picture = tmp_path / "sky.png"
+    done = run_python(
+        str(EXAMPLES / "own_integrator.py"), "--out", str(picture), "--size", "48", "--spp", "16", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "differentiation" in done.stdout
+    image = np.array(djpt.read(picture))
+    assert image.shape == (48, 48, 3)
+    # High up nothing is near the wall, whose reflectance is 0.6; the foot of the ball sees less of the sky.
+    assert image[0].mean() == pytest.approx(0.6, rel=0.01)
+    assert 0.05 < image[35, 12].mean() < 0.3
+
+
+def test_examples_use_the_public_api_only() -> None:
+    for path in EXAMPLES.glob("*.py"):
+        source = path.read_text()
+        assert "from djpt." not in source, path
+        assert "import djpt." not in source, path
+        compile(source, str(path), "exec")

@@ -1,0 +1,54 @@
+"""Every Python block of the documentation runs, and links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.kit.markdown import snippets
+from tests.kit.processes import ROOT, run_python
+
+DOCS = ROOT / "docs"
+PAGES = sorted(str(path.relative_to(ROOT)) for path in DOCS.rglob("*.md") if "_build" not in path.parts)
+
+pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)])
+def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = snippets(page)
+    if any("mitsuba" in block.code or "validation" in block.code for block in code):
+        pytest.importorskip("mitsuba")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": Path(page).stem}
+    for block in code:
+        block.run(names)
+
+
+@pytest.mark.slow
+def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
+    for module in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(module)
+    done = run_python("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(tmp_path / "html"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "html" / "index.html").exists()
+
+
+PACKAGES = ["integrators", "materials", "shapes", "emitters", "rfilters", "samplers", "sensors", "films"]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_plugin_is_in_the_reference(package: str) -> None:
+    reference = (DOCS / "api.md").read_text()
+    modules = {path.stem for path in (ROOT / "djpt" / package).glob("*.py")} - {"__init__"}
+    assert modules <= set(re.findall(rf"djpt\.{package}\.(\w+)", reference))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page: str) -> None:
+    folder = (ROOT / page).parent
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
+        assert target.startswith("https://") or (folder / target).exists(), target

@@ -1,0 +1,90 @@
+"""The public names: all there, from one place each, and cheap until used."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from pathlib import Path
+
+import pytest
+
+import djpt
+from tests.kit.processes import run_python
+
+DESIGN = """
+    set_variant variant load_dict render traverse cornell_box write read Image util types validation
+    Float UInt32 Point3f Vector3f Color3f TensorXf Transform4f ScalarTransform4f Ray3f
+    register_bsdf register_shape register_emitter register_texture register_sensor register_film register_rfilter
+    register_sampler register_integrator DjptError SceneError ParameterError RenderError FileError BackendError
+    __version__
+"""
+
+
+def type_checking_imports() -> dict[str, str]:
+    """What ``if TYPE_CHECKING:`` in djpt/__init__.py imports: name -> module, submodules -> djpt."""
+    tree = ast.parse(Path(djpt.__file__).read_text())
+    block = next(n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
+    names = {}
+    for statement in block.body:
+        assert isinstance(statement, ast.ImportFrom) and statement.module
+        for alias in statement.names:
+            assert alias.asname == alias.name, f"{alias.name}: only 'as {alias.name}' exports it to type checkers"
+            names[alias.name] = statement.module
+    return names
+
+
+def test_the_table_agrees_with_the_type_checkers_imports() -> None:
+    table = dict(djpt._HOME)
+    table.update(dict.fromkeys(djpt._SUBMODULES, "djpt"))
+    assert type_checking_imports() == table
+
+
+@pytest.mark.parametrize("name", djpt.__all__)
+def test_every_public_name_resolves(name: str) -> None:
+    assert getattr(djpt, name) is getattr(djpt, name)
+
+
+@pytest.mark.parametrize("name", djpt._HOME)
+def test_every_public_name_is_public_where_it_lives(name: str) -> None:
+    assert name in importlib.import_module(djpt._HOME[name]).__all__
+
+
+def test_the_names_of_the_design_exist() -> None:
+    assert set(DESIGN.split()) <= set(djpt.__all__)
+    assert dir(djpt) == djpt.__all__ == sorted(set(djpt.__all__))
+
+
+def test_no_submodule_has_the_name_of_a_public_object() -> None:
+    """Importing such a submodule would replace the object in the package."""
+    folder = Path(djpt.__file__).parent
+    submodules = {p.stem for p in folder.iterdir() if p.suffix == ".py" or p.is_dir()}
+    assert not submodules & set(djpt._HOME)
+
+
+def test_an_unknown_name() -> None:
+    with pytest.raises(AttributeError, match=r"module 'djpt' has no attribute 'rendr'; did you mean 'render'\?"):
+        djpt.rendr  # noqa: B018
+    assert not hasattr(djpt, "nothing_like_it")
+
+
+def test_import_is_light() -> None:
+    """`import djpt` and the errors need no Dr.Jit and no NumPy; rendering needs no Mitsuba."""
+    code = """
+import sys, djpt
+djpt.DjptError, djpt.variant()
+heavy = {"drjit", "mitsuba", "numpy", "scipy", "typer", "rich", "OpenEXR", "PIL"}
+print(sorted(heavy & set(sys.modules)))
+"""
+    assert run_python("-c", code).stdout == "[]\n"
+
+
+def test_rendering_does_not_import_mitsuba() -> None:
+    code = """
+import sys, djpt
+scene = djpt.load_dict(djpt.cornell_box())
+params = djpt.traverse(scene)
+djpt.render(scene, spp=1)
+print(sorted({"mitsuba", "scipy", "matplotlib"} & set(sys.modules)))
+"""
+    done = run_python("-c", code)
+    assert done.stdout == "[]\n", done.stderr

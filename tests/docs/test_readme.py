@@ -1,0 +1,75 @@
+"""Every code block of the README runs, and says the truth."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from tests.kit.markdown import snippets
+from tests.kit.processes import ROOT, run_python
+
+pytestmark = pytest.mark.skipif(not (ROOT / "README.md").exists(), reason="not a working copy of the repository")
+
+
+def test_the_script_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    script, comparison = snippets("README.md")
+    names: dict[str, Any] = {"__name__": "readme"}
+    script.run(names)
+    assert "red.reflectance.value" in capsys.readouterr().out
+    assert np.array(djpt.read("cornell_box.exr")).shape == (256, 256, 3)
+    red, blue = (np.array(djpt.read(name))[:, :24].mean((0, 1)) for name in ("cornell_box.png", "blue_wall.png"))
+    assert red[0] > red[2] and blue[2] > blue[0]
+
+    pytest.importorskip("mitsuba")
+    comparison.run(names)
+    assert Path("comparison.png").exists()
+
+
+def commands() -> list[str]:
+    """The lines of the README that start with `djpt`."""
+    if not (ROOT / "README.md").exists():
+        return []
+    lines = [line for block in snippets("README.md", "sh") for line in block.code.splitlines()]
+    return [line for line in lines if line.startswith("djpt ")]
+
+
+@pytest.mark.parametrize("command", commands())
+def test_the_commands_run(command: str, tmp_path: Path) -> None:
+    arguments = shlex.split(command, comments=True)[1:]
+    if arguments[0] == "compare":
+        pytest.importorskip("mitsuba")
+    shutil.copy(ROOT / "scenes" / "cornell_box.xml", tmp_path / "scene.xml")
+    done = run_python("-m", "djpt", *arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    if "-o" in arguments:
+        assert (tmp_path / arguments[arguments.index("-o") + 1]).exists()
+
+
+def test_the_make_targets_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for block in snippets("README.md", "sh"):
+        for target in re.findall(r"^make (\w+)", block.code, re.MULTILINE):
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+def test_links_lead_somewhere() -> None:
+    targets = re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text())
+    for target in targets:
+        assert target.startswith("https://") or (ROOT / target).exists(), target
+    assert len(targets) > 5
+
+
+def test_the_plugins_named_in_the_readme_exist() -> None:
+    from djpt.description.registry import registered
+
+    text = (ROOT / "README.md").read_text()
+    paragraph = text[text.index("* Shapes:") : text.index("* Gradients")]
+    assert set(re.findall(r"`(\w+)`", paragraph)) <= set(registered())

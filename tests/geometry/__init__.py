@@ -1,0 +1,1 @@
+"""Shapes, meshes, instances and what rays find of them."""

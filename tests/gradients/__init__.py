@@ -1,0 +1,1 @@
+"""Derivatives of images, against finite differences and against Mitsuba."""

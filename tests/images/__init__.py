@@ -1,0 +1,1 @@
+"""Films, image files, tone mapping."""

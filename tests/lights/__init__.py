@@ -1,0 +1,1 @@
+"""Emitters and the choice between them."""

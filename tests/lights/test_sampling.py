@@ -1,0 +1,373 @@
+"""What emitters claim of themselves: densities, weights, power, and the rays that leave them.
+
+All parameter sets of tests/kit/emitters.py are tested, and all shapes of tests/sampling/test_claims.py that can shine.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.description import registry
+from djpt.frame import Frame3f
+from djpt.records import EmitterFlags, has_flag
+from djpt.types import Float, Point2f, Point3f, UInt32
+from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
+from tests.kit.emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of
+from tests.kit.lit_floor import floor_scene
+from tests.sampling.test_claims import examples, lit, looked_at, reference
+
+COUNT = 2**18
+RAYS = 2**16
+
+HIDDEN = [name for name in NAMES if plugin_of(name) == "directionalarea"]
+"""Lights that only their own rays show."""
+
+TEXTURED = [name for name in NAMES if "bitmap" in name or "checkerboard" in name]
+
+
+def test_every_emitter_has_a_set() -> None:
+    own = {name for name, factory in registry.registered("emitter").items() if registry.is_own(factory)}
+    assert own == set(SETS)
+
+
+# ---------------------------------------------------------------- directions
+
+
+def lights() -> list[Any]:
+    """All shapes that shine, and all sets of emitters."""
+    shining = [
+        pytest.param({**p.values[1], "emitter": {"type": "area", "radiance": 2.0}}, id=p.id) for p in examples("shape")
+    ]
+    return shining + [pytest.param(name, id=name) for name in NAMES if name not in HIDDEN]
+
+
+def scene_of(light: dict[str, Any] | str) -> Any:
+    """One of `lights` over an all but empty scene."""
+    return lit(light=entry(light) if isinstance(light, str) else light)
+
+
+@pytest.mark.parametrize("light", lights())
+class TestDirections:
+    def test_directions_follow_the_density(self, light: dict[str, Any] | str) -> None:
+        """Of the directions that bring light: what light sampling draws is what a ray in that direction finds."""
+        scene = scene_of(light)
+        ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(COUNT)), False)
+        if np.array(ds.delta).any():
+            pytest.skip("a delta emitter has no density")
+        # The density is that of a narrow cone: look there closely.
+        focus = Frame3f.from_normal(dr.normalize(dr.detach(dr.mean(ds.d, axis=1))))
+        towards = focus.to_local(ds.d)
+        lowest = float(np.array(towards.z).min())
+        domain = SPHERE if lowest < 0.9 else type(SPHERE)(
+            (1 - 1.2 * (1 - lowest), 0), (1, 2 * np.pi), SPHERE.point, SPHERE.coordinates
+        )  # fmt: skip
+
+        def density(local: Any) -> Any:
+            at, radiance, _ = looked_at(scene, focus.to_world(local))
+            return dr.select(dr.max(radiance) > 0, scene.pdf_emitter_direction(reference(), at), 0)
+
+        p, integral = p_value(domain, towards, dr.max(weight) > 0, density, fine=96)
+        assert integral <= 1 + 5e-3
+        assert p > SIGNIFICANCE
+
+    def test_weights_are_radiance_over_density(self, light: dict[str, Any] | str) -> None:
+        scene = scene_of(light)
+        ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
+        if np.array(ds.delta).any():
+            pytest.skip("a delta emitter has no density")
+        lit_up = np.broadcast_to(np.array(dr.max(weight) > 0), (4096,))
+        assert lit_up.mean() > 0.1
+        product = np.array(weight) * np.array(ds.pdf)
+        _, radiance, _ = looked_at(scene, ds.d)
+        radiance = np.broadcast_to(np.array(radiance), (3, 4096))
+        # Rays that graze an edge may miss.
+        agree = np.isclose(product, radiance, rtol=1e-3).all(axis=0)
+        assert agree[lit_up].mean() > 0.995
+        again, pdf = (np.broadcast_to(x, (4096,)) for x in (scene.pdf_emitter_direction(reference(), ds), ds.pdf))
+        np.testing.assert_allclose(again[lit_up], pdf[lit_up], rtol=2e-3)
+        inverse = np.broadcast_to(np.array(ds.pdf * ds.weight), (4096,))
+        np.testing.assert_allclose(inverse[lit_up], 1, rtol=1e-4)
+
+    def test_record_is_consistent(self, light: dict[str, Any] | str) -> None:
+        scene = scene_of(light)
+        ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
+        np.testing.assert_allclose(np.linalg.norm(np.array(ds.d), axis=0), 1, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(np.array(ds.n), axis=0), 1, atol=1e-5)
+        if np.isfinite(np.array(ds.dist)).all():
+            np.testing.assert_allclose(np.array(ds.d) * np.array(ds.dist), np.array(ds.p), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_point_of_space_gives_nonsense(name: str) -> None:
+    """At the light itself, behind it, far away: weights are finite and not negative."""
+    scene = lit(light=entry(name))
+    rng = np.random.default_rng(2)
+    points = np.concatenate([[[-2, 3, 2.5], [0, 0, 0], [1e6, -1e6, 1e6]], rng.normal(0, 4, (500, 3))]).T
+    p = Point3f(*(Float(x.astype(np.float32)) for x in points))
+    emitter = scene.emitter_ptr(UInt32(0))
+    ds, weight = emitter.sample_direction(p, Point2f(*uniform(503)))
+    found = np.array(weight)
+    assert np.isfinite(found).all()
+    assert found.min() >= 0
+    pdf = np.array(emitter.pdf_direction(p, ds))
+    assert np.isfinite(pdf).all()
+    assert pdf.min() >= 0
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_hidden_lights_are_hidden(name: str) -> None:
+    scene = lit(light=entry(name))
+    ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(64)), False)
+    assert not np.array(weight).any()
+    assert not np.array(ds.pdf).any()
+    shape = scene.shapes()[0]
+    ps = shape.sample_position(Point2f(*uniform(64)))
+    _, radiance, valid = looked_at(scene, dr.normalize(ps.p))
+    assert np.array(valid).any()
+    assert not np.array(radiance).any()
+
+
+# ---------------------------------------------------------------- rays
+
+GROUND, REACH = -1.0, 12.0
+"""Height of a plane that receives light, and how large the scene is."""
+
+
+BALL = {"type": "sphere", "radius": REACH, "center": [0, GROUND, 0], "bsdf": {"type": "null"}}
+RADIUS = REACH * (1 + 1500 * 2.0**-24) * math.sqrt(3)
+"""Of the sphere about the box about the scene."""
+
+
+def room(light: dict[str, Any]) -> Any:
+    """A light in a transparent ball, which makes the scene as large as a receiving plane needs."""
+    return djpt.load_dict({"type": "scene", "light": light, "ball": BALL})
+
+
+def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarray, list[Any]]:
+    """Rays of the first emitter, their weights (3, count), and the numbers that made them."""
+    u = uniform(count, 4, seed)
+    ray, weight = scene.emitter_ptr(UInt32(0)).sample_ray(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
+    return ray, np.broadcast_to(np.array(weight, np.float64), (3, count)), u
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mean_weight_is_the_power(name: str) -> None:
+    scene = room(entry(name))
+    _, weight, _ = rays_of(scene)
+    per_ray = weight.mean(axis=0)
+    mean, sigma = per_ray.mean(), per_ray.std(ddof=1) / math.sqrt(RAYS)
+    power = scene.emitters()[0].power()
+    # Of textures, `power` knows the mean over uv of the luminance.
+    assert abs(mean - power) <= (0.25 * mean if name in TEXTURED else 3 * sigma + 1e-5 * mean)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("area-rectangle", math.pi * 5 * 4 * 0.7**2),
+        ("area-sphere", math.pi * 8 * math.pi),
+        ("area-disk", math.pi * 8 * math.pi * 0.7**2),
+        ("area-cube", math.pi * 9 * 8 * (0.5 * 0.3 + 0.3 * 0.2 + 0.2 * 0.5)),
+        ("constant-default", 4 * math.pi**2 * RADIUS**2),
+        ("directional-turned", 2 * math.pi * RADIUS**2),
+        ("directionalarea-rectangle", 3 * 4 * 0.7**2),
+        ("point-turned", 4 * math.pi * 12),
+        ("projector-default", math.pi * (43.266615 / math.sqrt(2) / 50) ** 2),
+        ("spot-sharp", 2 * math.pi * 20 * (1 - math.cos(math.radians(25)))),
+        ("spot-wide", 2 * math.pi * 20 * (1 - 2 / math.pi)),
+    ],
+)
+def test_power_in_closed_form(name: str, expected: float) -> None:
+    assert room(entry(name)).emitters()[0].power() == pytest.approx(expected, rel=2e-6)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in {*UNLIKE_MITSUBA, *RAYS_UNLIKE_MITSUBA}])
+def test_rays_are_mitsubas(name: str) -> None:
+    mi = pytest.importorskip("mitsuba")
+    if "checkerboard" in name:
+        pytest.skip("Mitsuba 3.9.1 draws no rays for a checkerboard")
+    ray, weight, u = rays_of(room(entry(name)), 4096)
+    described = djpt.validation.to_mitsuba({"type": "scene", "light": entry(name), "ball": BALL})
+    with djpt.validation.bridge._variant():
+        scene = mi.load_dict(described)
+        numbers = [mi.Float(np.array(x)) for x in u]
+        other, expected = scene.emitters()[0].sample_ray(0, 0, mi.Point2f(*numbers[:2]), mi.Point2f(*numbers[2:]))
+        theirs = [np.broadcast_to(np.array(x), (3, 4096)) for x in (other.o, other.d, expected)]
+    # Mitsuba moves rays off the surface that they leave.
+    scale = 1 + np.abs(theirs[0]).max()
+    np.testing.assert_allclose(np.broadcast_to(np.array(ray.o), (3, 4096)), theirs[0], atol=1e-4 * scale)
+    length = np.linalg.norm(theirs[1], axis=0)
+    close = np.abs(np.broadcast_to(np.array(ray.d), (3, 4096)) - theirs[1] / length).max(axis=0) < 1e-4
+    assert close.mean() > 0.998
+    agree = np.isclose(weight, theirs[2], rtol=1e-3, atol=1e-5 * theirs[2].max()).all(axis=0)
+    assert agree.mean() > 0.998
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in HIDDEN])
+def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
+    """What a disk of the ground receives: by rays from the light, and by directions towards the light."""
+    scene = room(entry(name))
+    radius = 2.5
+    count = 2**18
+    ray, weight, _ = rays_of(scene, count, seed=1)
+    t = (GROUND - ray.o.y) * dr.rcp(ray.d.y)
+    at = ray(t)
+    # From above: the disk has one side.
+    lands = (t > 0) & (ray.d.y < 0) & (dr.square(at.x) + dr.square(at.z) < radius**2)
+    first = weight * np.broadcast_to(np.array(lands, np.float64), (count,))
+
+    u = uniform(count, 4, seed=2)
+    r, phi = radius * dr.sqrt(u[0]), 2 * math.pi * u[1]
+    p = Point3f(r * dr.cos(phi), Float(GROUND), r * dr.sin(phi))
+    ds, light = scene.emitter_ptr(UInt32(0)).sample_direction(p, Point2f(u[2], u[3]))
+    # Lights hide nothing of themselves here: those that could are convex, and only their front sends light.
+    second = np.array(light * (dr.select(ds.d.y > 0, ds.d.y, 0) * (math.pi * radius**2)), np.float64)
+    second = np.broadcast_to(second, (3, count))
+    assert first.mean() > 0
+    for a, b in zip(first, second, strict=True):
+        sigma = math.sqrt((a.var() + b.var()) / count)
+        assert abs(a.mean() - b.mean()) <= 4 * sigma + 1e-5 * b.mean()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bounds_hold_the_light(name: str) -> None:
+    """Rays start in the box, and leave within theta_o + theta_e of the axis."""
+    scene = room(entry(name))
+    emitter = scene.emitters()[0]
+    bounds = emitter.bounds()
+    flags = emitter.flags()
+    at_infinity = has_flag(flags, EmitterFlags.Infinite) or (
+        has_flag(flags, EmitterFlags.DeltaDirection) and not emitter.on_shape
+    )
+    assert (bounds is None) == at_infinity
+    if bounds is None:
+        return
+    ray, weight, _ = rays_of(scene, 4096)
+    o, d = (np.broadcast_to(np.array(x, np.float64), (3, 4096)).T for x in (ray.o, ray.d))
+    assert (o >= bounds.low - 1e-5).all()
+    assert (o <= bounds.high + 1e-5).all()
+    assert np.linalg.norm(bounds.axis) == pytest.approx(1)
+    widest = min(bounds.theta_o + bounds.theta_e, math.pi)
+    assert (d @ bounds.axis)[weight.max(axis=0) > 0].min() >= math.cos(widest) - 1e-5
+    assert bounds.power == emitter.power()
+
+
+def test_a_mesh_knows_where_its_normals_point() -> None:
+    """A flat mesh is as narrow as a rectangle, a bent one as wide as its normals; `flip_normals` turns both."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
+    for bend, flip in ((0.0, False), (1.0, False), (0.5, True)):
+        positions = corners * [1, 1, bend]
+        faces = [[0, 1, 2], [0, 2, 3]]
+        mesh = djpt.Mesh("m", positions, faces, props={"emitter": {"type": "area"}, "flip_normals": flip})
+        scene = djpt.load_dict({"type": "scene", "mesh": mesh})
+        bounds = scene.emitters()[0].bounds()
+        normals = np.array([np.cross(*(positions[f[1:]] - positions[f[0]])) for f in np.array(faces)])
+        normals *= (-1 if flip else 1) / np.linalg.norm(normals, axis=1, keepdims=True)
+        between = math.acos(min(1.0, float(normals[0] @ normals[1])))
+        assert bounds.theta_o == pytest.approx(between / 2, abs=1e-5)
+        np.testing.assert_allclose(normals @ bounds.axis, math.cos(between / 2), atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["plane", "torus"])
+def test_shapes_without_area_send_no_rays(shape: str) -> None:
+    scene = lit(light={"type": shape, "emitter": {"type": "area"}})
+    emitter = scene.emitters()[0]
+    assert 0 < emitter.power() < math.inf
+    with pytest.raises(djpt.SceneError, match="light: no rays can be drawn"):
+        emitter.sample_ray(Point2f(0.5), Point2f(0.5))
+
+
+# ---------------------------------------------------------------- closed forms
+
+ALBEDO = 0.5
+
+
+def brightness(light: dict[str, Any], x: float, z: float) -> np.ndarray:
+    """The radiance of a diffuse floor at (x, 0, z), seen from above."""
+    sensor = {
+        "type": "perspective",
+        "fov": 0.01,
+        "to_world": djpt.ScalarTransform4f().look_at(origin=[x, 5, z], target=[x, 0, z], up=[0, 0, 1]),
+        "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
+    }
+    floor = {
+        "type": "rectangle",
+        "to_world": djpt.ScalarTransform4f().rotate([1, 0, 0], -90).scale(20),
+        "bsdf": {"type": "diffuse", "reflectance": ALBEDO},
+    }
+    scene = djpt.load_dict(
+        {"type": "scene", "integrator": {"type": "path", "max_depth": 2}, "sensor": sensor, "floor": floor, "l": light}
+    )
+    return np.array(djpt.render(scene, spp=16)).ravel()
+
+
+def down(height: float = 2.0) -> Any:
+    return djpt.ScalarTransform4f().look_at(origin=[0, height, 0], target=[0, 0, 0], up=[0, 0, 1])
+
+
+@pytest.mark.parametrize("x", [0.0, 0.3, 0.7])
+class TestClosedForms:
+    """Irradiance E gives a radiance of E albedo / pi."""
+
+    def test_point(self, x: float) -> None:
+        cos = 2 / math.hypot(2, x)
+        expected = 3 / (4 + x * x) * cos * ALBEDO / math.pi
+        found = brightness({"type": "point", "position": [0, 2, 0], "intensity": 3.0}, x, 0)
+        np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+    def test_spot(self, x: float) -> None:
+        theta = math.degrees(math.atan2(x, 2))
+        falloff = min(1.0, max(0.0, (18 - theta) / (18 - 5)))
+        light = {"type": "spot", "to_world": down(), "cutoff_angle": 18.0, "beam_width": 5.0, "intensity": 3.0}
+        expected = 3 * falloff / (4 + x * x) * (2 / math.hypot(2, x)) * ALBEDO / math.pi
+        np.testing.assert_allclose(brightness(light, x, 0), expected, rtol=1e-3)
+
+    def test_directional(self, x: float) -> None:
+        light = {"type": "directional", "direction": [1, -2, 2], "irradiance": 3.0}
+        np.testing.assert_allclose(brightness(light, x, 0), 3 * (2 / 3) * ALBEDO / math.pi, rtol=1e-4)
+
+    def test_projector(self, x: float) -> None:
+        """A screen across the axis is lit evenly: E = pi irradiance / height^2, out to height tan(fov / 2)."""
+        light = {"type": "projector", "to_world": down(), "fov": 36.0, "irradiance": 3.0}
+        expected = 3 * ALBEDO / 4 if x < 2 * math.tan(math.radians(18)) else 0
+        np.testing.assert_allclose(brightness(light, x, 0), expected, rtol=1e-4)
+
+    def test_constant(self, x: float) -> None:
+        """Every sample brings pi f L."""
+        scene = lit(light={"type": "constant", "radiance": 3.0})
+        _, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024)), False)
+        np.testing.assert_allclose(np.array(weight), 3 * 4 * math.pi, rtol=1e-6)
+
+
+def test_spot_shows_its_picture_the_right_way() -> None:
+    """Left and right of the four quadrants of a texture, as a viewer along the light's axis sees them."""
+    picture = np.array([[1, 2], [3, 4]], np.float32)[..., None]
+    texture = {"type": "bitmap", "data": djpt.TensorXf(picture), "raw": True, "filter_type": "nearest"}
+    scene = lit(light={"type": "spot", "cutoff_angle": 40.0, "beam_width": 40.0, "texture": texture})
+    for x, y, value in ((-0.2, -0.2, 1), (0.2, -0.2, 2), (-0.2, 0.2, 3), (0.2, 0.2, 4)):
+        _, weight = scene.emitters()[0].sample_direction(Point3f(x, y, 1), Point2f(0.5))
+        assert float(weight.x[0]) * (1 + 2 * 0.04) == pytest.approx(value, rel=1e-5)
+
+
+def test_a_constant_texture_dims_a_spot() -> None:
+    """Mitsuba 3.9.1 refuses one in a description, and has one without effect by default."""
+    spots = [{"type": "spot", "texture": texture} for texture in (1.0, {"type": "rgb", "value": [0.5, 0.25, 0]})]
+    bright, dim = (lit(light=spot).emitters()[0] for spot in spots)
+    p, sample = Point3f(0.1, 0, 1), Point2f(0.3, 0.6)
+    for method in (lambda e: e.sample_direction(p, sample), lambda e: e.sample_ray(sample, sample)):
+        ratio = np.array(method(dim)[1]) / np.array(method(bright)[1])
+        np.testing.assert_allclose(ratio.ravel(), [0.5, 0.25, 0], rtol=1e-6)
+    assert dim.power() == pytest.approx(0.25 * bright.power())
+
+
+def test_unseen_lights_are_named() -> None:
+    """One warning for integrators that go from the camera to the light."""
+    scene = floor_scene({"beam": entry("directionalarea-rectangle")}, size=4)
+    with pytest.warns(UserWarning, match=r"can't show light .* one direction only: beam\.emitter stays black"):
+        djpt.render(djpt.load_dict(scene), spp=1)

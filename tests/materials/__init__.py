@@ -1,0 +1,1 @@
+"""BSDFs: what they claim of themselves, Mitsuba's numbers, closed forms."""

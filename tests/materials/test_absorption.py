@@ -1,0 +1,134 @@
+"""Coloured glass: light that runs through an absorbing body fades with the distance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.transforms import ScalarTransform4f as T
+from tests.kit.renders import ours, pixels
+
+SIGMA = [0.2, 0.5, 0.9]
+
+
+def scene(
+    origin: Any, integrator: str = "path", target: Any = (0, 0, 0), fov: float = 30, **nodes: Any
+) -> dict[str, Any]:
+    """A camera, and whatever `nodes` has."""
+    return {
+        "type": "scene",
+        "integrator": {"type": integrator, "max_depth": 16},
+        "sensor": {
+            "type": "perspective",
+            "fov": fov,
+            "to_world": T().look_at(origin=list(origin), target=list(target), up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}},
+        },
+        **nodes,
+    }
+
+
+def glass(ior: float = 1.5, **more: Any) -> dict[str, Any]:
+    return {"type": "glass", "int_ior": ior, "ext_ior": 1.0, "absorption": {"type": "rgb", "value": SIGMA}, **more}
+
+
+SKY = {"type": "constant", "radiance": 1.0}
+
+
+def test_camera_inside() -> None:
+    """exp(-sigma r) at the centre of a ball that doesn't refract; the ray begins at the near plane."""
+    image = ours(
+        scene([0, 0, 0], target=[0, 0, 1], sky=SKY, ball={"type": "sphere", "radius": 2.0, "bsdf": glass(1.0)})
+    )
+    y, x = np.mgrid[:24, :24]
+    slope = np.tan(np.radians(15)) * (np.stack([x, y]) - 11.5) / 12
+    near = 0.01 * np.sqrt(1 + (slope**2).sum(axis=0))
+    np.testing.assert_allclose(image, np.exp(-np.array(SIGMA) * (2 - near)[..., None]), rtol=1e-3)
+
+
+def test_chords_of_a_ball() -> None:
+    """A camera with a narrow view: the chord through the centre has length 2."""
+    image = ours(scene([0, 0, 5], fov=0.1, sky=SKY, ball={"type": "sphere", "bsdf": glass(1.0)}))
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), np.exp(-2 * np.array(SIGMA)), rtol=1e-3)
+
+
+def test_mesh_bodies() -> None:
+    """A cube as triangles: the machine schedule."""
+    cube = {"type": "cube", "bsdf": glass(1.0)}
+    wall = {"type": "rectangle", "to_world": T().translate([0, 0, -3]).scale(9), "emitter": {"type": "area"}}
+    description = scene([0, 0, 5], fov=0.1, cube=cube, wall=wall)
+    mesh = djpt.Mesh("cube", vertex_positions=corners(), faces=faces(), props={"bsdf": djpt.load_dict(glass(1.0))})
+    for flat in (description, {**description, "cube": mesh}):
+        image = ours(flat)
+        np.testing.assert_allclose(image.mean(axis=(0, 1)), np.exp(-2 * np.array(SIGMA)), rtol=1e-3)
+
+
+def corners() -> Any:
+    return np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
+
+
+def faces() -> Any:
+    return np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7],
+                     [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]])  # fmt: skip
+
+
+INSIDE: dict[str, Any] = {
+    "lamp": {"type": "sphere", "center": [0.8, 0.5, 0], "radius": 0.2, "emitter": {"type": "area", "radiance": 5.0}},
+    "stone": {"type": "sphere", "center": [-0.4, -0.3, 0], "radius": 0.5, "bsdf": {"type": "diffuse"}},
+}
+"""A lamp and a stone, both within the ball: light sampling fades, too."""
+
+
+@pytest.mark.parametrize("origin", [(0, 0, 6), (0, 0, 1.5)], ids=["outside", "inside"])
+@pytest.mark.parametrize("inside", [{}, INSIDE], ids=["clear", "filled"])
+def test_as_an_absorbing_medium(inside: dict[str, Any], origin: Any) -> None:
+    """Mitsuba's volumetric path tracer with a medium that doesn't scatter."""
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    air = {"int_ior": 1.5, "ext_ior": 1.0}
+    mine = {"type": "dielectric", **air, "absorption": {"type": "rgb", "value": SIGMA}}
+    ball = {"type": "sphere", "radius": 2.0}
+    image = ours(scene(origin, sky=SKY, ball={**ball, "bsdf": mine}, **inside), spp=1024)
+
+    medium = {"type": "homogeneous", "albedo": 0.0, "sigma_t": {"type": "rgb", "value": SIGMA}}
+    theirs = scene(origin, "volpath", sky=SKY, **inside)
+    theirs["ball"] = {**ball, "bsdf": {"type": "dielectric", **air}, "interior": medium}
+    if origin[2] < 2:
+        theirs["sensor"]["medium"] = medium
+    theirs["sensor"]["to_world"] = mi.ScalarTransform4f(theirs["sensor"]["to_world"].matrix)
+    reference = np.array(mi.render(mi.load_dict(theirs, optimize=False), spp=2048))
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), reference.mean(axis=(0, 1)), rtol=0.02)
+
+
+@pytest.mark.parametrize("inside", [{}, INSIDE], ids=["clear", "filled"])
+def test_gradient(inside: dict[str, Any]) -> None:
+    """Absorption moves no sample, so equal seeds make differences exact."""
+    loaded = djpt.load_dict(
+        scene([0, 0, 6], sky=SKY, ball={"type": "sphere", "radius": 2.0, "bsdf": glass()}, **inside)
+    )
+    params = djpt.traverse(loaded)
+    key = next(k for k in params if "absorption" in k)
+
+    def loss(value: Any) -> Any:
+        params[key] = value
+        params.update()
+        return dr.mean(djpt.render(loaded, params, spp=64, seed=3, seed_grad=3), axis=None)
+
+    attached = djpt.Color3f(SIGMA)
+    dr.enable_grad(attached)
+    dr.backward(loss(attached))
+    step = 1e-2
+    for c, change in enumerate(step * np.eye(3)):
+        above, below = (float(np.array(loss(djpt.Color3f((SIGMA + sign * change).tolist())))) for sign in (1, -1))
+        assert dr.grad(attached)[c][0] == pytest.approx((above - below) / (2 * step), rel=0.02)
+
+
+def test_clear_glass_costs_nothing() -> None:
+    """Without `absorption`, paths carry no body."""
+    clear = djpt.load_dict(scene([0, 0, 6], sky=SKY, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}))
+    assert clear.integrator().start(clear).body is None
+    assert np.isfinite(pixels(djpt.render(clear, spp=4))).all()

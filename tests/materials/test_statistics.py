@@ -1,0 +1,41 @@
+"""Each material on a ball: independent images of djpt and Mitsuba agree within their noise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.validation import compare_renderers, mitsuba_renderer
+from tests.kit.materials import bsdf
+from tests.materials.test_same_seed import SHARED, ball
+
+pytest.importorskip("mitsuba")
+
+QUICK = ["roughconductor-gold", "principled-everything", "mask-diffuse", "roughdielectric-glass"]
+
+
+def verdict(name: str, size: int, spp: int) -> Any:
+    """The tests of pixels, blocks and the mean."""
+    scene = djpt.load_dict(ball(bsdf(name), size))
+
+    def render(spp: int, seed: int) -> np.ndarray:
+        return np.array(djpt.render(scene, spp=spp, seed=seed))
+
+    theirs = mitsuba_renderer(ball(bsdf(name), size), optimize=False)
+    return compare_renderers(render, theirs, spp=spp, same_seed_spp=0, independent_pixels=True, name=name)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_small_images(name: str) -> None:
+    result = verdict(name, 32, 256)
+    assert result.passed, result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHARED)
+def test_two_million_samples(name: str) -> None:
+    result = verdict(name, 64, 512)
+    assert result.passed, result

@@ -1,0 +1,1 @@
+"""Samplers, and every plugin that samples, by what it claims of itself."""

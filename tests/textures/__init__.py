@@ -1,0 +1,1 @@
+"""Textures, the files that they read, and colours."""

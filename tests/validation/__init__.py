@@ -1,0 +1,1 @@
+"""The tools that compare renderers are themselves tested."""
