@@ -26,6 +26,8 @@ __all__ = [
     "PositionSample3f",
     "PreliminaryIntersection3f",
     "Ray3f",
+    "Reference",
+    "SceneView",
     "SurfaceInteraction3f",
     "TransportMode",
     "has_flag",
@@ -116,6 +118,8 @@ class Ray3f:
     o: Point3f = field(default_factory=lambda: Point3f(0))
     d: Vector3f = field(default_factory=lambda: Vector3f(0, 0, 1))
     maxt: Float = field(default_factory=lambda: Float(dr.inf))
+    medium: UInt32 | None = None
+    """The number of the medium that the ray runs through: see `djpt.media`. None in scenes without media."""
 
     def __call__(self, t: Float) -> Point3f:
         """The point at parameter `t`."""
@@ -144,6 +148,15 @@ class PreliminaryIntersection3f:
         return self.t < dr.inf
 
 
+@dataclass
+class Reference:
+    """A point that light is sampled for."""
+
+    p: Point3f
+    n: Vector3f | None
+    """The geometric normal of the surface there, of either sign; None if the choice of emitters doesn't look at it."""
+
+
 class SceneView(Protocol):
     """What a surface point asks of the scene that it lies in."""
 
@@ -158,6 +171,9 @@ class SceneView(Protocol):
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, as Mitsuba counts."""
+
+    def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
 
 
 @dataclass
@@ -181,6 +197,8 @@ class SurfaceInteraction3f:
     """The scene's own number of the face: see `Scene`."""
     valid: Bool
     scene: Any = None
+    medium: UInt32 | None = None
+    """The medium of the ray that arrived; None in scenes without media."""
     prim_uv: Point2f | None = None
     """Barycentric weights of the second and third corner of a mesh's triangle; 0 on other shapes."""
 
@@ -219,12 +237,16 @@ class SurfaceInteraction3f:
 
     def spawn_ray(self, d: Vector3f) -> Ray3f:
         """An unbounded ray that leaves the surface in direction `d`."""
-        return Ray3f(self.offset_p(d), d, Float(dr.inf))
+        return Ray3f(self.offset_p(d), d, Float(dr.inf), self.target_medium(d))
 
     def spawn_ray_to(self, target: Point3f) -> Ray3f:
         """The segment to `target`: `d` is not normalised, `maxt` is just short of 1."""
         o = self.offset_p(target - self.p)
-        return Ray3f(o, target - o, Float(1 - SHADOW_EPSILON))
+        return Ray3f(o, target - o, Float(1 - SHADOW_EPSILON), self.target_medium(target - self.p))
+
+    def target_medium(self, d: Vector3f) -> UInt32 | None:
+        """The medium of a ray that leaves the surface in the world direction `d`; None in scenes without media."""
+        return None if self.medium is None else self.scene.medium_beyond(self, d)
 
     def bsdf(self, ray: Ray3f | None = None) -> Any:
         """The BSDF at this point, a `djpt.dispatch.pointers.BSDFPtr` (`ray` is accepted for Mitsuba's signature)."""

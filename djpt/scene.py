@@ -17,14 +17,14 @@ from djpt.dispatch.lookup import Members
 from djpt.dispatch.pointers import BSDFPtr, EmitterPtr
 from djpt.emitters import Emitter
 from djpt.emitters.choice import EmitterChoice, make_choice
+from djpt.emitters.choice.sampling import LightSampling
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.geometry.contents import unseen
 from djpt.geometry.parity import is_inside
 from djpt.materials import BSDF
-from djpt.media.interior import Interior
-from djpt.nesting import black, collect_emitters, collect_sensors, default_bsdf
+from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
     RAY_EPSILON,
     BSDFFlags,
@@ -32,11 +32,13 @@ from djpt.records import (
     EmitterFlags,
     PreliminaryIntersection3f,
     Ray3f,
+    Reference,
     SurfaceInteraction3f,
     has_flag,
 )
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
+from djpt.shapes.nesting import black, collect_emitters, collect_sensors, default_bsdf
 from djpt.textures import Texture
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -106,12 +108,16 @@ class Scene(Plugin):
         self._choices: dict[str, EmitterChoice] = {}
         self._choice_name = "uniform"
         self._light_on_miss = none if self._environment is None else self._environment
-        self.camera_body = UInt32(self.interior.outside)
+        self.camera_medium = UInt32(self.media.vacuum) if self.media else None
         self.near_share = Float(0)
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
-        self.interior = Interior(self.bsdfs, self.geometry, self.bsdf_of_shape)
+        self.media = AbsorbingMedia(self.bsdfs, self.geometry, self.bsdf_of_shape)
+
+    def ensembles(self) -> tuple[Ensemble[BSDF], Ensemble[Emitter]]:
+        """All plugins whose values a path vertex looks up: BSDFs and emitters."""
+        return self.bsdfs, self.lights
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
@@ -138,7 +144,7 @@ class Scene(Plugin):
         assert isinstance(self.lookup, Detached)
         self._bsdf_of_face = self.geometry.per_face(self.bsdf_of_shape)
         self._light_of_face = self.geometry.per_face(self._light_of_shape)
-        for ensemble in (self.geometry.surfaces, self.bsdfs, self.lights):
+        for ensemble in (self.geometry.surfaces, *self.ensembles()):
             self.lookup.prepare(ensemble.leaves())
 
     # ---- parameters -----------------------------------------------------------------
@@ -181,21 +187,18 @@ class Scene(Plugin):
         view._choice_name = choice
         return view
 
-    def viewed_by(self, sensor: Sensor) -> Scene:
-        """A view of this scene that knows where the rays of a sensor start: see `Sensor.near_share`."""
+    def measured_from(self, sensor: Sensor) -> Scene:
+        """A view of this scene that knows how far from a sensor its rays start: see `Sensor.near_share`."""
         view = copy.copy(self)
         view.near_share = dr.opaque(Float, sensor.near_share())
         return view
 
-    def seen_from(self, p: np.ndarray | None) -> Scene:
-        """A view of this scene for rays that start near the point `p` (3,): a camera's. None: outside of all bodies."""
-        if p is None:
-            return self
-        self.geometry.seen_from(p)
-        if not self.interior.exists:
-            return self
+    def seen_by(self, sensor: Sensor) -> Scene:
+        """A view of this scene for the rays of a sensor: it knows where they start, and in which medium."""
         view = copy.copy(self)
-        view.camera_body = dr.opaque(UInt32, self.interior.around(p))
+        view.geometry = self.geometry.seen_from(sensor.starts())
+        if self.media:
+            view.camera_medium = dr.opaque(UInt32, self.media.around(sensor.viewpoint()))
         return view
 
     # ---- contents ----------------------------------------------------------------------
@@ -237,7 +240,7 @@ class Scene(Plugin):
     @property
     def needs_uv(self) -> bool:
         """Does anything look at uv or its derivatives?"""
-        return any(reads_uv(plugin) for plugin in (*self.bsdfs.plugins, *self.lights.plugins))
+        return any(reads_uv(plugin) for ensemble in self.ensembles() for plugin in ensemble.plugins)
 
     # ---- ray queries ---------------------------------------------------------------------
 
@@ -279,9 +282,46 @@ class Scene(Plugin):
         """Is a point within an odd number of closed surfaces? Open shapes don't count; see `djpt.geometry.parity`."""
         return is_inside(self.geometry, p, active)
 
-    def unoccluded(self, ray: Ray3f) -> Bool:
-        """Is a `shadow_ray` free? Faster than `ray_test`: shapes that can't shadow anything are left out."""
-        return ~self.geometry.blocked(ray)
+    def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
+        """What arrives of `light` (default 1) through the segment of a `shadow_ray`.
+
+        Nothing if a surface stands between, else the share that media leave. Faster than `ray_test`: shapes that
+        can't shadow anything are left out.
+        """
+        free = ~self.geometry.blocked(ray)
+        return dr.select(free, self.left_by_media(ray, Color3f(1) if light is None else light), 0)
+
+    def light_between(self, ray: Ray3f, light: Color3f, through_lights: bool = False) -> Color3f:
+        """What arrives of `light` through the segment of a ray between any two points.
+
+        Unlike `light_through` it leaves out no shape: walls around everything and a lone lamp hide things, too, from a
+        camera behind them or from another surface. With `through_lights` shapes that emit hide nothing.
+        """
+        if through_lights:
+            free = ~self.closest_hit(ray, through_lights=Bool(True)).is_valid()
+        else:
+            free = ~self.geometry.any_hit(ray)
+        return dr.select(free, self.left_by_media(ray, light), 0)
+
+    def left_by_media(self, ray: Ray3f, light: Color3f) -> Color3f:
+        """What media leave of `light` along the segment of a `shadow_ray`, whatever surfaces stand between."""
+        if not self.media or ray.medium is None:
+            return light
+        return light * self.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
+
+    def transmittance(self, ray: Ray3f, distance: Float) -> Color3f:
+        """The share of light that media leave over a distance along a ray from its origin; 1 in vacuum."""
+        if not self.media or ray.medium is None:
+            return Color3f(1)
+        return self.media.transmittance(ray.medium, distance, self.lookup)
+
+    def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
+        return self.media.beyond(si, d) if self.media else si.medium
+
+    def medium_at(self, p: Point3f) -> UInt32 | None:
+        """The medium that each point lies in, for rays that begin there; None in scenes without media."""
+        return self.media.at(p) if self.media else None
 
     def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
         """The ray from `si` to the emitter sample `ds`."""
@@ -307,6 +347,7 @@ class Scene(Plugin):
             face=pi.face,
             valid=valid,
             scene=self,
+            medium=ray.medium,
             prim_uv=surface.prim_uv,
         )
 
@@ -334,6 +375,19 @@ class Scene(Plugin):
 
     # ---- light sampling ------------------------------------------------------------------------
 
+    @property
+    def light_sampling(self) -> LightSampling:
+        """The emitters, the way to choose among them, and the way to read their values."""
+        return LightSampling(self.lights, self.emitter_choice, self.lookup)
+
+    @property
+    def emitter_choice(self) -> EmitterChoice:
+        """The way to choose an emitter: see `choosing_emitters`."""
+        name = self._choice_name
+        if name not in self._choices:
+            self._choices[name] = make_choice(name, self._emitters)
+        return self._choices[name]
+
     def sample_emitter_direction(
         self,
         ref: SurfaceInteraction3f,
@@ -344,67 +398,18 @@ class Scene(Plugin):
         """Choose an emitter, sample a direction towards it; weight = radiance / pdf.
 
         `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then
-        stretched for use in the emitter.
+        stretched for use in the emitter. With `test_visibility` the weight counts what arrives.
         """
-        if not self._emitters:
-            nothing = DirectionSample3f(
-                ref.p, ref.n, Point2f(0), Vector3f(0, 0, 1), Float(0), Float(0), Float(0), Bool(False), UInt32(0)
-            )
-            return nothing, Color3f(0)
-        choice = self.emitter_choice
-        index, inverse, u = choice.choose(ref.p, ref.n, sample.x)
-        ds, weight = self.emitter_ptr(index).sample_direction(ref, Point2f(u, sample.y), active)
-        if choice.count > 1:
-            probability = dr.select(inverse > 0, dr.rcp(inverse), 0)
-            ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
+        light = self.light_sampling.sample(Reference(ref.p, ref.n), sample, active)
         if test_visibility:
-            weight = dr.select(self.unoccluded(self.shadow_ray(ref, ds)), weight, 0)
-        return ds, weight
-
-    def light_at(
-        self, p: Point3f, n: Vector3f | None, ray: Ray3f, si: SurfaceInteraction3f, sample: Point2f, active: Bool
-    ) -> tuple[Color3f, Float, DirectionSample3f, Color3f]:
-        """All that a path vertex asks of the emitters, whose `ray` came from `p` (with the normal `n`) and met `si`.
-
-        The radiance that `si` sends along the ray; the density with which light sampling would have found it; and, for
-        `active` lanes, what `sample_emitter_direction` gives for `si`, without a test of visibility.
-        """
-        if len(self._emitters) == 1 and self._emitters[0].shares_lookup:
-            group = self.lights.groups[0]
-            emitter = group.at(UInt32(0), self.lookup)
-            radiance, pdf, weight, d = emitter.eval_or_sample(si, sample, active)
-            ds = DirectionSample3f(
-                si.p + d, -d, Point2f(0), d, Float(dr.inf), pdf, weight, Bool(False), UInt32(0)
-            )  # fmt: skip
-            met = dr.select(si.is_valid(), 0, radiance)
-            return met, pdf, ds, radiance * weight
-        ds = DirectionSample3f.between(p, ray, si)
-        pdf = self.pdf_emitter_direction(p, ds, n=n)
-        radiance = si.emitter(self).eval(si)
-        return radiance, pdf, *self.sample_emitter_direction(si, sample, test_visibility=False, active=active)
+            return light.ds, self.light_through(self.shadow_ray(ref, light.ds), light.weight)
+        return light.ds, light.weight
 
     def pdf_emitter_direction(
-        self,
-        ref: SurfaceInteraction3f | Point3f,
-        ds: DirectionSample3f,
-        active: Bool | bool = True,
-        n: Vector3f | None = None,
+        self, ref: SurfaceInteraction3f | Reference, ds: DirectionSample3f, active: Bool | bool = True
     ) -> Float:
-        """Density of `sample_emitter_direction` at `ds`; `n` is the normal at `ref`, if that is a mere point."""
-        pdf = self.emitter_ptr(ds.emitter_index).pdf_direction(ref, ds, active)
-        if len(self._emitters) < 2:
-            return pdf
-        if isinstance(ref, SurfaceInteraction3f):
-            return pdf * self.emitter_choice.probability(ref.p, ref.n, ds.emitter_index)
-        return pdf * self.emitter_choice.probability(ref, n, ds.emitter_index)
-
-    @property
-    def emitter_choice(self) -> EmitterChoice:
-        """How emitters are chosen."""
-        name = self._choice_name
-        if name not in self._choices:
-            self._choices[name] = make_choice(name, self._emitters)
-        return self._choices[name]
+        """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`."""
+        return self.light_sampling.pdf(Reference(ref.p, ref.n), ds, active)
 
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.kernels import wide
-from djpt.records import Ray3f, SurfaceInteraction3f
+from djpt.records import BSDFFlags, EmitterFlags, Ray3f, Reference, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 
@@ -26,7 +27,9 @@ class Integrator(Plugin):
     """Estimates the radiance along camera rays.
 
     The smallest integrator overrides `sample` and nothing else: it is then run with one lane per
-    sample, and differentiated by Dr.Jit's automatic differentiation of its code.
+    sample, and differentiated by Dr.Jit's automatic differentiation of its code. Estimators that follow
+    paths derive from `PathIntegrator`, those that start at the lights or need several passes from
+    `djpt.integrators.passes.PassIntegrator`.
 
     Parameters of all integrators: `hide_emitters` (default false): camera rays pass through
     area lights and see no environment.
@@ -34,31 +37,56 @@ class Integrator(Plugin):
 
     kind: ClassVar[str] = "integrator"
 
+    schedules: tuple[str, ...] = ("wave",)
+    """The schedules that can run it: see `djpt.schedules`."""
+
     needs_light = False
-    """Is every image black without an emitter? `render` then refuses."""
+    """True if every image is black without an emitter: `render` then refuses."""
     shows_delta = True
-    """Does light get around by mirrors and panes? If not, `render` warns of such materials."""
+    """True if light gets around by mirrors and panes; else `check_scene` warns of such materials."""
     samples_lights = True
-    """Does it ask emitters for directions? If not, `render` warns of those that no path meets, such as points."""
-    stepwise = False
-    """Does it advance vertex by vertex (see `PathIntegrator`), so that schedules are free in how they fill lanes?"""
-    differentiable = True
-    """Can its code be differentiated? If not, `render` refuses parameters with gradients."""
+    """True if emitters are asked for directions; else `check_scene` warns of those that no path meets."""
     starts_at_lights = False
-    """Are rays traced from emitters? Those that shine in one direction only are seen in no other way."""
+    """True if rays are traced from emitters: those that shine in one direction only are seen in no other way."""
+    differentiable = True
+    """True if its code can be differentiated; else `render` refuses parameters with gradients."""
     emitter_choice = "uniform"
-    """How light sampling chooses emitters: see `djpt.emitters.choice`."""
+    """The way that light sampling chooses emitters: see `djpt.emitters.choice`."""
     writes_color = True
     """False if the image consists of AOVs alone."""
     measures_distance = False
-    """Does it need to know how far from the camera rays start: `Scene.near_share`?"""
+    """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
 
+    @property
+    def stepwise(self) -> bool:
+        """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""
+        return "flat" in self.schedules
+
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        """Raise `RenderError` if there is nothing that this integrator can show to the sensor."""
+        """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""
+        name = type(self).__name__
+        delta = [bsdf.id for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
+        if delta and not self.shows_delta:
+            warn(
+                f"'{name}' without BSDF samples can't show mirrors, smooth glass or openings: "
+                f"these lobes of {', '.join(delta)} stay black"
+            )
+        if self.starts_at_lights or not self.needs_light:
+            return
+        lights = [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta)]
+        beams = [e.id for e in lights if e.on_shape]
+        if beams:
+            warn(f"'{name}' can't show light that leaves a surface in one direction only: {stay_black(beams)}")
+        points = [] if self.samples_lights else [e.id for e in lights if not e.on_shape]
+        if points:
+            warn(
+                f"'{name}' doesn't sample lights, and finds none that is a point or shines in one direction by "
+                f"chance: {stay_black(points)}"
+            )
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
@@ -79,14 +107,34 @@ class Integrator(Plugin):
         return []
 
 
+def warn(message: str) -> None:
+    """Warn whoever called `render`, which calls `check_scene` by way of `make_job`."""
+    warnings.warn(message, stacklevel=5)
+
+
+def stay_black(names: Sequence[str]) -> str:
+    """``a stays black``, ``a, b stay black``."""
+    return f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black"
+
+
+State = TypeVar("State", bound="PathState")
+
+
 @dataclass
 class PathState:
-    """What a path carries from one vertex to the next."""
+    """What a path carries from one vertex to the next.
+
+    An integrator that carries more derives a dataclass from it, returns that from `start`, and passes it on with
+    `dataclasses.replace`.
+    """
+
+    keeps: ClassVar[tuple[str, ...]] = ("p", "n")
+    """Fields that need no reset where a new path begins: the previous vertex, never looked at before there is one."""
 
     p: Point3f
     """The previous vertex, before rays were moved off its surface."""
     throughput: Color3f
-    """Product of the weights f abs(cos) / pdf so far, Russian roulette included."""
+    """Product of the weights f abs(cos) / pdf so far, Russian roulette and media included."""
     bsdf_pdf: Float
     """Density with which the BSDF chose the current ray; 0 if light sampling couldn't have (camera, delta)."""
     eta: Float | None
@@ -96,9 +144,20 @@ class PathState:
     n: Normal3f | None = None
     """Geometric normal of the previous vertex; None if the choice of emitters doesn't look at it."""
     covered: Bool | None = None
-    """Has a vertex been met that isn't a mere opening (a null interface)? None in scenes without such."""
-    body: UInt32 | None = None
-    """The absorbing body that the ray runs through: see `djpt.media.interior`; None in scenes without any."""
+    """True once a vertex was met that isn't a mere opening (a null interface); None in scenes without such."""
+
+    @property
+    def reference(self) -> Reference:
+        """The previous vertex, as light sampling asked for light there."""
+        return Reference(self.p, self.n)
+
+    def restarted(self: State, ended: Bool, fresh: State) -> State:
+        """The state `fresh` where a path has `ended`."""
+
+        def either(name: str, mine: Any) -> Any:
+            return mine if mine is None or name in self.keeps else dr.select(ended, getattr(fresh, name), mine)
+
+        return type(self)(**{name: either(name, mine) for name, mine in vars(self).items()})
 
 
 @dataclass
@@ -112,17 +171,19 @@ class Vertex:
     emitted: Color3f
     """Light from the vertex itself, weighted against light sampling."""
     reflected: Color3f
-    """Light of the sampled emitter, to be added if `shadow_ray` is free."""
+    """Light of the sampled emitter, as if nothing stood between: `Scene.light_through` has the rest."""
     shadow_ray: Ray3f
+    """The way from the vertex to that emitter."""
     weight: Color3f
     """f abs(cos) / pdf of the sampled direction."""
     ray: Ray3f
     """The continuation."""
     state: PathState
+    """The state of the path that goes on."""
     active: Bool
-    """Does the path go on?"""
+    """True where the path goes on."""
     valid: Bool
-    """Does the sample count as covered, if the path ends here?"""
+    """True where the sample counts as covered, if the path ends here."""
 
 
 class PathIntegrator(Integrator):
@@ -133,8 +194,8 @@ class PathIntegrator(Integrator):
     the same code.
     """
 
+    schedules: tuple[str, ...] = ("flat", "machine", "wave")
     needs_light = True
-    stepwise = True
 
     @property
     def longest_path(self) -> int:
@@ -155,10 +216,24 @@ class PathIntegrator(Integrator):
         """Where the next ray ignores shapes that emit; None: nowhere."""
         return state.depth == 0 if self.hide_emitters else None
 
+    def path_passes_lights(self, state: PathState, shadow: Bool) -> Bool | None:
+        """`passes_lights`, where the next ray isn't a shadow ray."""
+        through = self.passes_lights(state)
+        return None if through is None else through & ~shadow
+
     def trace(self, scene: Scene, state: PathState, ray: Ray3f) -> SurfaceInteraction3f:
         """The next hit of a path."""
         pi = scene.closest_hit(ray, through_lights=self.passes_lights(state))
         return scene.surface_interaction(ray, pi, full=scene.needs_uv)
+
+    def advance(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        """`vertex`, after what media took from the light between the previous vertex and this one."""
+        passed = scene.transmittance(ray, si.t)
+        v = self.vertex(scene, sampler, replace(state, throughput=state.throughput * passed), ray, si)
+        v.weight = v.weight * passed
+        return v
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
@@ -169,7 +244,7 @@ class PathIntegrator(Integrator):
     def walk(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True, bounces: int = 0
     ) -> tuple[list[Color3f], Bool]:
-        """All vertices of one path per lane: radiance and whether it is covered.
+        """All vertices of one path per lane: radiance, and whether it is covered.
 
         With `bounces` = n, the radiance comes in n parts: by how often light was scattered, 0 to n - 1 times.
         """
@@ -185,9 +260,8 @@ class PathIntegrator(Integrator):
 
         def body(lane: PathLoop) -> tuple[PathLoop]:
             si = self.trace(scene, lane.state, lane.ray)
-            v = self.vertex(scene, lane.sampler, lane.state, lane.ray, si)
-            visible = scene.unoccluded(v.shadow_ray)
-            reflected, depth = dr.select(visible, v.reflected, 0), lane.state.depth
+            v = self.advance(scene, lane.sampler, lane.state, lane.ray, si)
+            reflected, depth = scene.light_through(v.shadow_ray, v.reflected), lane.state.depth
             if bounces:
                 radiance = [
                     r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))

@@ -57,7 +57,7 @@ class Direct(Integrator):
         si = scene.surface_interaction(ray, pi)
         result = Color3f(0)
         if not self.hide_emitters:
-            result += si.emitter(scene).eval(si, active)
+            result += si.emitter().eval(si, active)
         lit = si.is_valid() & active
         bsdf = si.bsdf()
 
@@ -82,6 +82,7 @@ class Direct(Integrator):
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
             emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
             mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)
-            result += bsdf_weight * si_b.emitter(scene).eval(si_b, lit) * mis
+            met = si_b.emitter().eval(si_b, lit) * scene.transmittance(ray_b, si_b.t)
+            result += bsdf_weight * met * mis
 
-        return dr.select(active, result, 0), si.is_valid() & active, []
+        return dr.select(active, result * scene.transmittance(ray, si.t), 0), si.is_valid() & active, []

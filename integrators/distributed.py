@@ -10,11 +10,11 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import Integrator, mis_weight
-from djpt.integrators.ray_stack import Branch, RayStack
+from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
 from djpt.kernels import wide
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Normal3f, UInt32
+from djpt.types import Bool, Color3f, Float, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -53,9 +53,8 @@ class Distributed(Integrator):
     ) -> tuple[Color3f, Bool, list[Float]]:
         lanes = dr.width(ray, sampler)
         stack = RayStack((self.split - 1) * self.max_depth)
-        camera = Branch(ray, ray.o, Normal3f(0), Color3f(1), Float(0), UInt32(0), UInt32(scene.camera_body))
         start = Walk(
-            branch=wide(camera, lanes),
+            branch=wide(camera_branch(ray), lanes),
             sampler=sampler,
             size=dr.zeros(UInt32, lanes),
             radiance=dr.zeros(Color3f, lanes),
@@ -64,68 +63,55 @@ class Distributed(Integrator):
         )
 
         def body(walk: Walk) -> tuple[Walk]:
-            branch, interior = walk.branch, scene.interior
-            first = branch.depth == 0
-            pi = scene.closest_hit(branch.ray, through_lights=first if self.hide_emitters else None)
-            si = scene.surface_interaction(branch.ray, pi)
-            throughput = branch.throughput
-            if interior.exists:
-                throughput = throughput * interior.transmittance(scene.lookup, branch.body, si.t)
+            here, ray = walk.branch, walk.branch.ray
+            first = here.depth == 0
+            pi = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
+            si = scene.surface_interaction(ray, pi)
+            throughput = here.throughput * scene.transmittance(ray, si.t)
 
             # ---------------------- Emission ----------------------
-            ds = DirectionSample3f.between(branch.p, branch.ray, si)
-            emitter_pdf = scene.pdf_emitter_direction(branch.p, ds, n=branch.n)
-            mis = mis_weight(branch.bsdf_pdf * self.split, emitter_pdf * self.light_samples)
-            emitted = si.emitter(scene).eval(si) * dr.select(branch.bsdf_pdf > 0, mis, 1)
+            ds = DirectionSample3f.between(here.p, ray, si)
+            emitter_pdf = scene.pdf_emitter_direction(here.reference, ds)
+            mis = mis_weight(here.bsdf_pdf * self.split, emitter_pdf * self.light_samples)
+            emitted = si.emitter().eval(si) * dr.select(here.bsdf_pdf > 0, mis, 1)
             if self.hide_emitters:
                 emitted = dr.select(first & ~si.is_valid(), 0, emitted)
             radiance = walk.radiance + throughput * emitted
-            proceed = si.is_valid() & (branch.depth + 1 < self.max_depth)
+            proceed = si.is_valid() & (here.depth + 1 < self.max_depth)
 
             # ------------------- Light sampling -------------------
             for _ in range(self.light_samples):
-                arrived = self.direct(scene, walk.sampler, si, branch.body, proceed)
+                arrived = self.direct(scene, walk.sampler, si, proceed)
                 radiance += throughput * arrived * (1 / self.light_samples)
 
             # -------------------- BSDF sampling -------------------
             # The last of the rays goes on, the others wait.
-            size, goes_on, ahead = walk.size, Bool(False), branch
+            size, goes_on, ahead = walk.size, Bool(False), here
             for _ in range(self.split):
                 bs, weight = si.bsdf().sample(
                     BSDFContext(), si, walk.sampler.next_1d(), walk.sampler.next_2d(), proceed
                 )
                 size = stack.push(size, ahead, goes_on)
-                ahead = Branch(
-                    ray=si.spawn_ray(si.to_world(bs.wo)),
-                    p=si.p,
-                    n=si.n,
-                    throughput=throughput * weight * (1 / self.split),
-                    bsdf_pdf=dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf),
-                    depth=branch.depth + 1,
-                    body=interior.beyond(si, bs.wo, branch.body) if interior.exists else branch.body,
-                )
+                onward = si.spawn_ray(si.to_world(bs.wo))
+                pdf = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf)
+                ahead = branch(onward, si.p, si.n, throughput * weight * (1 / self.split), pdf, here.depth + 1)
                 goes_on = proceed & (dr.max(ahead.throughput) > 0)
 
             # ---------------------- Next branch --------------------
             size, waiting, waited = stack.pop(size, ~goes_on)
             covered = walk.covered | (si.is_valid() & first)
-            branch = dr.select(goes_on, ahead, waiting)
-            return (Walk(branch, walk.sampler, size, radiance, covered, goes_on | waited),)
+            ahead = dr.select(goes_on, ahead, waiting)
+            return (Walk(ahead, walk.sampler, size, radiance, covered, goes_on | waited),)
 
         (end,) = dr.while_loop((start,), lambda walk: walk.active, body, label="distributed")
         return end.radiance, end.covered, []
 
-    def direct(
-        self, scene: Scene, sampler: SampleStream, si: SurfaceInteraction3f, body: UInt32, active: Bool
-    ) -> Color3f:
+    def direct(self, scene: Scene, sampler: SampleStream, si: SurfaceInteraction3f, active: Bool) -> Color3f:
         """Light of one sampled emitter, weighted against the rays that go on."""
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), active=active)
         to_light = si.to_local(ds.d)
         value, pdf = si.bsdf().eval_pdf(BSDFContext(), si, to_light, active)
         mis = dr.select(ds.delta, 1, mis_weight(ds.pdf * self.light_samples, pdf * self.split))
-        if scene.interior.exists:
-            there = scene.interior.beyond(si, to_light, body)
-            light = light * scene.interior.transmittance(scene.lookup, there, ds.dist)
         return value * light * mis
 
 

@@ -43,6 +43,7 @@ class NestingIntegrator(Integrator):
             callback.put(f"integrator_{i}", integrator)
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
+        # Not for itself: what it can't show is what its integrators can't.
         for _, integrator in self.nested:
             integrator.check_scene(scene, sensor)
 

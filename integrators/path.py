@@ -44,14 +44,15 @@ class Path(UnidirectionalPath):
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
-        arriving = self.arriving(scene, state, si)
-        throughput = state.throughput if arriving is None else state.throughput * arriving
-
-        # ---------------- Emission, light sampling -------------
         proceed = self.proceeds(state, si)
-        met, met_pdf, ds, light = scene.light_at(state.p, state.n, ray, si, sampler.next_2d(), proceed)
-        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met_pdf), 1)
-        emitted = self.shown(state, si, throughput * mis * met)
+        met, light = scene.light_sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed)
+
+        # ---------------------- Emission ----------------------
+        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
+        emitted = self.shown(state, si, state.throughput * mis * met.radiance)
+
+        # ------------------- Light sampling -------------------
+        ds = light.ds
         shadow_ray = scene.shadow_ray(si, ds)
         to_light = si.to_local(ds.d)
 
@@ -61,10 +62,7 @@ class Path(UnidirectionalPath):
         )
         # The power heuristic from 1 / p_e: one division less.
         mis = dr.select(ds.delta, 1, dr.rcp(1 + dr.square(pdf * ds.weight)))
-        light = self.from_light(scene, state, si, to_light, ds.dist, light)
-        reflected = dr.select(proceed, throughput * (value * light * mis), 0)
-        if arriving is not None:
-            weight = weight * arriving
+        reflected = dr.select(proceed, state.throughput * (value * light.weight * mis), 0)
 
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * bs.eta

@@ -54,11 +54,8 @@ class PathNaive(UnidirectionalPath):
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
-        arriving = self.arriving(scene, state, si)
-        throughput = state.throughput if arriving is None else state.throughput * arriving
-
         # ---------------------- Emission ----------------------
-        emitted = self.shown(state, si, throughput * si.emitter(scene).eval(si))
+        emitted = self.shown(state, si, state.throughput * si.emitter().eval(si))
         proceed = self.proceeds(state, si)
 
         # ---------------- Hemisphere sampling -----------------
@@ -75,8 +72,6 @@ class PathNaive(UnidirectionalPath):
         # The coin's side that follows mirrors has nothing to show for the other lobes.
         mirrored = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), mirrored, 0)
         weight = dr.select(follows, mirrored, scattered) * dr.select(both, Float(2), 1)
-        if arriving is not None:
-            weight = weight * arriving
         chosen = BSDFSample3f(
             wo=dr.select(follows, bs.wo, wo),
             pdf=dr.select(follows, bs.pdf, pdf),

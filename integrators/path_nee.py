@@ -49,26 +49,19 @@ class PathNEE(UnidirectionalPath):
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
-        arriving = self.arriving(scene, state, si)
-        throughput = state.throughput if arriving is None else state.throughput * arriving
-
         # ---------------------- Emission ----------------------
         seen = state.bsdf_pdf == 0
-        emitted = self.shown(state, si, dr.select(seen, throughput * si.emitter(scene).eval(si), 0))
+        emitted = self.shown(state, si, dr.select(seen, state.throughput * si.emitter().eval(si), 0))
         proceed = self.proceeds(state, si)
 
         # ------------------- Light sampling -------------------
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False)
-        to_light = si.to_local(ds.d)
 
         # -------------------- BSDF sampling -------------------
         value, _, bs, weight = si.bsdf().eval_pdf_sample(
-            BSDFContext(), si, to_light, sampler.next_1d(), sampler.next_2d(), proceed
+            BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d(), proceed
         )
-        light = self.from_light(scene, state, si, to_light, ds.dist, light)
-        reflected = dr.select(proceed, throughput * value * light, 0)
-        if arriving is not None:
-            weight = weight * arriving
+        reflected = dr.select(proceed, state.throughput * value * light, 0)
 
         # ------------------ Russian roulette ------------------
         survives = sampler.next_1d() < self.russian_roulette

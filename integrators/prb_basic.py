@@ -38,11 +38,8 @@ class PRBBasic(UnidirectionalPath):
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
-        arriving = self.arriving(scene, state, si)
-        throughput = state.throughput if arriving is None else state.throughput * arriving
-
         # ---------------------- Emission ----------------------
-        emitted = self.shown(state, si, throughput * si.emitter(scene).eval(si))
+        emitted = self.shown(state, si, state.throughput * si.emitter().eval(si))
         proceed = self.proceeds(state, si)
 
         # -------------------- BSDF sampling -------------------
@@ -50,8 +47,6 @@ class PRBBasic(UnidirectionalPath):
         _, _, bs, weight = si.bsdf().eval_pdf_sample(
             BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed
         )
-        if arriving is not None:
-            weight = weight * arriving
         throughput = state.throughput * dr.detach(weight)
 
         # ---------------------- Next vertex -------------------

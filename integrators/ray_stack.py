@@ -7,17 +7,21 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.records import Ray3f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
+from djpt.records import Ray3f, Reference
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
 
-__all__ = ["Branch", "RayStack"]
+__all__ = ["Branch", "RayStack", "branch", "camera_branch"]
 
 
 @dataclass
 class Branch:
     """A ray to be followed, and what its light counts."""
 
-    ray: Ray3f
+    o: Point3f
+    d: Vector3f
+    maxt: Float
+    medium: UInt32
+    """The medium that it runs through; any number in scenes without media."""
     p: Point3f
     """The surface point that it leaves, before it was moved off the surface."""
     n: Normal3f
@@ -28,8 +32,27 @@ class Branch:
     """Density of its direction; 0 if light sampling couldn't have found it (camera, delta)."""
     depth: UInt32
     """Surfaces before it."""
-    body: UInt32
-    """The absorbing body that it runs through: see `djpt.media.interior`."""
+
+    @property
+    def ray(self) -> Ray3f:
+        """The ray."""
+        return Ray3f(self.o, self.d, self.maxt, self.medium)
+
+    @property
+    def reference(self) -> Reference:
+        """The surface point, as light sampling asked for light there."""
+        return Reference(self.p, self.n)
+
+
+def camera_branch(ray: Ray3f) -> Branch:
+    """The branch that a camera ray begins."""
+    return branch(ray, ray.o, Normal3f(0), Color3f(1), Float(0), UInt32(0))
+
+
+def branch(ray: Ray3f, p: Point3f, n: Normal3f, throughput: Color3f, bsdf_pdf: Float, depth: UInt32) -> Branch:
+    """A branch that `ray` begins; see `Branch` for the rest."""
+    medium = UInt32(0) if ray.medium is None else ray.medium
+    return Branch(ray.o, ray.d, ray.maxt, medium, p, n, throughput, bsdf_pdf, depth)
 
 
 class RayStack:

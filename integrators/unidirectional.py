@@ -12,7 +12,7 @@ from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import maximum, minimum
 from djpt.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -37,7 +37,7 @@ class UnidirectionalPath(PathIntegrator):
 
     default_max_depth = -1
     covers_sky = True
-    """Does an environment count as covered (alpha 1)?"""
+    """True if an environment counts as covered (alpha 1)."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -46,7 +46,9 @@ class UnidirectionalPath(PathIntegrator):
         if self.bounces and not 0 < self.max_depth <= MAX_BOUNCES:
             raise props.error("bounces", f"needs a 'max_depth' from 1 to {MAX_BOUNCES}, found {self.max_depth}")
         # The images of the bounces are sums of their own: they take another way than the usual one.
-        self.stepwise = self.differentiable = not self.bounces
+        self.differentiable = not self.bounces
+        if self.bounces:
+            self.schedules = ("wave",)
 
     def aov_names(self) -> Sequence[str]:
         return [f"bounce{k}.{c}" for k in range(self.max_depth) for c in "RGB"] if self.bounces else []
@@ -75,23 +77,9 @@ class UnidirectionalPath(PathIntegrator):
             depth=UInt32(0),
             n=Normal3f(0) if scene.emitter_choice.looks_at_normal else None,
             covered=Bool(False) if scene.has_null else None,
-            body=scene.camera_body if scene.interior.exists else None,
         )
 
     # ---- pieces of a vertex ------------------------------------------------------------
-
-    def arriving(self, scene: Scene, state: PathState, si: SurfaceInteraction3f) -> Color3f | None:
-        """The share of light that gets from `si` to the previous vertex; None: all of it, everywhere."""
-        return None if state.body is None else scene.interior.transmittance(scene.lookup, state.body, si.t)
-
-    def from_light(
-        self, scene: Scene, state: PathState, si: SurfaceInteraction3f, to_light: Vector3f, dist: Float, light: Color3f
-    ) -> Color3f:
-        """The sampled light, as far as it gets from the emitter to `si`."""
-        if state.body is None:
-            return light
-        body = scene.interior.beyond(si, to_light, state.body)
-        return light * scene.interior.transmittance(scene.lookup, body, dist)
 
     def shown(self, state: PathState, si: SurfaceInteraction3f, emitted: Color3f) -> Color3f:
         """The light of a vertex, without what `hide_emitters` and `max_depth` 0 take away."""
@@ -102,7 +90,7 @@ class UnidirectionalPath(PathIntegrator):
         return Color3f(0) if self.max_depth == 0 else emitted
 
     def proceeds(self, state: PathState, si: SurfaceInteraction3f) -> Bool:
-        """Is there a surface, and an edge left to reach one more vertex?"""
+        """True where there is a surface, and an edge left to reach one more vertex."""
         return si.is_valid() & (state.depth + 1 < (UNBOUNDED if self.max_depth < 0 else self.max_depth))
 
     def next_state(
@@ -118,17 +106,16 @@ class UnidirectionalPath(PathIntegrator):
             depth=state.depth + 1,
             n=None if state.n is None else si.n,
             covered=None if state.covered is None else self.covered(state, si, passes),
-            body=None if state.body is None else scene.interior.beyond(si, bs.wo, state.body),
         )
 
     def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
-        """Has the path met a surface that it didn't merely pass straight through, this vertex included?"""
+        """True where the path has met a surface, this vertex included, that it didn't merely pass straight through."""
         if state.covered is None:
             return (state.depth > 0) | si.is_valid()
         return state.covered | (si.is_valid() & ~passes)
 
     def counts(self, scene: Scene, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f) -> Bool:
-        """Does the sample count as covered, if the path ends here?"""
+        """True where the sample counts as covered, if the path ends here."""
         sky = self.covers_sky and scene.environment() is not None and not self.hide_emitters
         covered = self.covered(state, si, has_flag(bs.sampled_type, BSDFFlags.Null))
         return (covered | sky) & Bool(self.max_depth != 0)

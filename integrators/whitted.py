@@ -10,11 +10,11 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
-from djpt.integrators.ray_stack import Branch, RayStack
+from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
 from djpt.kernels import wide
 from djpt.records import BSDFContext, BSDFFlags, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -63,9 +63,8 @@ class Whitted(Integrator):
     ) -> tuple[Color3f, Bool, list[Float]]:
         lanes = dr.width(ray, sampler)
         stack = RayStack(self.max_depth)
-        camera = Branch(ray, ray.o, Normal3f(0), Color3f(1), Float(0), UInt32(0), UInt32(scene.camera_body))
         start = Walk(
-            wide(camera, lanes),
+            wide(camera_branch(ray), lanes),
             dr.zeros(UInt32, lanes),
             dr.zeros(Color3f, lanes),
             dr.full(Bool, False, lanes),
@@ -73,37 +72,26 @@ class Whitted(Integrator):
         )
 
         def body(walk: Walk) -> tuple[Walk]:
-            branch = walk.branch
-            first = branch.depth == 0
-            through = first if self.hide_emitters else None
-            pi = scene.closest_hit(branch.ray, through_lights=through)
-            si = scene.surface_interaction(branch.ray, pi)
+            ray, depth = walk.branch.ray, walk.branch.depth
+            first = depth == 0
+            pi = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
+            si = scene.surface_interaction(ray, pi)
             hit = si.is_valid()
-            interior = scene.interior
-            throughput = branch.throughput
-            if interior.exists:
-                throughput *= interior.transmittance(scene.lookup, branch.body, si.t)
+            throughput = walk.branch.throughput * scene.transmittance(ray, si.t)
 
             # ---------------------- Emission ----------------------
-            emitted = si.emitter(scene).eval(si)
+            emitted = si.emitter().eval(si)
             if self.hide_emitters:
                 emitted = dr.select(first & ~hit, 0, emitted)
             radiance = walk.radiance + throughput * (emitted + dr.select(hit, self.lit(scene, si), 0))
 
             # --------------- Reflection and refraction -------------
-            proceed = hit & (branch.depth + 1 < self.max_depth)
+            proceed = hit & (depth + 1 < self.max_depth)
             lobes = []
             for choice in (0.0, LAST):
                 bs, weight = si.bsdf().sample(BSDFContext(), si, Float(choice), MIDDLE, proceed)
-                followed = Branch(
-                    ray=si.spawn_ray(si.to_world(bs.wo)),
-                    p=si.p,
-                    n=si.n,
-                    throughput=throughput * weight * bs.pdf,
-                    bsdf_pdf=Float(0),
-                    depth=branch.depth + 1,
-                    body=interior.beyond(si, bs.wo, branch.body) if interior.exists else branch.body,
-                )
+                onward = si.spawn_ray(si.to_world(bs.wo))
+                followed = branch(onward, si.p, si.n, throughput * weight * bs.pdf, Float(0), depth + 1)
                 mirrored = proceed & has_flag(bs.sampled_type, BSDFFlags.Delta) & (dr.max(followed.throughput) > 0)
                 lobes.append((followed, mirrored, bs.sampled_type))
             (one, follow_one, type_one), (other, follow_other, type_other) = lobes
@@ -134,8 +122,7 @@ class Whitted(Integrator):
         for lamp in lamps:
             ds, light = scene.emitter_ptr(UInt32(lamp)).sample_direction(si, MIDDLE)
             value = si.bsdf().eval(BSDFContext(), si, si.to_local(ds.d), si.is_valid())
-            free = scene.unoccluded(scene.shadow_ray(si, ds))
-            total += dr.select(free, value * light, 0)
+            total += scene.light_through(scene.shadow_ray(si, ds), value * light)
         return total
 
 

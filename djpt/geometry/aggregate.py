@@ -7,6 +7,7 @@ BVH's records.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,8 +52,7 @@ class Geometry:
     def _measure(self) -> None:
         """Find out how far the shapes reach."""
         low, high = self.bounding_box()
-        self.seen_from(low)
-        self.seen_from(high)
+        self.triangles = self.seen_from([low, high]).triangles
         # An infinite plane may be hit before a ray comes near the box about everything else.
         if any(np.isinf(shape.interval(unit)).any() for shape in self.contents.seen for unit in np.eye(3)):
             low, high = np.full(3, -np.inf), np.full(3, np.inf)
@@ -62,10 +62,17 @@ class Geometry:
         """The ray from where it comes near the shapes, and how far that is: for queries from anywhere."""
         return recentre(ray, self._low, self._high)
 
-    def seen_from(self, p: np.ndarray) -> None:
-        """Rays may start at `p`."""
-        if self.triangles is not None:
-            self.triangles.seen_from(float(np.linalg.norm(p - np.array(self.triangles.records.center).ravel())))
+    def seen_from(self, points: Sequence[np.ndarray]) -> Geometry:
+        """A view of this geometry for rays that start near the `points` (3,), or this one if it will do."""
+        if self.triangles is None or not len(points):
+            return self
+        center = np.array(self.triangles.records.center).ravel()
+        triangles = self.triangles.seen_from(max(float(np.linalg.norm(p - center)) for p in points))
+        if triangles is self.triangles:
+            return self
+        view = copy.copy(self)
+        view.triangles = triangles
+        return view
 
     def _number(self) -> None:
         """Tables by face number; they follow the unrolled set's numbering, which an edit may change."""

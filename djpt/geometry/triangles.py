@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -55,12 +56,16 @@ class Triangles:
         self._first_face = Numbers(self.meshes.first_face)
         self.records = self.forest.records()
 
-    def seen_from(self, distance: float) -> None:
-        """Rays may start as far as that from the centre: from far away they are moved near, see `enter`.
+    def seen_from(self, distance: float) -> Triangles:
+        """A view of these triangles for rays that start as far as `distance` from the centre.
 
-        Whether they are is structure, since it costs a few per cent; once far, always far.
+        From far away rays are moved near, see `enter`. Whether they are is structure, since it costs a few per cent.
         """
-        self._far |= distance > FAR * self.records.extent
+        if self._far or not distance > FAR * self.records.extent:
+            return self
+        view = copy.copy(self)
+        view._far = True
+        return view
 
     # ---- ray queries -----------------------------------------------------------------
 

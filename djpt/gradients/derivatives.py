@@ -13,17 +13,18 @@ offer `sample` by Dr.Jit's automatic differentiation of their code.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol, cast
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Attached, Detached
 from djpt.errors import RenderError
-from djpt.gradients import replay
-from djpt.gradients.leaves import Parameter
+from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
+from djpt.gradients.modes import Forward, Mode, Reverse
 from djpt.kernels import begin_trace
 from djpt.samplers.hashing import sample_tea_32
-from djpt.schedules import wave
+from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
     BAND_PIXELS,
@@ -36,9 +37,10 @@ from djpt.schedules.passes import (
     stored_passes,
 )
 from djpt.schedules.reconstruction import add_samples, sample_adjoints, spread
-from djpt.types import Float, TensorXf, UInt32
+from djpt.schedules.sinks import blank_sums, sample_buffers
+from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
-__all__ = ["differentiable_image", "gradient_seed"]
+__all__ = ["differentiable", "gradient_seed"]
 
 MAX_ATTACHED_SAMPLES = 2**25
 """Plain AD holds the graph of all samples at once."""
@@ -49,17 +51,33 @@ def gradient_seed(seed: int, seed_grad: int) -> int:
     return seed_grad or int(sample_tea_32(UInt32(seed), UInt32(1))[0][0])
 
 
-def differentiable_image(
-    job: Job, parameters: list[Parameter], primal: Callable[[], TensorXf], machine: bool = False
+def differentiable(
+    job: Job, schedule: Schedule, parameters: list[Parameter], seed_grad: int, spp_grad: int
 ) -> TensorXf:
-    """The image `primal()`, attached to `parameters`; derivatives use the samples of `job`.
+    """The image of a job, attached to `parameters`.
 
-    Paths are replayed in the machine schedule or in the flat one.
+    Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
+    (0: one derived from that of the image).
+
+    Raises:
+        RenderError: The integrator, as it is set up, can't be differentiated.
     """
-    if job.integrator.stepwise:
-        derivative: Derivative = ReplayDerivative(job, parameters, machine)
+    integrator = job.integrator
+    if not integrator.differentiable:
+        raise RenderError(
+            f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
+        )
+    samples = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None, pass_spp=0)
+    derivative: Derivative
+    if integrator.stepwise:
+        derivative = ReplayDerivative(samples, schedule, parameters)
     else:
-        derivative = AttachedDerivative(job, parameters)
+        derivative = AttachedDerivative(samples, schedule, parameters)
+
+    def primal() -> TensorXf:
+        with dr.suspend_grad():
+            return schedule.image(job)
+
     return dr.custom(ImageOp, [p.value for p in parameters], primal, derivative)
 
 
@@ -95,72 +113,98 @@ class ImageOp(dr.CustomOp):
 class ReplayDerivative:
     """Path replay."""
 
-    def __init__(self, job: Job, parameters: list[Parameter], machine: bool) -> None:
+    def __init__(self, job: Job, schedule: Schedule, parameters: list[Parameter]) -> None:
         assert isinstance(job.scene.lookup, Detached)
-        self.job, self.parameters, self.machine = job, parameters, machine
-        self._constant = not job.film.filters and not machine
-        """Can the samples of a pixel be treated alike, in registers?"""
+        self.job, self.schedule, self.parameters = job, schedule, parameters
         # Later edits of the scene must not change what is differentiated.
         self.values = job.scene.lookup.snapshot([(p.owner, p.attribute) for p in parameters])
+        leaves = [leaf for ensemble in job.scene.ensembles() for leaf in ensemble.leaves()]
+        self.numbering = Numbering(parameters, leaves)
+
+    def _replay(self, band: Band, begin: int, end: int, mode_of: ModeOf) -> tuple[Mode, list[Float], UInt32]:
+        return self.schedule.replay(self.job, self.values, self.numbering, band, begin, end, mode_of)
 
     def backward(self, image: TensorXf) -> list[Any]:
         with dr.suspend_grad():
             adjoints = on_grid(self.job, image)
-            return self._box(adjoints) if self._constant else self._filtered(adjoints)
+            if self.schedule.carries_sums(self.job):
+                return self._by_pixels(adjoints)
+            return self._by_samples(over_weights(self.job, adjoints))
 
-    def _box(self, adjoints: list[Float]) -> list[Any]:
+    def _by_pixels(self, adjoints: list[Float]) -> list[Any]:
+        """Gradients, where all samples of a pixel have the same adjoint: its own, over their number."""
         job = self.job
         inverse = dr.opaque(Float, 1 / job.spp)
         adjoints = [a * inverse for a in adjoints]
         dr.eval(adjoints)
-        return add(
-            replay.backward_constant(job, self.values, self.parameters, adjoints, begin, end)
-            for begin, end in ranges(job.spp, register_spp(job))
-        )
 
-    def _filtered(self, adjoints: list[Float]) -> list[Any]:
-        job, adjoints = self.job, over_weights(self.job, adjoints)
-        return add(
-            replay.backward_samples(
-                job,
-                self.values,
-                self.parameters,
-                sample_adjoints(job, band, adjoints, begin, end),
-                band,
-                begin,
-                end,
-                self.machine,
-            )
-            for band, begin, end in stored_passes(job)
-        )
+        def mode_of(lanes: int, pixel: UInt32) -> Mode:
+            delta = job.color_adjoint([dr.gather(Float, a, pixel) for a in adjoints])
+            return Reverse(self._accumulator(lanes), delta, None)
+
+        whole = Band(0, job.height)
+        return add(self._gradients(whole, begin, end, mode_of) for begin, end in ranges(job.spp, register_spp(job)))
+
+    def _by_samples(self, adjoints: list[Float]) -> list[Any]:
+        """Gradients, where every sample has an adjoint of its own: what its pixels' are by the filter."""
+        job = self.job
+
+        def of_pass(band: Band, begin: int, end: int) -> list[Any]:
+            deltas = sample_adjoints(job, band, adjoints, begin, end)
+
+            def adjoint(slot: UInt32, active: Bool) -> Color3f:
+                return job.color_adjoint([dr.gather(Float, delta, slot, active) for delta in deltas])
+
+            def mode_of(lanes: int, pixel: UInt32) -> Mode:
+                return Reverse(self._accumulator(lanes), None, adjoint)
+
+            return self._gradients(band, begin, end, mode_of)
+
+        return add(of_pass(band, begin, end) for band, begin, end in stored_passes(job))
+
+    def _accumulator(self, lanes: int) -> Accumulator:
+        return Accumulator(self.parameters, self.numbering, self.values, lanes)
+
+    def _gradients(self, band: Band, begin: int, end: int, mode_of: ModeOf) -> list[Any]:
+        mode, sums, number = self._replay(band, begin, end, mode_of)
+        assert isinstance(mode, Reverse)
+        dr.eval(sums, number)
+        return mode.accumulator.gradients(sums)
 
     def forward(self, tangents: list[Any]) -> TensorXf:
+        job = self.job
+        changes = Tangents(self.numbering, tangents)
+
+        def sums_of_pass(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+            def mode_of(lanes: int, pixel: UInt32) -> Mode:
+                return Forward(changes, None, blank_sums(lanes, job.channel_count()) if sums is None else sums)
+
+            _, result, _ = self._replay(Band(0, job.height), begin, end, mode_of)
+            dr.eval(result)
+            return result
+
+        def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
+            buffers, write = sample_buffers(job, band, end - begin)
+            number = self._replay(band, begin, end, lambda lanes, pixel: Forward(changes, write, []))[2]
+            dr.eval(number, buffers)
+            return buffers
+
         with dr.suspend_grad():
-            if self._constant:
-
-                def step(begin: int, end: int, sums: Any) -> list[Float]:
-                    return replay.forward_sums(self.job, self.values, self.parameters, tangents, begin, end, sums)
-
-                return develop(self.job, stepwise_sums(self.job, step), dr.opaque(Float, self.job.spp))
-
-            def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
-                return replay.forward_samples(
-                    job, self.values, self.parameters, tangents, band, begin, end, self.machine
-                )
-
-            return stored_image(self.job, samples)
+            if self.schedule.carries_sums(job):
+                return develop(job, stepwise_sums(job, sums_of_pass), dr.opaque(Float, job.spp))
+            return stored_image(job, samples)
 
 
 class AttachedDerivative:
     """Automatic differentiation of `Integrator.sample`: one attached pass over all samples."""
 
-    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
+    def __init__(self, job: Job, schedule: Schedule, parameters: list[Parameter]) -> None:
         if job.samples > MAX_ATTACHED_SAMPLES:
             raise RenderError(
                 f"'{type(job.integrator).__name__}' is differentiated by plain AD, which holds all samples in memory: "
                 f"at most {MAX_ATTACHED_SAMPLES} are possible, found {job.samples}; use a smaller spp_grad"
             )
-        self.job, self.parameters = job, parameters
+        self.job, self.schedule, self.parameters = job, schedule, parameters
         self.snapshot = [type(p.value)(dr.detach(p.value)) for p in parameters]
 
     def _samples(self) -> tuple[list[Any], list[Float]]:
@@ -169,7 +213,7 @@ class AttachedDerivative:
         dr.enable_grad(fresh)
         overrides = {(id(p.owner), p.attribute): leaf for p, leaf in zip(self.parameters, fresh, strict=True)}
         view = self.job.with_scene(self.job.scene.with_lookup(Attached(overrides)))
-        return fresh, wave.radiance_samples(view, Band(0, self.job.height), 0, self.job.spp)
+        return fresh, self.schedule.samples(view, Band(0, self.job.height), 0, self.job.spp)
 
     def backward(self, image: TensorXf) -> list[Any]:
         band = Band(0, self.job.height)

@@ -21,10 +21,8 @@ from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.scene import Scene
-from djpt.schedules.flat import restart
 from djpt.schedules.job import Job
 from djpt.schedules.lanes import TiledLanes
-from djpt.schedules.machine import passes_lights
 from djpt.types import Bool, Color3f, Float, UInt32, UInt64
 
 __all__ = ["run"]
@@ -38,6 +36,7 @@ class Lane:
     """Loop state; see `djpt.schedules.machine` and `djpt.gradients.replay`."""
 
     query: Query
+    medium: UInt32 | None
     shadow: Bool
     pending: Color3f
     next_ray: Ray3f
@@ -45,7 +44,7 @@ class Lane:
     sampler: Any
     path: PathState
     free: UInt64
-    """Bit i: was the shadow ray of vertex i free?"""
+    """Bit i: set if the shadow ray of vertex i was free."""
     radiance: Color3f
     again: Bool
     entry: UInt32
@@ -64,9 +63,10 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
     path, usable = integrator.start(scene), first.left
     start = Lane(
         query=wide(geometry.begin(ray, usable, through_lights=integrator.passes_lights(path)), width),
+        medium=wide(ray.medium, width),
         shadow=dr.full(Bool, False, width),
         pending=dr.zeros(Color3f, width),
-        next_ray=wide(Ray3f(), width),
+        next_ray=wide(Ray3f(medium=ray.medium), width),
         active=dr.full(Bool, True, width),
         sampler=sampler,
         path=wide(path, width),
@@ -82,15 +82,18 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
     def advance(lane: Lane) -> Lane:
         shadow = lane.shadow
         ray, hit = geometry.end(lane.query)
+        ray.medium = lane.medium
         stream = lane.sampler.clone()
         leaves, view = mode.view(scene, values, numbering)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
         si.scene = view
         with dr.resume_grad():
-            v = integrator.vertex(view, stream, lane.path, ray, si)
+            v = integrator.advance(view, stream, lane.path, ray, si)
+            reflected = view.left_by_media(v.shadow_ray, v.reflected)
+            visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
+            light = dr.select(visible, reflected, 0)
         vertex_ray, vertex_state = dr.detach(v.ray), dr.detach(v.state)
-        visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
-        radiance, delta, sums = mode.visit(lane, leaves, v, visible, lane.again & ~shadow)
+        radiance, delta, sums = mode.visit(lane, leaves, v, light, lane.again & ~shadow)
 
         # A shadow ray has ended: its vertex was processed before, and `path.depth` counts it already.
         arrived = shadow & ~hit.is_valid()
@@ -98,7 +101,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         lane.delta, lane.sums = delta, sums
         free = lane.free | dr.select(arrived, bit(lane.path.depth - 1), 0)
 
-        reflected = dr.detach(v.reflected)
+        reflected = dr.detach(reflected)
         lit = ~shadow & ~lane.again & (dr.max(reflected) > 0)
         active = dr.select(shadow, lane.active, v.active)
         next_ray = dr.select(shadow, lane.next_ray, vertex_ray)
@@ -111,10 +114,11 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         more = finished & sample.left & sample.exists
         delta, sums = mode.hand_over(job, lane, finished, sample.slot, more, here.exists)
         fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
-        path = restart(ended, integrator.start(scene), state)
+        path = state.restarted(ended, integrator.start(scene))
         new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
-            query=geometry.begin(new_ray, sample.left, lit, passes_lights(integrator, path, lit)),
+            query=geometry.begin(new_ray, sample.left, lit, integrator.path_passes_lights(path, lit)),
+            medium=new_ray.medium,
             shadow=lit,
             pending=reflected,
             next_ray=next_ray,
@@ -131,7 +135,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
-        through = passes_lights(integrator, lane.path, lane.shadow)
+        through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
         ended = lane.query.cursor.current == EMPTY
         (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
@@ -153,4 +157,6 @@ def known_free(scene: Scene, integrator: PathIntegrator, lane: Lane, shadow_ray:
     if 0 <= integrator.longest_path <= NOTED:
         return noted
     beyond = lane.again & ~lane.shadow & (depth >= NOTED)
-    return dr.if_stmt((noted, shadow_ray), beyond, lambda noted, ray: scene.unoccluded(ray), lambda noted, ray: noted)
+    return dr.if_stmt(
+        (noted, shadow_ray), beyond, lambda noted, ray: ~scene.geometry.blocked(ray), lambda noted, ray: noted
+    )

@@ -57,15 +57,15 @@ class Mode:
         return leaves, scene.with_lookup(leaves)
 
     def visit(
-        self, walk: Walk, leaves: Leaves, v: Vertex, visible: Bool, differentiate: Bool
+        self, walk: Walk, leaves: Leaves, v: Vertex, arrived: Color3f, differentiate: Bool
     ) -> tuple[Color3f, Color3f, list[Float]]:
-        """Radiance, delta and sums after a vertex.
+        """Radiance, delta and sums after a vertex, `arrived` being what its light sample gives.
 
-        Lanes that `differentiate` are on their second walk: there Lo = emitted + reflected +
+        Lanes that `differentiate` are on their second walk: there Lo = emitted + arrived +
         L weight / detach(weight) is all that depends on parameters, L being the radiance still to come.
         """
         with dr.resume_grad():
-            here = v.emitted + dr.select(visible, v.reflected, 0)
+            here = v.emitted + arrived
             passed = dr.detach(here)
             radiance = dr.select(walk.again, walk.radiance - passed, walk.radiance + passed)
             weight = dr.detach(v.weight)

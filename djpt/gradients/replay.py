@@ -20,19 +20,16 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
-from djpt.gradients import machine_replay
-from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
-from djpt.gradients.modes import Forward, Mode, Reverse
+from djpt.gradients.leaves import Numbering
+from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
-from djpt.schedules.flat import restart
-from djpt.schedules.job import Band, Job
-from djpt.schedules.lanes import Lanes, TiledLanes, interleaved, layered
-from djpt.schedules.sinks import blank_sums, sample_buffers
+from djpt.schedules.job import Job
+from djpt.schedules.lanes import Lanes
 from djpt.types import Bool, Color3f, Float, UInt32
 
-__all__ = ["backward_constant", "backward_samples", "forward_samples", "forward_sums"]
+__all__ = ["run"]
 
 
 @dataclass
@@ -45,7 +42,7 @@ class Lane:
     radiance: Color3f
     """First walk: radiance so far. Second walk: radiance still to come."""
     again: Bool
-    """Is this the second walk?"""
+    """True on the second walk."""
     k: UInt32
     slot: UInt32
     delta: Color3f
@@ -56,7 +53,7 @@ class Lane:
 def run(
     job: Job, values: Detached, numbering: Numbering, lanes: Lanes, slots: UInt32, slot_stride: UInt32, mode: Mode
 ) -> tuple[list[Float], UInt32]:
-    """Walk all samples twice; returns the sums, and a number to evaluate if there are none.
+    """Walk all samples twice; return the sums, and a number to evaluate if there are none.
 
     The rest of the state is dropped before anything is evaluated, and so never written to memory.
     """
@@ -81,9 +78,9 @@ def run(
         si = integrator.trace(scene, lane.path, lane.ray)
         si.scene = view
         with dr.resume_grad():
-            v = integrator.vertex(view, lane.sampler, lane.path, lane.ray, si)
-        visible = scene.unoccluded(v.shadow_ray)
-        lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, visible, lane.again)
+            v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
+            arrived = view.light_through(v.shadow_ray, v.reflected)
+        lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, lane.again)
 
         ended = ~v.active
         finished = ended & lane.again
@@ -95,7 +92,7 @@ def run(
             Lane(
                 ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
                 sampler=dr.select(ended, fresh, lane.sampler),
-                path=restart(ended, integrator.start(scene), dr.detach(v.state)),
+                path=dr.detach(v.state).restarted(ended, integrator.start(scene)),
                 radiance=dr.select(finished, 0, lane.radiance),
                 again=lane.again ^ ended,
                 k=k,
@@ -107,93 +104,3 @@ def run(
 
     (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label=mode.label)
     return end.sums, end.k
-
-
-def numbering_of(job: Job, parameters: list[Parameter]) -> Numbering:
-    """Where the parameters show up in the values that a vertex looks up."""
-    return Numbering(parameters, job.scene.bsdfs.leaves() + job.scene.lights.leaves())
-
-
-def in_order(lanes: Lanes) -> tuple[Lanes, UInt32, UInt32]:
-    """Lanes, where each stores its first sample, and how far apart its samples lie: [sample][lane]."""
-    count = dr.width(lanes.pixel)
-    # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
-    # would give images of one sample per pixel a kernel of their own.
-    return lanes, dr.arange(UInt32, count) + dr.opaque(UInt32, 0), dr.opaque(UInt32, count)
-
-
-def backward_constant(
-    job: Job, values: Detached, parameters: list[Parameter], adjoints: list[Float], begin: int, end: int
-) -> list[Any]:
-    """Gradients of the parameters where all samples of a pixel have the same adjoint; in the flat schedule."""
-    lanes = interleaved(job, Band(0, job.height), begin, end)
-    numbering = numbering_of(job, parameters)
-    accumulator = Accumulator(parameters, numbering, values, dr.width(lanes.pixel))
-    delta = job.color_adjoint([dr.gather(Float, a, lanes.pixel) for a in adjoints])
-    sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, delta, None))
-    dr.eval(sums, k)
-    return accumulator.gradients(sums)
-
-
-def backward_samples(
-    job: Job,
-    values: Detached,
-    parameters: list[Parameter],
-    adjoints: list[Float],
-    band: Band,
-    begin: int,
-    end: int,
-    machine: bool,
-) -> list[Any]:
-    """Gradients of the parameters from one adjoint per sample of a band, [k - begin][pixel] per channel."""
-
-    def adjoint(slot: UInt32, active: Bool) -> Color3f:
-        return job.color_adjoint([dr.gather(Float, a, slot, active) for a in adjoints])
-
-    numbering = numbering_of(job, parameters)
-    if machine:
-        tiles = TiledLanes(job, band, begin, end)
-        accumulator = Accumulator(parameters, numbering, values, tiles.count)
-        sums, k = machine_replay.run(job, values, numbering, tiles, Reverse(accumulator, None, adjoint))
-    else:
-        lanes = layered(job, band, begin, end)
-        accumulator = Accumulator(parameters, numbering, values, dr.width(lanes.pixel))
-        sums, k = run(job, values, numbering, *in_order(lanes), Reverse(accumulator, None, adjoint))
-    dr.eval(sums, k)
-    return accumulator.gradients(sums)
-
-
-def forward_sums(
-    job: Job, values: Detached, parameters: list[Parameter], tangents: list[Any], begin: int, end: int, sums: Any
-) -> list[Float]:
-    """Like `flat.radiance_sums`, of the samples' derivatives."""
-    lanes = interleaved(job, Band(0, job.height), begin, end)
-    if sums is None:
-        sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
-    numbering = numbering_of(job, parameters)
-    mode = Forward(Tangents(numbering, tangents), None, sums)
-    result = run(job, values, numbering, *in_order(lanes), mode)[0]
-    dr.eval(result)
-    return result
-
-
-def forward_samples(
-    job: Job,
-    values: Detached,
-    parameters: list[Parameter],
-    tangents: list[Any],
-    band: Band,
-    begin: int,
-    end: int,
-    machine: bool,
-) -> list[Float]:
-    """Like `flat.radiance_samples`, of the samples' derivatives."""
-    buffers, write = sample_buffers(job, band, end - begin)
-    numbering = numbering_of(job, parameters)
-    mode = Forward(Tangents(numbering, tangents), write, [])
-    if machine:
-        finished = machine_replay.run(job, values, numbering, TiledLanes(job, band, begin, end), mode)[1]
-    else:
-        finished = run(job, values, numbering, *in_order(layered(job, band, begin, end)), mode)[1]
-    dr.eval(finished, buffers)
-    return buffers

@@ -5,26 +5,72 @@ path; here every lane always has a path to advance, and all state stays in regis
 docs/performance.md for what that gives.
 
 `radiance_sums` adds samples up within the lane and is all that a box filter needs;
-`film_sums` also weights them with a wider filter; `radiance_samples` stores them, for images of
+`film_sums` also weights them with a wider filter; `Flat.samples` stores them, for images of
 so many channels that sums per tap would not fit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 
+from djpt.dispatch.ensemble import Detached
+from djpt.gradients import replay
+from djpt.gradients.leaves import Numbering
+from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
+from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
+from djpt.schedules.passes import develop, filtered_sums, register_spp, stepwise_sums
+from djpt.schedules.reconstruction import by_pixels
 from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 
-__all__ = ["film_sums", "radiance_samples", "radiance_sums", "total"]
+__all__ = ["Flat"]
+
+
+class Flat(Schedule):
+    """A lane is a pixel, or shares one with others: see above."""
+
+    name = "flat"
+
+    def image(self, job: Job) -> TensorXf:
+        if not job.film.filters:
+
+            def step(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+                return radiance_sums(job, begin, end, sums)
+
+            return develop(job, stepwise_sums(job, step), dr.opaque(Float, job.spp))
+        if by_pixels(job, job.channel_count() + 1):
+            *sums, weight = filtered_sums(job, film_sums, register_spp(job))
+            return develop(job, sums, weight)
+        return super().image(job)
+
+    def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        lanes = layered(job, band, begin, end)
+        buffers, write = sample_buffers(job, band, end - begin)
+        run(job, lanes, Store(dr.width(lanes.pixel), write))
+        dr.eval(buffers)
+        return buffers
+
+    def carries_sums(self, job: Job) -> bool:
+        return not job.film.filters
+
+    def replay(
+        self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
+    ) -> tuple[Mode, list[Float], UInt32]:
+        lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
+        count = dr.width(lanes.pixel)
+        mode = mode_of(count, lanes.pixel)
+        # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
+        # would give images of one sample per pixel a kernel of their own.
+        slots = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
+        return mode, *replay.run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
 
 
 @dataclass
@@ -36,9 +82,9 @@ class Lane:
     path: PathState
     radiance: Color3f
     held: Bool | None
-    """The path has ended, but the sink couldn't take the sample yet. None: that never happens."""
+    """True where the path has ended, but the sink couldn't take the sample yet. None: that never happens."""
     valid: Bool | None
-    """Of a held sample: does it count as covered?"""
+    """True where a held sample counts as covered."""
     offset: Point2f | None
     """Where on the pixel the sample lies; None if the sink doesn't ask."""
     k: UInt32
@@ -71,9 +117,8 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
 
     def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
         si = integrator.trace(scene, lane.path, lane.ray)
-        v = integrator.vertex(scene, lane.sampler, lane.path, lane.ray, si)
-        visible = scene.unoccluded(v.shadow_ray)
-        here = v.emitted + dr.select(visible, v.reflected, 0)
+        v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
+        here = v.emitted + scene.light_through(v.shadow_ray, v.reflected)
         ready, held = ~v.active, None
         valid: Any = v.valid
         if lane.held is not None:
@@ -91,7 +136,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         after = Lane(
             ray=dr.select(taken, camera_ray, v.ray),
             sampler=dr.select(taken, fresh, lane.sampler),
-            path=restart(taken, integrator.start(scene), v.state),
+            path=v.state.restarted(taken, integrator.start(scene)),
             radiance=dr.select(taken, 0, radiance),
             held=held,
             valid=None if held is None else valid,
@@ -110,19 +155,6 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
 
     (finished,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label="flat")
     return finished.sink
-
-
-def restart(ended: Bool, fresh: PathState, state: PathState) -> PathState:
-    """The fresh state where a path has ended."""
-
-    def either(field: Any) -> Any:
-        mine = getattr(state, field.name)
-        # The previous vertex is never looked at before there is one: its density is 0.
-        if mine is None or field.name in ("p", "n"):
-            return mine
-        return dr.select(ended, getattr(fresh, field.name), mine)
-
-    return PathState(*map(either, fields(PathState)))
 
 
 def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
@@ -150,28 +182,3 @@ def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | No
     result = run(job, lanes, sink)
     dr.eval(result)
     return result
-
-
-def total(job: Job, sums: list[Float]) -> list[Float]:
-    """The per-pixel sums over a pixel's lanes."""
-    pixels = job.width * job.height
-    groups = dr.width(sums[0]) // pixels
-    count, pixel = dr.opaque(UInt32, groups), dr.arange(UInt32, pixels)
-    stride = dr.opaque(UInt32, pixels)
-
-    def body(g: UInt32, out: list[Float]) -> tuple[UInt32, list[Float]]:
-        return g + 1, [o + dr.gather(Float, s, dr.fma(g, stride, pixel)) for o, s in zip(out, sums, strict=True)]
-
-    start = blank_sums(pixels, len(sums))
-    _, result = dr.while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
-    dr.eval(result)
-    return result
-
-
-def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
-    """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
-    lanes = layered(job, band, begin, end)
-    buffers, write = sample_buffers(job, band, end - begin)
-    run(job, lanes, Store(dr.width(lanes.pixel), write))
-    dr.eval(buffers)
-    return buffers

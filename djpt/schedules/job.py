@@ -17,7 +17,7 @@ from djpt.scene import Scene
 from djpt.sensors import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
 
-__all__ = ["Band", "Job", "Progress"]
+__all__ = ["MAX_SAMPLES", "Band", "Job", "Progress", "image_channels"]
 
 Progress = Callable[[int, int], None]
 """Called with (samples done, samples in all) after each pass."""
@@ -51,6 +51,8 @@ class Job:
     seed: int
     spp: int
     progress: Progress | None = None
+    pass_spp: int = 0
+    """Samples per pixel of one pass; 0: as many as suit the schedule. It changes time and memory, never the image."""
 
     width: int = field(init=False)
     height: int = field(init=False)
@@ -83,8 +85,7 @@ class Job:
 
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels of the developed image, without those that aren't filtered."""
-        color = self.film.channel_names() if self.integrator.writes_color else ()
-        return color + tuple(self.integrator.aov_names())
+        return image_channels(self.film, self.integrator)
 
     def centre_rays(self) -> Ray3f:
         """The rays through the centres of the crop's pixels, row by row, and of the lens."""
@@ -92,7 +93,7 @@ class Job:
         pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
-        return self.camera.sample_ray(position * self._inverse_crop, Point2f(0.5))
+        return self._camera_ray(position, Point2f(0.5))
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
@@ -112,7 +113,13 @@ class Job:
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.needs_aperture_sample else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return stream, self.camera.sample_ray(position * self._inverse_crop, aperture), offset
+        return stream, self._camera_ray(position, aperture), offset
+
+    def _camera_ray(self, position: Point2f, aperture: Point2f) -> Ray3f:
+        """The ray through a position on the crop window, in pixels."""
+        ray = self.camera.sample_ray(position * self._inverse_crop, aperture)
+        ray.medium = self.scene.camera_medium
+        return ray
 
     def on_film(self, column: Float, row: Float) -> Point2f:
         """The position on the whole film, in pixels, of the corner of a pixel of the grid."""
@@ -141,6 +148,12 @@ class Job:
         """The grid in bands of whole rows of about `pixels` pixels."""
         rows = max(1, pixels // self.width)
         return [Band(y, min(rows, self.height - y)) for y in range(0, self.height, rows)]
+
+
+def image_channels(film: HDRFilm, integrator: Integrator) -> tuple[str, ...]:
+    """Names of the channels that an integrator's samples have on a film."""
+    color = film.channel_names() if integrator.writes_color else ()
+    return color + tuple(integrator.aov_names())
 
 
 def camera(sensor: Sensor) -> Sensor:

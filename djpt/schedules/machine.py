@@ -17,18 +17,41 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.dispatch.ensemble import Detached
 from djpt.geometry.bvh.records import EMPTY
 from djpt.geometry.query import Query
+from djpt.gradients import machine_replay
+from djpt.gradients.leaves import Numbering
+from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
-from djpt.schedules.flat import restart
+from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import TiledLanes
 from djpt.schedules.sinks import Write, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
 
-__all__ = ["radiance_samples"]
+__all__ = ["Machine"]
+
+
+class Machine(Schedule):
+    """A lane is a state machine: see above."""
+
+    name = "machine"
+
+    def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        buffers, write = sample_buffers(job, band, end - begin)
+        finished = run(job, TiledLanes(job, band, begin, end), write)
+        dr.eval(finished, buffers)
+        return buffers
+
+    def replay(
+        self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
+    ) -> tuple[Mode, list[Float], UInt32]:
+        lanes = TiledLanes(job, band, begin, end)
+        mode = mode_of(lanes.count, UInt32())
+        return mode, *machine_replay.run(job, values, numbering, lanes, mode)
 
 
 @dataclass
@@ -37,21 +60,23 @@ class Lane:
 
     query: Query
     """The ray on its way through the scene."""
+    medium: UInt32 | None
+    """The medium that it runs through; None in scenes without media."""
     shadow: Bool
-    """Is it a shadow ray?"""
+    """True where it is a shadow ray."""
     pending: Color3f
     """The light that arrives if the shadow ray is free."""
     next_ray: Ray3f
-    """Where the path goes on after the shadow ray."""
+    """The ray on which the path goes on after the shadow ray."""
     active: Bool
-    """Does it go on?"""
+    """True where the path goes on."""
     valid: Bool
-    """Does the sample count as covered, if it doesn't?"""
+    """True where the sample counts as covered, if the path doesn't go on."""
     sampler: Any
     path: PathState
     radiance: Color3f
     entry: UInt32
-    """Which sample of its packet's list the lane works on: see `TiledLanes`."""
+    """The number of the lane's sample in its packet's list: see `TiledLanes`."""
     frame: Any
     """See `aligned_frame`."""
 
@@ -66,9 +91,10 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     path = integrator.start(scene)
     start = Lane(
         query=wide(geometry.begin(ray, first.left, through_lights=integrator.passes_lights(path)), width),
+        medium=wide(ray.medium, width),
         shadow=dr.full(Bool, False, width),
         pending=dr.zeros(Color3f, width),
-        next_ray=wide(Ray3f(), width),
+        next_ray=wide(Ray3f(medium=ray.medium), width),
         active=dr.full(Bool, True, width),
         valid=dr.full(Bool, False, width),
         sampler=sampler,
@@ -82,12 +108,13 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         """What comes after a ray."""
         shadow = lane.shadow
         ray, hit = geometry.end(lane.query)
+        ray.medium = lane.medium
         stream = lane.sampler.clone()
         blocked = hit.is_valid()
         # Shadow rays end at no vertex: packets without one skip the code of the BSDFs.
         hit.t = dr.select(shadow, dr.inf, hit.t)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
-        v = integrator.vertex(scene, stream, lane.path, ray, si)
+        v = integrator.advance(scene, stream, lane.path, ray, si)
 
         arrived = dr.select(shadow, dr.select(blocked, 0, lane.pending), v.emitted)
         radiance = lane.radiance + arrived
@@ -102,12 +129,13 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         entry = lanes.next(lane.entry, ended)
         sample = lanes.at(entry)
         fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
-        path = restart(ended, integrator.start(scene), state)
+        path = state.restarted(ended, integrator.start(scene))
         new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
-            query=geometry.begin(new_ray, sample.left, lit, passes_lights(integrator, path, lit)),
+            query=geometry.begin(new_ray, sample.left, lit, integrator.path_passes_lights(path, lit)),
+            medium=new_ray.medium,
             shadow=lit,
-            pending=v.reflected,
+            pending=scene.left_by_media(v.shadow_ray, v.reflected),
             next_ray=next_ray,
             active=active,
             valid=valid,
@@ -119,7 +147,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         )
 
     def turn(lane: Lane) -> tuple[Lane]:
-        through = passes_lights(integrator, lane.path, lane.shadow)
+        through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
         (lane,) = dr.if_stmt(
             (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
@@ -128,12 +156,6 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
 
     (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
     return end.entry + end.frame.read(end.entry & 1)
-
-
-def passes_lights(integrator: PathIntegrator, path: PathState, shadow: Bool) -> Bool | None:
-    """Where a lane's ray ignores shapes that emit; never a shadow ray."""
-    through = integrator.passes_lights(path)
-    return None if through is None else through & ~shadow
 
 
 def store(write: Write, slot: UInt32, channels: list[Float], active: Bool) -> None:
@@ -156,11 +178,3 @@ def aligned_frame(width: int) -> Any:
     for index in range(2):
         memory.write(dr.full(UInt32, 0, width), dr.full(UInt32, index, width))
     return memory
-
-
-def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
-    """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
-    buffers, write = sample_buffers(job, band, end - begin)
-    finished = run(job, TiledLanes(job, band, begin, end), write)
-    dr.eval(finished, buffers)
-    return buffers

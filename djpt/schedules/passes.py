@@ -8,22 +8,19 @@ pass to pass, so that the image is the same, bit for bit, for any split.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from typing import Any
 
 import drjit as dr
 
-from djpt.schedules import flat, machine, wave
 from djpt.schedules.job import MAX_SAMPLES, Band, Job
-from djpt.schedules.reconstruction import add_box, add_samples, by_pixels, spread
+from djpt.schedules.reconstruction import add_box, add_samples, spread
 from djpt.types import Float, TensorXf, UInt32
 
 __all__ = [
-    "Schedule",
     "develop",
     "filtered_sums",
     "image_of_samples",
     "picture",
-    "primal_image",
     "ranges",
     "register_spp",
     "stepwise_sums",
@@ -46,40 +43,17 @@ AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
 Samples = Callable[[Job, Band, int, int], list[Float]]
 """Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
 
-Schedule = Literal["flat", "machine", "wave"]
 
-SAMPLES: dict[Schedule, Samples] = {
-    "flat": flat.radiance_samples,
-    "machine": machine.radiance_samples,
-    "wave": wave.radiance_samples,
-}
-
-
-def primal_image(job: Job, schedule: Schedule, pass_spp: int = 0) -> TensorXf:
-    """The image, without derivatives; `pass_spp` overrides the number of samples per pixel of a pass."""
-    with dr.suspend_grad():
-        if schedule == "flat" and not job.film.filters:
-
-            def step(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-                return flat.radiance_sums(job, begin, end, sums)
-
-            return develop(job, stepwise_sums(job, step, pass_spp), dr.opaque(Float, job.spp))
-        if schedule == "flat" and by_pixels(job, job.channel_count() + 1):
-            *sums, weight = filtered_sums(job, flat.film_sums, register_spp(job), pass_spp)
-            return develop(job, sums, weight)
-        return stored_image(job, SAMPLES[schedule], pass_spp)
-
-
-def stored_image(job: Job, samples: Samples, pass_spp: int = 0) -> TensorXf:
+def stored_image(job: Job, samples: Samples) -> TensorXf:
     """The image from samples that are stored, pass by pass."""
     if job.film.filters:
 
         def add(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
             return add_samples(job, band, computed(samples, job, band, begin, end), begin, end, sums)
 
-        *sums, weight = filtered_sums(job, add, stored_spp(job), pass_spp)
+        *sums, weight = filtered_sums(job, add, stored_spp(job))
         return develop(job, sums, weight)
-    sums = [dr.concat(parts) for parts in zip(*box_sums(job, samples, pass_spp), strict=True)]
+    sums = [dr.concat(parts) for parts in zip(*box_sums(job, samples), strict=True)]
     return develop(job, sums, dr.opaque(Float, job.spp))
 
 
@@ -93,33 +67,49 @@ def image_of_samples(job: Job, samples: list[Float]) -> TensorXf:
     return develop(job, sums, weight)
 
 
-def stepwise_sums(job: Job, step: Callable[[int, int, Any], list[Float]], pass_spp: int = 0) -> list[Float]:
+def stepwise_sums(job: Job, step: Callable[[int, int, Any], list[Float]]) -> list[Float]:
     """All samples, added up in registers by ``step(begin, end, sums)``."""
     sums = None
-    for begin, end in ranges(job.spp, pass_spp or register_spp(job)):
+    for begin, end in ranges(job.spp, job.pass_spp or register_spp(job)):
         sums = step(begin, end, sums)
         report(job, end * job.width * job.height)
     assert sums is not None
-    return flat.total(job, sums)
+    return total(job, sums)
 
 
-def box_sums(job: Job, samples: Samples, pass_spp: int) -> Iterator[list[Float]]:
+def total(job: Job, sums: list[Float]) -> list[Float]:
+    """The per-pixel sums over a pixel's lanes."""
+    pixels = job.width * job.height
+    groups = dr.width(sums[0]) // pixels
+    count, pixel = dr.opaque(UInt32, groups), dr.arange(UInt32, pixels)
+    stride = dr.opaque(UInt32, pixels)
+
+    def body(g: UInt32, out: list[Float]) -> tuple[UInt32, list[Float]]:
+        return g + 1, [o + dr.gather(Float, s, dr.fma(g, stride, pixel)) for o, s in zip(out, sums, strict=True)]
+
+    start = [dr.opaque(Float, 0, pixels) for _ in sums]
+    _, result = dr.while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
+    dr.eval(result)
+    return result
+
+
+def box_sums(job: Job, samples: Samples) -> Iterator[list[Float]]:
     """Per band, all samples added up pixel by pixel."""
     for band in job.bands(BAND_PIXELS):
         sums = None
-        for begin, end in ranges(job.spp, pass_spp or stored_spp(job)):
+        for begin, end in ranges(job.spp, job.pass_spp or stored_spp(job)):
             sums = add_box(job, band, computed(samples, job, band, begin, end), begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert sums is not None
         yield sums
 
 
-def filtered_sums(job: Job, add: AddToFilm, default_spp: int, pass_spp: int) -> list[Float]:
+def filtered_sums(job: Job, add: AddToFilm, default_spp: int) -> list[Float]:
     """The weighted sums of all channels and of the weights, over the whole grid."""
     image = [dr.opaque(Float, 0, job.width * job.height) for _ in range(job.channel_count() + 1)]
     for band in job.bands(BAND_PIXELS):
         sums = None
-        for begin, end in ranges(job.spp, pass_spp or default_spp):
+        for begin, end in ranges(job.spp, job.pass_spp or default_spp):
             sums = add(job, band, begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert sums is not None

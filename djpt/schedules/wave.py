@@ -9,16 +9,25 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.schedules.flat import Flat
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import grouped
-from djpt.types import Float, UInt32
+from djpt.schedules.passes import stored_image
+from djpt.types import Float, TensorXf, UInt32
 
-__all__ = ["radiance_samples"]
+__all__ = ["Wave"]
 
 
-def radiance_samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
-    """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
-    layer, pixel = grouped(job, band, end - begin)
-    stream, ray, _ = job.begin(pixel, layer + dr.opaque(UInt32, begin), *job.coordinates(pixel))
-    color, valid, aovs = job.integrator.sample(job.scene, stream, ray)
-    return job.channels(color, valid, aovs)
+class Wave(Flat):
+    """A lane is a sample. Paths are replayed as in the flat schedule."""
+
+    name = "wave"
+
+    def image(self, job: Job) -> TensorXf:
+        return stored_image(job, self.samples)
+
+    def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        layer, pixel = grouped(job, band, end - begin)
+        stream, ray, _ = job.begin(pixel, layer + dr.opaque(UInt32, begin), *job.coordinates(pixel))
+        color, valid, aovs = job.integrator.sample(job.scene, stream, ray)
+        return job.channels(color, valid, aovs)

@@ -1,0 +1,52 @@
+"""The contract of schedules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+from djpt.dispatch.ensemble import Detached
+from djpt.errors import RenderError
+from djpt.gradients.leaves import Numbering
+from djpt.gradients.modes import Mode
+from djpt.schedules.job import Band, Job
+from djpt.schedules.passes import stored_image
+from djpt.types import Float, TensorXf, UInt32
+
+__all__ = ["ModeOf", "Schedule"]
+
+ModeOf = Callable[[int, UInt32], Mode]
+"""Makes the mode of a replay for a number of lanes, and for the pixel of each lane if it has one pixel only."""
+
+
+class Schedule:
+    """A way to fill lanes with the samples of an image.
+
+    All schedules compute the same samples from the same random numbers: their images agree to rounding.
+    """
+
+    name: ClassVar[str]
+
+    def image(self, job: Job) -> TensorXf:
+        """The image of a job, (height, width, channels), without derivatives.
+
+        By default all samples are stored, band by band and pass by pass.
+        """
+        return stored_image(job, self.samples)
+
+    def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""
+        raise RenderError(f"the schedule '{self.name}' has no samples")
+
+    def carries_sums(self, job: Job) -> bool:
+        """True if `replay` keeps a pixel's samples in one lane, with sums that go on from pass to pass."""
+        return False
+
+    def replay(
+        self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
+    ) -> tuple[Mode, list[Float], UInt32]:
+        """Walk the samples begin <= k < end of a band's pixels twice, for derivatives: see `djpt.gradients.replay`.
+
+        Returns the mode, the lanes' sums (not evaluated), and a number to evaluate if there are none.
+        """
+        raise RenderError(f"the schedule '{self.name}' can't replay paths")

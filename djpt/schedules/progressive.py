@@ -1,0 +1,86 @@
+"""The progressive schedule: passes over the whole image, with state that is carried from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.films import HDRFilm
+from djpt.integrators.passes import LightPath, PassIntegrator
+from djpt.records import SurfaceInteraction3f
+from djpt.samplers import SampleStream
+from djpt.scene import Scene
+from djpt.schedules.base import Schedule
+from djpt.schedules.job import Job
+from djpt.schedules.light_walk import walk_light
+from djpt.schedules.passes import picture, ranges, report
+from djpt.schedules.wave import Wave
+from djpt.sensors import Sensor
+from djpt.types import Bool, TensorXf
+
+__all__ = ["Progressive"]
+
+PASS_PATHS = 2**24
+"""Paths of one pass: about a second on two cores."""
+
+
+class Progressive(Schedule):
+    """Runs a `PassIntegrator` pass by pass, and adds what it leaves to a path tracer from the camera."""
+
+    name = "progressive"
+
+    def image(self, job: Job) -> TensorXf:
+        integrator, walks = job.integrator, JobWalks(job)
+        assert isinstance(integrator, PassIntegrator)
+        width, height = job.film.crop_size
+        state = integrator.begin(walks)
+        for begin, end in ranges(job.spp, max(1, PASS_PATHS // (width * height))):
+            state = integrator.add_pass(walks, state, begin, end)
+            report(job, end * width * height)
+        channels = job.channels(integrator.color(walks, state), Bool(False), [])
+        dr.eval(channels)
+        image = picture(channels, width, height)
+        if integrator.from_camera is None:
+            return image
+        return Wave().image(replace(job, integrator=integrator.from_camera, progress=None)) + image
+
+
+class JobWalks:
+    """What a job offers to a `PassIntegrator`: see `djpt.integrators.passes.Walks`."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self._job.scene
+
+    @property
+    def camera(self) -> Sensor:
+        """The sensor, with opaque values."""
+        return self._job.camera
+
+    @property
+    def film(self) -> HDRFilm:
+        """The film."""
+        return self._job.film
+
+    @property
+    def spp(self) -> int:
+        """Paths per pixel of the whole image."""
+        return self._job.spp
+
+    def light(
+        self,
+        start: Callable[[SampleStream], LightPath],
+        vertex: Callable[[SampleStream, LightPath, SurfaceInteraction3f], tuple[LightPath, Bool]],
+        sinks: Any,
+        begin: int,
+        end: int,
+    ) -> None:
+        """Follow `begin` <= k < `end` light paths per pixel: see `djpt.schedules.light_walk.walk_light`."""
+        walk_light(self._job, start, vertex, sinks, begin, end)
