@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -21,12 +21,10 @@ from djpt.emitters.choice.sampling import LightSampling
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import BoundingBox3f
-from djpt.geometry.contents import unseen
 from djpt.geometry.parity import is_inside
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
-    RAY_EPSILON,
     BSDFFlags,
     DirectionSample3f,
     EmitterFlags,
@@ -38,8 +36,8 @@ from djpt.records import (
 )
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
-from djpt.shapes.nesting import black, collect_emitters, collect_sensors, default_bsdf
-from djpt.textures import Texture
+from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.textures.uses import check_textures, reads_uv
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
@@ -79,30 +77,16 @@ class Scene(Plugin):
 
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
-        self._from_infinity = [i for i, e in enumerate(self._emitters) if is_at_infinity(e)]
+        self._from_infinity = [i for i, e in enumerate(self._emitters) if e.from_infinity]
         self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
 
-        bsdfs: list[BSDF] = []
-        self.bsdf_of_shape: list[int] = []
-        self._light_of_shape: list[int] = []
-        none = len(self._emitters)
-        # Those of groups included.
-        for shape in self.geometry.contents.shapes:
-            if unseen(shape):
-                self.bsdf_of_shape.append(0)
-                self._light_of_shape.append(none)
-                continue
-            if shape.bsdf is None:
-                shape.bsdf = default_bsdf(shape)
-            if shape.bsdf not in bsdfs:
-                bsdfs.append(shape.bsdf)
-            self.bsdf_of_shape.append(bsdfs.index(shape.bsdf))
-            self._light_of_shape.append(none if shape.emitter is None else self._emitters.index(shape.emitter))
-        # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
+        contents, none = self.geometry.contents, len(self._emitters)
+        bsdfs, self.bsdf_of_shape, self._light_of_shape = numbers(contents.shapes, self._emitters)
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
         self._at_infinity = Members(self._from_infinity, none)
+        # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
         self._use_bsdfs(bsdfs or [black(f"{self.id}.bsdf")])
-        check_textures(self.geometry.contents.shapes)
+        check_textures(contents.shapes)
         self._set_bounds()
         self._prepare()
         self._choices: dict[str, EmitterChoice] = {}
@@ -124,12 +108,7 @@ class Scene(Plugin):
 
     def bounding_sphere(self) -> tuple[np.ndarray, float]:
         """The sphere about the box about all shapes, a little enlarged: centre (3,) and radius."""
-        low, high = self.geometry.bounding_box()
-        if (low > high).any():
-            low = high = np.zeros(3)
-        center = 0.5 * (low + high)
-        # Mitsuba's rule.
-        return center, max(RAY_EPSILON, float(np.linalg.norm(high - center)) * (1 + RAY_EPSILON))
+        return self.geometry.bounding_sphere()
 
     def _set_bounds(self) -> None:
         """Tell sensors and emitters how large the scene is."""
@@ -416,42 +395,6 @@ KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
 """What may stand at the top level of a scene."""
 
 
-def is_at_infinity(emitter: Emitter) -> bool:
-    """Does its light arrive from beyond the scene?"""
-    flags = emitter.flags()
-    beyond = has_flag(flags, EmitterFlags.Infinite) or has_flag(flags, EmitterFlags.DeltaDirection)
-    return beyond and not emitter.on_shape
-
-
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission
-
-
-def check_textures(shapes: Sequence[Shape]) -> None:
-    """Raise `SceneError` if a texture of a BSDF can't be used on its shape."""
-    for shape in shapes:
-        if shape.bsdf is not None:
-            for texture in textures_in(shape.bsdf):
-                texture.require_on(shape)
-
-
-def textures_in(plugin: Plugin) -> Iterator[Texture]:
-    """All textures in a plugin, itself included."""
-    if isinstance(plugin, Texture):
-        yield plugin
-    for name in plugin.children:
-        child = getattr(plugin, name)
-        if isinstance(child, Plugin):
-            yield from textures_in(child)
-
-
-def reads_uv(plugin: Plugin) -> bool:
-    """Does `plugin`, or anything under it, ask for more of a surface point than its place and frame?"""
-    if getattr(plugin, "needs_uv", False):
-        return True
-    if plugin.kind == "texture":
-        return isinstance(plugin, Texture) and not plugin.is_constant
-    children = [getattr(plugin, name) for name in plugin.children]
-    return any(reads_uv(child) for child in children if isinstance(child, Plugin) and child.kind != "shape")
-
 
 register("scene", "scene", Scene)

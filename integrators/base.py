@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -11,8 +10,9 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
-from djpt.kernels import wide
-from djpt.records import BSDFFlags, EmitterFlags, Ray3f, Reference, SurfaceInteraction3f, has_flag
+from djpt.integrators.blind_spots import warn_of_blind_spots
+from djpt.integrators.walk import walk
+from djpt.records import Ray3f, Reference, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 
@@ -68,25 +68,7 @@ class Integrator(Plugin):
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""
-        name = type(self).__name__
-        delta = [bsdf.id for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
-        if delta and not self.shows_delta:
-            warn(
-                f"'{name}' without BSDF samples can't show mirrors, smooth glass or openings: "
-                f"these lobes of {', '.join(delta)} stay black"
-            )
-        if self.starts_at_lights or not self.needs_light:
-            return
-        lights = [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta)]
-        beams = [e.id for e in lights if e.on_shape]
-        if beams:
-            warn(f"'{name}' can't show light that leaves a surface in one direction only: {stay_black(beams)}")
-        points = [] if self.samples_lights else [e.id for e in lights if not e.on_shape]
-        if points:
-            warn(
-                f"'{name}' doesn't sample lights, and finds none that is a point or shines in one direction by "
-                f"chance: {stay_black(points)}"
-            )
+        warn_of_blind_spots(self, scene)
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
@@ -105,16 +87,6 @@ class Integrator(Plugin):
     def unfiltered_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
         """The values of these channels along `ray`."""
         return []
-
-
-def warn(message: str) -> None:
-    """Warn whoever called `render`, which calls `check_scene` by way of `make_job`."""
-    warnings.warn(message, stacklevel=5)
-
-
-def stay_black(names: Sequence[str]) -> str:
-    """``a stays black``, ``a, b stay black``."""
-    return f"{', '.join(names)} stay{'s' if len(names) == 1 else ''} black"
 
 
 State = TypeVar("State", bound="PathState")
@@ -238,54 +210,8 @@ class PathIntegrator(Integrator):
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
-        parts, valid = self.walk(scene, sampler, ray, active)
+        parts, valid = walk(self, scene, sampler, ray, active)
         return parts[0], valid, []
-
-    def walk(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True, bounces: int = 0
-    ) -> tuple[list[Color3f], Bool]:
-        """All vertices of one path per lane: radiance, and whether it is covered.
-
-        With `bounces` = n, the radiance comes in n parts: by how often light was scattered, 0 to n - 1 times.
-        """
-        lanes = dr.width(ray, sampler)
-        start = PathLoop(
-            ray=wide(ray, lanes),
-            sampler=sampler,
-            state=wide(self.start(scene), lanes),
-            radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
-            valid=dr.full(Bool, False, lanes),
-            active=Bool(active) & dr.full(Bool, True, lanes),
-        )
-
-        def body(lane: PathLoop) -> tuple[PathLoop]:
-            si = self.trace(scene, lane.state, lane.ray)
-            v = self.advance(scene, lane.sampler, lane.state, lane.ray, si)
-            reflected, depth = scene.light_through(v.shadow_ray, v.reflected), lane.state.depth
-            if bounces:
-                radiance = [
-                    r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))
-                    for k, r in enumerate(lane.radiance)
-                ]
-            else:
-                radiance = [lane.radiance[0] + v.emitted + reflected]
-            valid = dr.select(v.active, lane.valid, v.valid)
-            return (PathLoop(v.ray, lane.sampler, v.state, radiance, valid, v.active),)
-
-        (end,) = dr.while_loop((start,), lambda lane: lane.active, body, label=type(self).__name__)
-        return end.radiance, end.valid
-
-
-@dataclass
-class PathLoop:
-    """Loop state of one path per lane."""
-
-    ray: Ray3f
-    sampler: SampleStream
-    state: PathState
-    radiance: list[Color3f]
-    valid: Bool
-    active: Bool
 
 
 def mis_weight(pdf_a: Float, pdf_b: Float) -> Float:

@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState
+from djpt.integrators.walk import walk
 from djpt.kernels import maximum, minimum
 from djpt.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
@@ -58,7 +59,7 @@ class UnidirectionalPath(PathIntegrator):
     ) -> tuple[Color3f, Bool, list[Float]]:
         if not self.bounces:
             return super().sample(scene, sampler, ray, active)
-        parts, valid = self.walk(scene, sampler, ray, active, bounces=self.max_depth)
+        parts, valid = walk(self, scene, sampler, ray, active, bounces=self.max_depth)
         color = parts[0]
         for part in parts[1:]:
             color = color + part

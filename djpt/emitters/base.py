@@ -11,7 +11,7 @@ from djpt.description.numeric import non_negative
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
 
 __all__ = ["Emitter"]
@@ -47,6 +47,13 @@ class Emitter(Plugin):
     def flags(self) -> int:
         """The `EmitterFlags`."""
         return int(EmitterFlags.Empty)
+
+    @property
+    def from_infinity(self) -> bool:
+        """True if its light arrives from beyond the scene."""
+        flags = self.flags()
+        beyond = has_flag(flags, EmitterFlags.Infinite) or has_flag(flags, EmitterFlags.DeltaDirection)
+        return bool(beyond) and not self.on_shape
 
     # ---- on the host -------------------------------------------------------------------
 

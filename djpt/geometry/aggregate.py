@@ -24,7 +24,7 @@ from djpt.geometry.recentre import recentre
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
 from djpt.kernels import as_vector
-from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -98,6 +98,15 @@ class Geometry:
     def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest corner of all shapes; (+inf, -inf) if there are none."""
         return self.unrolled.bounding_box()
+
+    def bounding_sphere(self) -> tuple[np.ndarray, float]:
+        """The sphere about the box about all shapes, a little enlarged: centre (3,) and radius."""
+        low, high = self.bounding_box()
+        if (low > high).any():
+            low = high = np.zeros(3)
+        center = 0.5 * (low + high)
+        # Mitsuba's rule.
+        return center, max(RAY_EPSILON, float(np.linalg.norm(high - center)) * (1 + RAY_EPSILON))
 
     # ---- ray queries -----------------------------------------------------------------
 

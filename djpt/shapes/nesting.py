@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from djpt.description.plugin import Plugin
@@ -11,11 +11,12 @@ from djpt.description.properties import Properties
 from djpt.description.registry import registered
 from djpt.emitters import Emitter
 from djpt.errors import SceneError
+from djpt.geometry.contents import unseen
 from djpt.materials import BSDF, Diffuse
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 
-__all__ = ["black", "collect_emitters", "collect_sensors", "default_bsdf"]
+__all__ = ["black", "collect_emitters", "collect_sensors", "numbers"]
 
 
 def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
@@ -73,6 +74,28 @@ def adopt(shape: Shape, nested: Any) -> Any:
         raise SceneError(f"{shape.id}: its {nested.kind} already belongs to '{nested.shape.id}'")
     nested.shape = shape
     return nested
+
+
+def numbers(shapes: Iterable[Shape], emitters: Sequence[Emitter]) -> tuple[list[BSDF], list[int], list[int]]:
+    """The BSDFs of shapes, each once; per shape the number of its BSDF, and that of its emitter.
+
+    Shapes without a BSDF get one. The number of emitters stands for none.
+    """
+    bsdfs: list[BSDF] = []
+    bsdf_of_shape: list[int] = []
+    emitter_of_shape: list[int] = []
+    for shape in shapes:
+        if unseen(shape):
+            bsdf_of_shape.append(0)
+            emitter_of_shape.append(len(emitters))
+            continue
+        if shape.bsdf is None:
+            shape.bsdf = default_bsdf(shape)
+        if shape.bsdf not in bsdfs:
+            bsdfs.append(shape.bsdf)
+        bsdf_of_shape.append(bsdfs.index(shape.bsdf))
+        emitter_of_shape.append(len(emitters) if shape.emitter is None else emitters.index(shape.emitter))
+    return bsdfs, bsdf_of_shape, emitter_of_shape
 
 
 def default_bsdf(shape: Shape) -> BSDF:

@@ -1,0 +1,71 @@
+"""One path per lane, from its camera ray to its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.kernels import wide
+from djpt.records import Ray3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f
+
+if TYPE_CHECKING:
+    from djpt.integrators.base import PathIntegrator, PathState
+    from djpt.scene import Scene
+
+__all__ = ["walk"]
+
+
+@dataclass
+class PathLoop:
+    """Loop state of one path per lane."""
+
+    ray: Ray3f
+    sampler: SampleStream
+    state: PathState
+    radiance: list[Color3f]
+    valid: Bool
+    active: Bool
+
+
+def walk(
+    integrator: PathIntegrator,
+    scene: Scene,
+    sampler: SampleStream,
+    ray: Ray3f,
+    active: Bool | bool = True,
+    bounces: int = 0,
+) -> tuple[list[Color3f], Bool]:
+    """All vertices of one path per lane: radiance, and whether it is covered.
+
+    With `bounces` = n, the radiance comes in n parts: by how often light was scattered, 0 to n - 1 times.
+    """
+    lanes = dr.width(ray, sampler)
+    start = PathLoop(
+        ray=wide(ray, lanes),
+        sampler=sampler,
+        state=wide(integrator.start(scene), lanes),
+        radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
+        valid=dr.full(Bool, False, lanes),
+        active=Bool(active) & dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: PathLoop) -> tuple[PathLoop]:
+        si = integrator.trace(scene, lane.state, lane.ray)
+        v = integrator.advance(scene, lane.sampler, lane.state, lane.ray, si)
+        reflected, depth = scene.light_through(v.shadow_ray, v.reflected), lane.state.depth
+        if bounces:
+            radiance = [
+                r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))
+                for k, r in enumerate(lane.radiance)
+            ]
+        else:
+            radiance = [lane.radiance[0] + v.emitted + reflected]
+        valid = dr.select(v.active, lane.valid, v.valid)
+        return (PathLoop(v.ray, lane.sampler, v.state, radiance, valid, v.active),)
+
+    (end,) = dr.while_loop((start,), lambda lane: lane.active, body, label=type(integrator).__name__)
+    return end.radiance, end.valid
