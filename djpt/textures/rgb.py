@@ -44,8 +44,8 @@ class ConstantTexture(Texture):
         return self.value
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
-        r, g, b = LUMINANCE
-        return self.value.x * r + self.value.y * g + self.value.z * b
+        """The mean of the three numbers, as in Mitsuba: bitmaps give the luminance."""
+        return self.mean()
 
     def as_property(self) -> Color3f:
         return Color3f(self.value)
