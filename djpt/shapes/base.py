@@ -61,6 +61,8 @@ class Shape(Plugin):
     """Is its area known, so that points can be drawn uniformly? Else `sample_direction` draws directions instead."""
     has_parameterization: ClassVar[bool] = False
     """Is every (u, v) of the unit square one point, so that `eval_parameterization` exists?"""
+    least_cosine: ClassVar[float] = 0.0
+    """The least cosine between a ray and the normal at its hit that counts: see `cosine`."""
     canonical: ClassVar[str | None] = None
     """Its name in `djpt.geometry.canonical`, if `to_world` maps one of the shapes there to it."""
     of_triangles: ClassVar[bool] = False
@@ -171,8 +173,19 @@ class Shape(Plugin):
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         """Density with which `sample_direction` gives `ds`."""
-        pdf = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.surface_area())
+        pdf = dr.square(ds.dist) * dr.rcp(self.cosine(ds) * self.surface_area())
         return dr.select(dr.isfinite(pdf), pdf, 0)
+
+    def cosine(self, ds: DirectionSample3f) -> Float:
+        """abs(cos) at the hit `ds` of a ray, for densities by area; at least `least_cosine`.
+
+        A ray that grazes a curved surface solves a quadratic whose discriminant, R^2 cos^2, is a difference of numbers
+        near R^2: float32 gives 0 or at least 2^-24 R^2. In the first case the cosine of the hit is a rounding error,
+        which may be thousands of times too small, and so the density as many times too large. Hence the bound 2^-12
+        for surfaces that solve one.
+        """
+        cos = dr.abs(dr.dot(ds.d, ds.n))
+        return dr.maximum(cos, self.least_cosine) if self.least_cosine else cos
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         """Texture coordinates and dp/du, dp/dv at a point of the surface."""

@@ -26,6 +26,7 @@ class Revolution(Shape):
     `to_world` maps the unit shape about +z to the world; the subclass has `values` of the names below.
     """
 
+    least_cosine = 2**-12
     center: Vector3f
     axis_x: Vector3f
     axis_y: Vector3f
