@@ -99,8 +99,8 @@ class Phong(BSDF):
         glossy = sample1 < self._weights(si, active)
         wo = dr.select(glossy, self.sample_highlight(si.wi, n, sample2), square_to_cosine_hemisphere(sample2))
         value, pdf = self.eval_pdf(ctx, si, wo, active)
-        kind = dr.select(glossy, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.DiffuseReflection)))
-        bs = BSDFSample3f(wo, pdf, Float(1), kind, dr.select(glossy, UInt32(1), UInt32(0)))
+        kind = dr.select(glossy, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
+        bs = BSDFSample3f.of(wo, pdf, kind, sampled_component=dr.select(glossy, UInt32(1), UInt32(0)))
         return bs, value * dr.select(pdf > 0, dr.rcp(pdf), 0)
 
     def eval_pdf(

@@ -27,7 +27,7 @@ from djpt.materials.principled_lobes import (
     tint,
 )
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["PrincipledThin"]
@@ -147,7 +147,7 @@ class PrincipledThin(PrincipledBase):
         mirror, glass, paint, _ = self._shares(at)
 
         def lobe(wo: Vector3f, sampled_type: BSDFFlags, component: int) -> BSDFSample3f:
-            return BSDFSample3f(wo, Float(0), Float(1), UInt32(int(sampled_type)), UInt32(component))
+            return BSDFSample3f.of(wo, 0, sampled_type, sampled_component=component)
 
         # In the order of the sample, from behind.
         wo = square_to_cosine_hemisphere(sample2)

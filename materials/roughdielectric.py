@@ -149,9 +149,8 @@ class RoughDielectricAtPoint:
             g *= d * self.g1_i * dr.abs(cos_i) * dr.rcp(dr.select(ok, density, 1))
         through = self.tint_t * dr.square(eta_ti) if self.radiance else self.tint_t
         weight = dr.select(reflected, self.tint_r, through) * g
-        sampled_type = dr.select(
-            reflected, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.GlossyTransmission))
-        )
+        sampled_type = dr.select(reflected, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.GlossyTransmission))
         eta = dr.select(reflected, 1, eta_it)
-        bs = BSDFSample3f(wo, dr.select(ok, pdf, 0), eta, sampled_type, dr.select(reflected, UInt32(0), UInt32(1)))
+        component = dr.select(reflected, UInt32(0), UInt32(1))
+        bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), sampled_type, eta=eta, sampled_component=component)
         return bs, dr.select(ok, weight, 0)

@@ -187,10 +187,9 @@ class RoughPlasticAtPoint:
         wo = dr.select(specular, reflect(self.wi, m), square_to_cosine_hemisphere(sample2))
         value, pdf = self.eval_pdf(wo)
         weight = value * dr.rcp(dr.select(pdf > 0, pdf, 1))
-        sampled_type = dr.select(
-            specular, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.DiffuseReflection))
-        )
-        return BSDFSample3f(wo, pdf, Float(1), sampled_type, dr.select(specular, UInt32(0), UInt32(1))), weight
+        sampled_type = dr.select(specular, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
+        component = dr.select(specular, UInt32(0), UInt32(1))
+        return BSDFSample3f.of(wo, pdf, sampled_type, sampled_component=component), weight
 
 
 # ---- the coat as a whole --------------------------------------------------------------
