@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator, mis_weight
@@ -85,3 +86,6 @@ class Direct(Integrator):
             result += bsdf_weight * si_b.emitter(scene).eval(si_b, lit) * mis
 
         return dr.select(active, result, 0), si.is_valid() & active, []
+
+
+register_integrator("direct", Direct)

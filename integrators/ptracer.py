@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.path import Path
@@ -175,3 +176,6 @@ def side_correction(si: SurfaceInteraction3f, arriving: Vector3f, leaving: Vecto
     ok = (wi_geometric * si.wi.z > 0) & (wo_geometric * wo.z > 0)
     ratio = dr.abs(si.wi.z * wo_geometric * dr.rcp(dr.select(ok, wi_geometric * wo.z, 1)))
     return dr.select(ok, ratio, 0)
+
+
+register_integrator("ptracer", ParticleTracer)

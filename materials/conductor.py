@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
@@ -47,3 +48,6 @@ class Conductor(DeltaBSDF):
     ) -> tuple[BSDFSample3f, Color3f]:
         weight = dr.select(si.wi.z > 0, self.reflectance_at(si, active), 0)
         return BSDFSample3f.of(reflect(si.wi), 1, BSDFFlags.DeltaReflection), weight
+
+
+register_bsdf("conductor", Conductor)

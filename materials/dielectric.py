@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel, reflect, refract
@@ -106,3 +107,6 @@ def optional_texture(props: Properties, key: str) -> Texture | None:
 def tint(texture: Texture | None, si: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
     """The colour of an optional texture; white if it wasn't given."""
     return Color3f(1) if texture is None else texture.eval(si, active)
+
+
+register_bsdf("dielectric", Dielectric)

@@ -7,6 +7,7 @@ import math
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
@@ -55,3 +56,6 @@ class Diffuse(BSDF):
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.reflectance.eval(si, active)
+
+
+register_bsdf("diffuse", Diffuse)

@@ -7,6 +7,7 @@ import dataclasses
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.kernels import minimum
 from djpt.materials.base import BSDF
@@ -119,3 +120,6 @@ def unit_interval(x: Float) -> Float:
 def rescaled(sample: Float, probability: Float) -> Float:
     """The part of a uniform random number that is left after it was found to lie below `probability`."""
     return minimum(sample * dr.rcp(dr.select(probability > 0, probability, 1)), Float(ALMOST_ONE))
+
+
+register_bsdf("mask", Mask)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from djpt.description.registry import register_bsdf
 from djpt.materials.delta import DeltaBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f
@@ -30,3 +31,6 @@ class Null(DeltaBSDF):
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return Color3f(1)
+
+
+register_bsdf("null", Null)

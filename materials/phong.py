@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.numeric import as_array
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import maximum
@@ -134,3 +135,6 @@ def cosine_power(n: Float, sample: Point2f) -> Vector3f:
     r = dr.sqrt(maximum(dr.fma(-z, z, 1), Float(0)))
     sin, cos = dr.sincos(2 * math.pi * sample.y)
     return Vector3f(r * cos, r * sin, z)
+
+
+register_bsdf("phong", Phong)

@@ -10,6 +10,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, fresnel_diffuse_reflectance, reflect
@@ -107,3 +108,6 @@ class PlasticAtPoint:
         component = dr.select(specular, UInt32(0), UInt32(1))
         bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), sampled_type, sampled_component=component)
         return bs, dr.select(ok, weight, 0)
+
+
+register_bsdf("plastic", Plastic)

@@ -12,6 +12,7 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError
 from djpt.kernels import as_float, maximum
 from djpt.materials.fresnel import fresnel, reflect, refract, schlick
@@ -295,3 +296,6 @@ class Principled(PrincipledBase):
             not_metal = 1 - scalars.get("metallic", 0)
             value += sheen(at.base_color, cos_d, scalars["sheen"] * not_metal, scalars.get("sheen_tint"))
         return value * cos_o
+
+
+register_bsdf("principled", Principled)

@@ -12,6 +12,7 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float, maximum
 from djpt.materials.fresnel import fresnel, reflect, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
@@ -219,3 +220,6 @@ class PrincipledThin(PrincipledBase):
         cos_t = dr.abs(fresnel(cos_d, at.eta)[1])
         tinted = schlick(dr.select(at.eta > 1, cos_d, cos_t), tint(at.base_color) * schlick_r0(at.eta))
         return dr.lerp(Color3f(F), tinted, at.scalars["spec_tint"])
+
+
+register_bsdf("principledthin", PrincipledThin)

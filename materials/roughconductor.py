@@ -8,6 +8,7 @@ import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
@@ -107,3 +108,6 @@ class RoughConductorAtPoint:
             weight *= self.g1_i * cos * dr.rcp(dr.select(ok, m.z, 1))
         bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), BSDFFlags.GlossyReflection)
         return bs, dr.select(ok, self.fresnel(cos) * weight, 0)
+
+
+register_bsdf("roughconductor", RoughConductor)

@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
@@ -154,3 +155,6 @@ class RoughDielectricAtPoint:
         component = dr.select(reflected, UInt32(0), UInt32(1))
         bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), sampled_type, eta=eta, sampled_component=component)
         return bs, dr.select(ok, weight, 0)
+
+
+register_bsdf("roughdielectric", RoughDielectric)

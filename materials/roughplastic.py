@@ -13,6 +13,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float, opaque
 from djpt.materials.dielectric import optional_texture, tint
@@ -240,3 +241,6 @@ def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) ->
         wo = reflect(wi, m)
         share = dr.select(wo.z > 0, surface.smith_g1(wo, m) * f, 0)
     return dr.block_sum(share * dr.gather(Float, weights, i) * dr.gather(Float, weights, j), count**2)
+
+
+register_bsdf("roughplastic", RoughPlastic)

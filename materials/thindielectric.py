@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.delta import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
@@ -73,3 +74,6 @@ class ThinDielectric(DeltaBSDF):
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return tint(self.specular_transmittance, si, active) * (1 - self.reflectance_at(si))
+
+
+register_bsdf("thindielectric", ThinDielectric)
