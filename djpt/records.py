@@ -323,6 +323,18 @@ class BSDFSample3f:
     sampled_component: UInt32 = field(default_factory=lambda: UInt32(0))
 
     @staticmethod
+    def of(
+        wo: Vector3f,
+        pdf: Float | float,
+        sampled_type: UInt32 | int,
+        *,
+        eta: Float | float = 1,
+        sampled_component: UInt32 | int = 0,
+    ) -> BSDFSample3f:
+        """A sample of the lobe `sampled_type` (`BSDFFlags`), from numbers or Dr.Jit arrays."""
+        return BSDFSample3f(wo, Float(pdf), Float(eta), UInt32(sampled_type), UInt32(sampled_component))
+
+    @staticmethod
     def none() -> BSDFSample3f:
         """The sample that goes nowhere."""
         return BSDFSample3f()

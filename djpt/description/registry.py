@@ -1,6 +1,6 @@
 """Which plugin names exist, and what builds each.
 
-A plugin package registers its plugins in its own ``__init__``, one line each::
+The last line of a plugin's file registers it, in djpt as in a user's own package::
 
     register_bsdf("diffuse", Diffuse)
 
@@ -48,7 +48,7 @@ PACKAGES = (
     "djpt.integrators",
     "djpt.scene",
 )
-"""What registers djpt's own plugins when it is imported."""
+"""The modules that register djpt's own plugins when they are imported."""
 
 MITSUBA = {
     "bsdf": (

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import area_of, box_of, mean_of, normals_of
@@ -107,3 +108,6 @@ class Area(Emitter):
         d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(direction_sample))
         # Cosine and density leave pi.
         return Ray3f(ps.p, d), self.radiance.eval(ps, active) * (math.pi * inverse_pdf)
+
+
+register_emitter("area", Area)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
@@ -91,3 +92,6 @@ class ConstantBackground(Emitter):
         ray = Ray3f(dr.fma(outward, self.radius, self.center), d)
         # Cosine and densities, 1 / (4 pi r^2) and cos / pi, leave (2 pi r)^2.
         return ray, self.radiance.eval(ray, active) * dr.square(2 * math.pi * self.radius)
+
+
+register_emitter("constant", ConstantBackground)

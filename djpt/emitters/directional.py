@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OrientedEmitter
@@ -109,3 +110,6 @@ def looking_along(direction: NDArray[np.float64]) -> ScalarTransform4f:
     unit = direction / np.linalg.norm(direction)
     up = coordinate_system(as_vector(unit))[0]
     return ScalarTransform4f().look_at(origin=[0, 0, 0], target=unit, up=up)
+
+
+register_emitter("directional", DirectionalEmitter)

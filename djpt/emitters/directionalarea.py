@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import area_of, box_of, mean_of, normals_of
@@ -76,3 +77,6 @@ class DirectionalArea(Emitter):
             raise SceneError(f"{self.shape.id}: no rays can be drawn from this shape, since its area isn't known")
         ps = self.shape.sample_position(position_sample)
         return Ray3f(ps.p, ps.n), self.radiance.eval(ps, active) * self.shape.surface_area()
+
+
+register_emitter("directionalarea", DirectionalArea)

@@ -14,6 +14,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
 from djpt.emitters.bounds import LightBounds
@@ -343,3 +344,6 @@ def mean_over_sphere(texels: NDArray[Any]) -> float:
     shares = np.sin(np.arange(rows) * step) * (2 * (1 - math.cos(step)) / step)
     shares[[0, -1]] = 1 - math.sin(step) / step
     return float(np.average(texels.mean(axis=(1, 2), dtype=np.float64), weights=shares))
+
+
+register_emitter("envmap", EnvironmentMap)

@@ -12,6 +12,7 @@ import numpy as np
 from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of
@@ -85,3 +86,6 @@ def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, F
         position, -d, Point2f(0), d, dist_squared * inv_dist, Float(1), Float(1), Bool(True), UInt32(0)
     )
     return ds, dr.select(dist_squared > 0, dr.square(inv_dist), 0)
+
+
+register_emitter("point", PointLight)

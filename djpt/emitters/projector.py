@@ -11,6 +11,7 @@ import drjit as dr
 from djpt.description.numeric import as_array, is_readable, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
@@ -122,3 +123,6 @@ class Projector(OrientedEmitter):
         area = 4 * self.reach_x * self.reach_y
         weight = self.irradiance.eval(OnImage(uv), active) * (math.pi * self.scale * area * inverse_pdf)
         return Ray3f(self.position, d), weight
+
+
+register_emitter("projector", Projector)

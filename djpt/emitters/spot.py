@@ -11,6 +11,7 @@ import drjit as dr
 from djpt.description.numeric import as_array, as_number, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
@@ -121,3 +122,6 @@ class SpotLight(OrientedEmitter):
         d = square_to_uniform_cone(position_sample, cos_cutoff)
         weight = self.intensity_towards(d, active) * (2 * math.pi * (1 - cos_cutoff))
         return Ray3f(self.position, self.local_to_world(d)), weight
+
+
+register_emitter("spot", SpotLight)

@@ -10,6 +10,7 @@ import numpy as np
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
 from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f, Ray3f
@@ -92,3 +93,6 @@ class Orthographic(Projective):
             emitter_index=UInt32(0),
         )
         return ds, dr.select(seen, self.inv_area, 0)
+
+
+register_sensor("orthographic", Orthographic)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float
 from djpt.records import PositionSample3f
@@ -146,3 +147,6 @@ class Cone(Revolution):
         outward = dr.select(length > 0, across * dr.rsqrt(length), self.axis_x)
         dv = (self.axis_z + outward * self.slope) * self.length
         return Point2f(self.turn(across), z * dr.rcp(self.length)), 2 * math.pi * self.around(across), dv
+
+
+register_shape("cone", Cone)

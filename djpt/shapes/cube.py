@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.dispatch.lookup import choose
 from djpt.errors import ParameterError
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
@@ -255,3 +256,6 @@ class Cube(Shape):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles per face, cut along the diagonal u + v = 1.
         return 2 * face + dr.select(uv.x + uv.y < 1, UInt32(1), UInt32(0))
+
+
+register_shape("cube", Cube)

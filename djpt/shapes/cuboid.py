@@ -8,6 +8,7 @@ import numpy as np
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
 from djpt.shapes.cube import Cube
 from djpt.types import Point3f
@@ -48,3 +49,6 @@ class Cuboid(Cube):
         callback.put("min", self.min, moves)
         callback.put("max", self.max, moves)
         callback.put("to_world", self._placed, moves, attribute="_placed")
+
+
+register_shape("cuboid", Cuboid)

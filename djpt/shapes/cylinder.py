@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float
@@ -108,3 +109,6 @@ class Cylinder(Revolution):
         across, z = self.across(p)
         uv = Point2f(self.turn(across), dr.fma(z, dr.rcp(self.length), 0.5))
         return uv, 2 * math.pi * self.around(across), self.axis_z * self.length
+
+
+register_shape("cylinder", Cylinder)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
@@ -143,3 +144,6 @@ def polar_uv(x: Float, y: Float, r: Float) -> Point2f:
     """(r, phi / 2 pi), with phi in [0, 2 pi)."""
     phi = dr.atan2(y, x) * (1 / (2 * math.pi))
     return Point2f(r, dr.select(phi < 0, phi + 1, phi))
+
+
+register_shape("disk", Disk)

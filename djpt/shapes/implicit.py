@@ -10,6 +10,7 @@ import numpy as np
 from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import DjptError, ParameterError
 from djpt.geometry.axes import AxisPool
 from djpt.kernels import as_float, as_vector
@@ -158,3 +159,8 @@ class Metaballs(LevelSet):
             rest = 1 - dr.squared_norm(p - at) * inverse
             total = total - dr.select(rest > 0, dr.square(rest) * rest, 0)
         return total
+
+
+register_shape("implicit", Implicit)
+register_shape("torus", Torus)
+register_shape("metaballs", Metaballs)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
@@ -70,3 +71,6 @@ class Instance(Shape):
         low, high = self.group.interval(local / length)
         shift = float(matrix[:3, 3] @ direction)
         return low * length + shift, high * length + shift
+
+
+register_shape("instance", Instance)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.frame import Frame3f
 from djpt.geometry.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
@@ -100,3 +101,6 @@ class Plane(Shape):
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         return self._uv(p), Vector3f(self.edge_u), Vector3f(self.edge_v)
+
+
+register_shape("plane", Plane)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
@@ -107,3 +108,6 @@ class Rectangle(Shape):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles, cut along the diagonal u + v = 1.
         return dr.select(uv.x + uv.y > 1, UInt32(1), UInt32(0))
+
+
+register_shape("rectangle", Rectangle)

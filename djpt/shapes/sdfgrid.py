@@ -15,6 +15,7 @@ from djpt.description.files import resolve
 from djpt.description.numeric import describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
 from djpt.frame import Frame3f, coordinate_system
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
@@ -247,3 +248,6 @@ def read_volume(path: Path) -> NDArray[np.float32]:
     if min(nx, ny, nz) < 1 or len(data) != 48 + 4 * nx * ny * nz:
         raise FileError(f"'{path}' has {len(data)} bytes; a volume of {nx} x {ny} x {nz} has {48 + 4 * nx * ny * nz}")
     return np.frombuffer(data, "<f4", offset=48).reshape(nz, ny, nx)
+
+
+register_shape("sdfgrid", SDFGrid)

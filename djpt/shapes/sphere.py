@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
@@ -216,3 +217,6 @@ class Sphere(Shape):
         du = 2 * math.pi * (self.axis_y * local.x - self.axis_x * local.y)
         dv = math.pi * (self.axis_x * (local.z * cos_phi) + self.axis_y * (local.z * sin_phi) - self.axis_z * rim)
         return self._uv(unit), du, dv
+
+
+register_shape("sphere", Sphere)

@@ -13,6 +13,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.errors import DjptError, ParameterError, SceneError
 from djpt.images.color import LUMINANCE
 from djpt.textures.base import Texture
@@ -84,3 +85,6 @@ class ConstantTexture(Texture):
     @staticmethod
     def _numbers(color: Color3f) -> NDArray[np.float64]:
         return as_array(dr.detach(color))
+
+
+register_texture("rgb", ConstantTexture)
