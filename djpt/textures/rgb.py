@@ -15,7 +15,6 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import DjptError, ParameterError, SceneError
-from djpt.images.color import LUMINANCE
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float
 
