@@ -1,4 +1,4 @@
-"""Shapes: one file each, one registration line each."""
+"""Shapes: a file and a line of registration for each."""
 
 from djpt.description.registry import register_shape
 from djpt.shapes.base import Face, Hit, Shape
