@@ -34,7 +34,7 @@ class Cuboid(Cube):
         self._compose()
 
     def _compose(self) -> None:
-        """`to_world` from the parameters: that of the cube [-1, 1]^3."""
+        """Set the transform that takes the cube [-1, 1]^3 to this box, from the parameters."""
         low, high = (np.array(corner, np.float64).ravel() for corner in (self.min, self.max))
         if not (low < high).all():
             found = f"{high.tolist()} and {low.tolist()}"

@@ -26,11 +26,11 @@ HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Plane(Shape):
-    """All points with local z = 0, without end; uv are the local x and y.
+    """All points with local z = 0, without a border; uv are the local x and y.
 
-    Parameters: `to_world` (affine, default identity), `flip_normals` (default false). It shines and shades on the
-    side of the transformed +z axis. As a light it is sampled uniformly over the hemisphere of directions that meet
-    it, with the density 1 / (2 pi); it has no finite area.
+    Parameters: `to_world` (affine, default identity), `flip_normals` (default false). The front, where light is
+    emitted, is the side of the transformed +z axis. As a light it is sampled uniformly over the hemisphere of
+    directions that hit it, with the density 1 / (2 pi); its area is infinite.
     """
 
     has_area = False

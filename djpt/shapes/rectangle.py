@@ -26,7 +26,7 @@ class Rectangle(Shape):
     """A parallelogram with uv = ((x + 1) / 2, (y + 1) / 2).
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
-    It shines and shades on the side of the transformed +z axis.
+    The front, where the shading normal points and light is emitted, is the side of the transformed +z axis.
     """
 
     has_parameterization = True

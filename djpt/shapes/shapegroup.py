@@ -18,7 +18,7 @@ __all__ = ["ShapeGroup"]
 
 
 class ShapeGroup(Shape):
-    """Shapes that are kept once and placed many times, each time by an `instance`.
+    """Shapes that are stored once and placed many times, each time by an `instance`.
 
     The nested shapes may have BSDFs but no emitters, and can't be instances or groups. A group itself is
     invisible.
