@@ -31,12 +31,12 @@ __all__ = ["LightVertex", "ParticleTracer"]
 
 @dataclass
 class LightVertex:
-    """What happened at a vertex of a light path."""
+    """The result of a vertex of a light path."""
 
     position: Point2f
     """The place on the film that shows it, in [0, 1)^2 of the crop window."""
     splat: Color3f
-    """What the film receives there, per area of the window, if nothing stands between: see `Scene.light_between`."""
+    """The light that the film receives there, per area of the window, if nothing stands between."""
     shadow_ray: Ray3f
     """The way from the vertex to the camera."""
     path: LightPath

@@ -20,7 +20,7 @@ class EmitterChoice:
     """
 
     looks_at_normal = False
-    """Does the choice depend on the surface normal at the point?"""
+    """True if the choice depends on the surface normal at the point."""
 
     def __init__(self, emitters: Sequence[Emitter]) -> None:
         """`emitters`: at least one, in the order in which the scene numbers them."""

@@ -149,7 +149,7 @@ class TreeChoice(EmitterChoice):
 
 
 def refined(u: Float, left: Float, inverse: Float) -> Float:
-    """What is left of `u` after a choice of some probability, with new bits below those that were used up.
+    """The rest of `u` after a choice of some probability, with new bits below those that were used up.
 
     Random numbers have 23 bits; the choice among 1000 emitters leaves 13, too few to place points by.
     """

@@ -94,7 +94,7 @@ class Tree:
     children: Lights
     """The left and the right child of each inner node, (n, 2); row 0 is unused."""
     links: NDArray[np.uint32]
-    """What the children are, (n, 2): the number of an inner node, or LEAF and a light."""
+    """The children, (n, 2): the number of an inner node, or LEAF and a light."""
     root: int
     """A link."""
 
@@ -139,7 +139,7 @@ def build(lights: Lights) -> Tree:
 
 
 def goes_right(lights: Lights, members: Ints, node: Ints, first: Ints, size: Ints) -> NDArray[np.bool_]:
-    """Which members of some nodes go to the right child. A node's `size` members begin at `first`."""
+    """Mark the members of some nodes that go to the right child. A node's `size` members begin at `first`."""
     center = (lights.low[members] + lights.high[members]) / 2
     low, high = np.minimum.reduceat(center, first), np.maximum.reduceat(center, first)
     extent = high - low
@@ -192,7 +192,7 @@ def best_split(lights: Lights, members: Ints, node: Ints, bins: Ints, nodes: int
 
 @dataclass
 class Bins:
-    """What lies in bins along axes, (nodes, 3, BINS)."""
+    """The contents of bins along axes, (nodes, 3, BINS)."""
 
     count: Ints
     intensity: Floats

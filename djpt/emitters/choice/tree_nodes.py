@@ -47,7 +47,7 @@ among 1000 lights over a floor the variance is then four times larger.
 """
 
 BOUND_SHARE = 0.3
-"""Of a cosine's largest value in the sphere; the rest is its value at the centre.
+"""The share of a cosine's largest value in the sphere; the rest is its value at the centre.
 
 Bounds alone have 1.6 times the variance.
 """
@@ -96,7 +96,7 @@ class Child:
 
     @property
     def link(self) -> UInt32:
-        """See `Tree.links`."""
+        """The number of the child's record, or of its light: see `Tree.links`."""
         return self.words[7]
 
     def importance(self, p: Point3f, n: Vector3f | None, oriented: bool) -> Float:
