@@ -1,4 +1,4 @@
-"""Emitters: one file each, one registration line each."""
+"""Emitters: the contract, and one file for each kind of light."""
 
 from djpt.description.registry import register_emitter
 from djpt.emitters.area import Area

@@ -1,4 +1,4 @@
-"""Sensors: one file each, one registration line each."""
+"""Sensors: the contract, and one file for each kind of camera or meter."""
 
 from djpt.description.registry import register_sensor
 from djpt.sensors.base import Sensor
