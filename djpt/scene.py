@@ -330,6 +330,14 @@ class Scene(Plugin):
             prim_uv=surface.prim_uv,
         )
 
+    def revisit(self, p: Point3f, d: Vector3f, face: UInt32) -> SurfaceInteraction3f:
+        """The surface point `p` of a face again, as a ray of direction `d` met it: for vertices that were stored.
+
+        A face that belongs to an instance can't be revisited: its number doesn't say which instance.
+        """
+        hit = PreliminaryIntersection3f(t=Float(0), face=face, shape_index=self.geometry.shape_of(face))
+        return self.surface_interaction(Ray3f(p, d), hit, full=self.needs_uv)
+
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
         return self.geometry.primitive_index(si.face, si.uv, si.p, self.lookup)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.description.plugin import Plugin
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BSDF"]
@@ -85,6 +85,18 @@ class BSDF(Plugin):
     ) -> tuple[Color3f, Float]:
         """`eval` and `pdf` together: either this or both of them must be overridden."""
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def eval_pdf_both(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float, Float]:
+        """`eval_pdf`, and the density with which `sample` gives `wi` where light arrives from `wo`.
+
+        Estimators that build paths from both ends weight them by both densities.
+        """
+        value, pdf = self.eval_pdf(ctx, si, wo, active)
+        other = TransportMode.Importance if ctx.mode == TransportMode.Radiance else TransportMode.Radiance
+        turned = dataclasses.replace(si, wi=wo)
+        return value, pdf, self.pdf(dataclasses.replace(ctx, mode=other), turned, si.wi, active)
 
     def eval_pdf_sample(
         self,
