@@ -60,17 +60,17 @@ class BSDFPtr:
         return bs, dr.select(active, weight, 0)
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        """F abs(cos); 0 on inactive lanes."""
+        """The value f abs(cos theta_o); 0 on inactive lanes."""
         return dr.select(active, self.visit(lambda bsdf: bsdf.eval(ctx, si, wo, active)), 0)
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        """Density of `sample`; 0 on inactive lanes."""
+        """The density of `sample` at `wo`, per unit solid angle; 0 on inactive lanes."""
         return dr.select(active, self.visit(lambda bsdf: bsdf.pdf(ctx, si, wo, active)), 0)
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
-        """`eval` and `pdf` in one dispatch; 0 on inactive lanes."""
+        """The results of `eval` and `pdf`, in one dispatch; 0 on inactive lanes."""
         value, pdf = self.visit(lambda bsdf: bsdf.eval_pdf(ctx, si, wo, active))
         return dr.select(active, value, 0), dr.select(active, pdf, 0)
 
@@ -90,7 +90,7 @@ class BSDFPtr:
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        """`eval_pdf` and `sample` in one dispatch, all but `value` and `weight` detached.
+        """The results of `eval_pdf` and `sample` in one dispatch, all but value and weight detached.
 
         Inactive lanes aren't zeroed: callers mask.
         """
@@ -103,7 +103,7 @@ class BSDFPtr:
         return self.visit(method, Bool(active))
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """What passes straight through; 0 on inactive lanes."""
+        """The share of light that passes straight through; 0 on inactive lanes."""
         return dr.select(active, self.visit(lambda bsdf: bsdf.eval_null_transmission(si, active)), 0)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
@@ -162,7 +162,7 @@ class EmitterPtr:
         return dr.select(self.is_valid(), choose(self.index, [UInt32(f) for f in flags], flags), 0)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """Radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
+        """The radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
         value = self._emitters.call(self.index, self._lookup, lambda e: e.eval(si, active), Color3f(0))
         return dr.select(active, value, 0)
 
@@ -204,7 +204,7 @@ class EmitterPtr:
     def pdf_direction(
         self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
     ) -> Float:
-        """Density of `sample_direction`; 0 where there is no emitter."""
+        """The density of `sample_direction`, per unit solid angle; 0 where there is no emitter."""
         p = ref.p if isinstance(ref, SurfaceInteraction3f) else ref
         pdf = self._emitters.call(self.index, self._lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
         return dr.select(active, pdf, 0)
