@@ -15,9 +15,9 @@ from unittest.mock import patch
 import numpy as np
 
 from djpt import ScalarTransform4f as T
+from djpt.images.sheets import captioned_sheet
 from djpt.scenes.gallery import GLASS, MATERIALS, Panel, sheet
 from djpt.validation.ladder.strips import samples
-from djpt.validation.ladder.strips import strip as side_by_side
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -355,7 +355,7 @@ def bounces() -> None:
 
 def spp() -> None:
     """What `djpt spp cornell_box` makes: noise by the number of samples."""
-    djpt.write(IMAGES / "spp.png", side_by_side(samples("cornell_box", width=160)))
+    djpt.write(IMAGES / "spp.png", captioned_sheet(samples("cornell_box", width=160)))
 
 
 FIGURES: dict[str, Callable[[], None]] = {

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f as T
-
-if TYPE_CHECKING:
-    from PIL.ImageFont import FreeTypeFont, ImageFont
 
 __all__ = ["GLASS", "MATERIALS", "PANELS", "Panel", "panels", "shader_ball", "sheet"]
 
@@ -292,8 +289,6 @@ PANELS = {**MATERIALS, **GLASS}
 
 # ---- the sheet -------------------------------------------------------------------------------
 
-PAPER, INK, GREY = (250, 250, 248), (28, 28, 30), (110, 110, 114)
-
 
 def panels(names: Sequence[str] = ()) -> list[Panel]:
     """The panels of the given names; without names, all panels.
@@ -338,22 +333,13 @@ def sheet(
         columns: Panels in a row.
         progress: Called with (samples done, samples in all).
     """
-    from PIL import Image, ImageDraw
+    from djpt.images.sheets import Tile, captioned_sheet
 
-    columns = min(columns, len(panels))
-    gap, text = max(2, size // 20), max(6, size // 14)
-    caption = round(2.9 * text)
-    rows = -(-len(panels) // columns)
-    page = Image.new("RGB", (columns * (size + gap) + gap, rows * (size + caption + gap) + gap), PAPER)
-    draw = ImageDraw.Draw(page)
-    for i, panel in enumerate(panels):
-        x, y = gap + i % columns * (size + gap), gap + i // columns * (size + caption + gap)
-        picture = render_panel(panel, size, spp, seed, i, len(panels), progress)
-        page.paste(Image.fromarray(picture), (x, y))
-        for line, color, height, down in ((panel.title, INK, text + 1, 0.25), (panel.subtitle, GREY, text, 1.5)):
-            font = fitting_font(line, height, size)
-            draw.text((x + size / 2, y + size + down * text), line, color, font, anchor="ma")
-    return np.array(page)
+    tiles = [
+        Tile(panel.title, panel.subtitle, render_panel(panel, size, spp, seed, i, len(panels), progress))
+        for i, panel in enumerate(panels)
+    ]
+    return captioned_sheet(tiles, columns)
 
 
 def render_panel(
@@ -361,7 +347,7 @@ def render_panel(
 ) -> NDArray[np.uint8]:
     """Render one picture as bytes of sRGB."""
     from djpt.description.loader import load_dict
-    from djpt.images.image import Image
+    from djpt.images.sheets import shown
     from djpt.rendering import render
 
     each = size * size * spp
@@ -370,15 +356,4 @@ def render_panel(
         if progress is not None:
             progress(number * each + each * done // total, count * each)
 
-    return Image(render(load_dict(panel.scene(size)), spp=spp, seed=seed, progress=show)).srgb()
-
-
-def fitting_font(line: str, height: int, width: int) -> ImageFont | FreeTypeFont:
-    """Pillow's own font, as high as `height` pixels if the line fits into `width`, otherwise smaller."""
-    from PIL import ImageFont as fonts
-
-    for points in range(max(height, 6), 5, -1):
-        font = fonts.load_default(points)
-        if font.getlength(line) <= width:
-            break
-    return font
+    return shown(render(load_dict(panel.scene(size)), spp=spp, seed=seed, progress=show))

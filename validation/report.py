@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,8 @@ import numpy.typing as npt
 
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
-from djpt.images.image import Image, write
+from djpt.images.image import write
+from djpt.images.sheets import DARK, Tile, captioned_sheet, shown
 
 if TYPE_CHECKING:
     from djpt.validation.compare import Comparison
@@ -22,8 +24,6 @@ Bytes = npt.NDArray[np.uint8]
 
 _LEAST_WIDTH = 256
 """Smaller images are enlarged by a whole factor, so that the captions fit."""
-
-_GAP, _CAPTION = 8, 40
 
 
 def write_picture(result: Comparison, path: str | os.PathLike[str]) -> None:
@@ -41,20 +41,19 @@ def picture(result: Comparison) -> Bytes:
     """
     difference = np.abs(np.mean(result.image.astype(np.float64) - result.reference, axis=2))
     scale = max(float(np.quantile(difference, 0.99)), 1e-6)
-    panels = [_shown(result.image), _shown(result.reference), difference_picture(result.image, result.reference, scale)]
-    captions = [
-        (f"djpt, {result.spp} spp", f"mean {np.mean(result.image):.5g}"),
-        (f"Mitsuba, {result.reference_spp} spp", f"mean {np.mean(result.reference):.5g}"),
-        (f"difference, RMSE {result.rmse:.3g}", f"red: ours brighter; full scale {scale:.2g}"),
+    ours, theirs = shown(result.image), shown(result.reference)
+    tiles = [
+        Tile(f"djpt, {result.spp} spp", f"mean {np.mean(result.image):.5g}", ours),
+        Tile(f"Mitsuba, {result.reference_spp} spp", f"mean {np.mean(result.reference):.5g}", theirs),
+        Tile(
+            f"difference, RMSE {result.rmse:.3g}",
+            f"red: djpt brighter; full scale {scale:.2g}",
+            difference_picture(result.image, result.reference, scale),
+        ),
     ]
-    factor = -(-_LEAST_WIDTH // panels[0].shape[1])
-    panels = [panel.repeat(factor, axis=0).repeat(factor, axis=1) for panel in panels]
-    height, width, _ = panels[0].shape
-    sheet = np.full((height + _CAPTION + 2 * _GAP, 3 * width + 4 * _GAP, 3), 24, np.uint8)
-    for i, panel in enumerate(panels):
-        left = _GAP + i * (width + _GAP)
-        sheet[_GAP : _GAP + height, left : left + width] = panel
-    return _with_captions(sheet, captions, height + _GAP + 4, width + _GAP)
+    factor = -(-_LEAST_WIDTH // ours.shape[1])
+    enlarged = [replace(tile, picture=tile.picture.repeat(factor, axis=0).repeat(factor, axis=1)) for tile in tiles]
+    return captioned_sheet(enlarged, palette=DARK)
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
@@ -63,21 +62,3 @@ def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
     away = np.clip(np.abs(signed), 0, 1)[..., None]
     hue = np.where(signed[..., None] > 0, np.array([178.0, 24, 43]), np.array([33.0, 102, 172]))
     return np.asarray(np.rint(255 + (hue - 255) * away), np.uint8)
-
-
-def _shown(image: Any) -> Bytes:
-    """Convert an image of any number of channels to RGB bytes."""
-    pixels = Image(image).srgb()
-    return pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1].repeat(3, axis=2)
-
-
-def _with_captions(sheet: Bytes, captions: list[tuple[str, str]], top: int, step: int) -> Bytes:
-    from PIL import Image as Picture
-    from PIL import ImageDraw
-
-    canvas = Picture.fromarray(sheet)
-    draw = ImageDraw.Draw(canvas)
-    for i, lines in enumerate(captions):
-        for j, line in enumerate(lines):
-            draw.text((_GAP + i * step + 2, top + 16 * j), line, fill=(230, 230, 230) if j == 0 else (160, 160, 160))
-    return np.asarray(canvas)

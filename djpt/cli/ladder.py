@@ -22,7 +22,7 @@ from djpt.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from djpt.validation.ladder.strips import Panel
+    from djpt.images.sheets import Tile
 
 __all__ = ["bounces", "ladder", "spp"]
 
@@ -99,7 +99,7 @@ def bounces(
         description = described(scene, parameters(define))[1]
         start = time.perf_counter()
         with progress_bar("rendering", "samples", quiet) as progress:
-            panels = render(
+            tiles = render(
                 description,
                 max_depth,
                 spp,
@@ -108,7 +108,7 @@ def bounces(
                 seed=seed,
                 progress=progress,
             )
-        write(target, panels, columns, start, quiet)
+        write(target, tiles, columns, start, quiet)
 
 
 def spp(
@@ -134,7 +134,7 @@ def spp(
         description = described(scene, parameters(define))[1]
         start = time.perf_counter()
         with progress_bar("rendering", "spp", quiet) as progress:
-            panels = samples(
+            tiles = samples(
                 description,
                 most,
                 integrator=integrator,
@@ -144,7 +144,7 @@ def spp(
                 seed=seed,
                 progress=progress,
             )
-        write(target, panels, columns, start, quiet)
+        write(target, tiles, columns, start, quiet)
 
 
 def checked(target: Path) -> Path:
@@ -159,12 +159,12 @@ def checked(target: Path) -> Path:
     return target
 
 
-def write(target: Path, panels: list[Panel], columns: int | None, start: float, quiet: bool) -> None:
+def write(target: Path, tiles: list[Tile], columns: int | None, start: float, quiet: bool) -> None:
     """Write the strip, and print its size and the time that it took."""
     import djpt
-    from djpt.validation.ladder.strips import strip
+    from djpt.images.sheets import captioned_sheet
 
-    djpt.write(target, strip(panels, columns))
+    djpt.write(target, captioned_sheet(tiles, columns))
     if not quiet:
-        height, width, _ = panels[0].picture.shape
-        print(f"{target}: {len(panels)} pictures of {width} x {height}, {time.perf_counter() - start:.2f} s")
+        height, width, _ = tiles[0].picture.shape
+        print(f"{target}: {len(tiles)} pictures of {width} x {height}, {time.perf_counter() - start:.2f} s")

@@ -1,1 +1,1 @@
-"""From a scene description to a tree of plugins whose properties were checked."""
+"""Scene descriptions, and their conversion to a tree of plugins with checked properties."""

@@ -1,4 +1,4 @@
-"""From a dict to plugins: names, nested nodes, references."""
+"""The conversion of a dict to plugins: names, nested nodes, references."""
 
 from __future__ import annotations
 

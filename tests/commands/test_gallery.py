@@ -14,8 +14,9 @@ from djpt.cli.commands import ExitCode, app
 from djpt.description.registry import registered
 from djpt.errors import SceneError
 from djpt.images.image import read_pixels
+from djpt.images.sheets import fitting_font
 from djpt.scenes import SCENES
-from djpt.scenes.gallery import GLASS, PANELS, Panel, fitting_font, panels, shader_ball, sheet
+from djpt.scenes.gallery import GLASS, PANELS, Panel, panels, shader_ball, sheet
 
 SIZE = 16
 

@@ -22,12 +22,13 @@ import djpt
 from djpt.cli.commands import ExitCode, app
 from djpt.description.registry import registered
 from djpt.images.image import read_pixels
+from djpt.images.sheets import captioned_sheet
 from djpt.validation.ladder.curves import LINE, Curve, chart, plain, spread
 from djpt.validation.ladder.measure import Budget, Ladder, Reference, error_floor, measure, shared_error
 from djpt.validation.ladder.page import decimals, html
 from djpt.validation.ladder.pictures import ERROR_COLORS, error_map
 from djpt.validation.ladder.steps import ELSEWHERE, STEPS
-from djpt.validation.ladder.strips import bounces, samples, strip
+from djpt.validation.ladder.strips import bounces, samples
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
@@ -368,7 +369,7 @@ def test_samples_have_falling_errors() -> None:
 
 def test_a_strip_holds_its_pictures_in_rows() -> None:
     panels = bounces("cornell_box", 2, 4, width=40)
-    row, column = strip(panels), strip(panels, columns=1)
+    row, column = captioned_sheet(panels), captioned_sheet(panels, columns=1)
     assert row.shape[1] > 3 * 40 > column.shape[1] and column.shape[0] > 3 * 40 > row.shape[0]
     for i, panel in enumerate(panels):
         left = 2 + i * 42

@@ -1,45 +1,29 @@
-"""Strips of pictures: light by its number of bounces, and noise by the number of samples."""
+"""Series of pictures: light by its number of bounces, and noise by the number of samples."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image as Picture
-from PIL import ImageDraw
 
 from djpt.description.loader import load_dict
 from djpt.description.overrides import described, override
 from djpt.errors import RenderError
-from djpt.images.image import Image
+from djpt.images.sheets import Tile, shown
 from djpt.images.tone_mapping import stops
 from djpt.rendering import channel_names, render
-from djpt.scenes.gallery import GREY, INK, PAPER, fitting_font
 from djpt.schedules.job import Progress
 from djpt.validation.ladder.measure import BATCHES, colors, seeds
 from djpt.validation.ladder.steps import STEPS
 from djpt.validation.statistics import Batches
 
-__all__ = ["Panel", "bounces", "samples", "strip"]
-
-Bytes = npt.NDArray[np.uint8]
+__all__ = ["bounces", "samples"]
 
 FIRST = ("emitted", "scattered once", "scattered twice")
 """The names of the first terms of the Neumann series."""
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A picture with a title, in which ``K^2`` is written with a raised 2, and a subtitle."""
-
-    title: str
-    subtitle: str
-    picture: Bytes
 
 
 def bounces(
@@ -51,7 +35,7 @@ def bounces(
     width: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> list[Panel]:
+) -> list[Tile]:
     """Render the terms of L = E + K E + K^2 E + .. one by one, and their sum: light by how often it was scattered.
 
     Args:
@@ -71,8 +55,8 @@ def bounces(
     terms = [image[..., first + 3 * k : first + 3 * k + 3] for k in range(max_depth)]
     total = np.sum(terms, axis=0)
     gain = 2.0 ** stops(exposure, total)
-    panels = [Panel(term_title(k), FIRST[k] if k < 3 else f"{k} times", shown(gain * t)) for k, t in enumerate(terms)]
-    return [*panels, Panel("sum", f"up to {max_depth} edges", shown(gain * total))]
+    tiles = [Tile(term_title(k), FIRST[k] if k < 3 else f"{k} times", shown(gain * t)) for k, t in enumerate(terms)]
+    return [*tiles, Tile("sum", f"up to {max_depth} edges", shown(gain * total))]
 
 
 def term_title(k: int) -> str:
@@ -90,7 +74,7 @@ def samples(
     width: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> list[Panel]:
+) -> list[Tile]:
     """Render an image with 1, 16, 64, 256, .. samples per pixel, and measure the RMSE of each.
 
     The RMSE is the root mean square over `repeats` images with different seeds, against a reference with other seeds.
@@ -126,52 +110,11 @@ def samples(
     for _ in range(BATCHES):
         reference.add(image(part, next(random)))
     variance = float(reference.variance_of_mean().mean())
-    panels = []
+    tiles = []
     for number, count in enumerate(counts):
         random = seeds(seed, number + 1)
         images = [image(count, next(random)) for _ in range(repeats)]
         squares = float(np.mean([np.square(one - reference.mean).mean() for one in images]))
         error = math.sqrt(max(squares - variance, 0.0))
-        panels.append(Panel(f"{count} spp", f"RMSE {error:.2g}", shown(images[0])))
-    return panels
-
-
-def shown(image: npt.NDArray[np.float64]) -> Bytes:
-    """Convert linear light to bytes of sRGB, (H, W, 3)."""
-    return np.asarray(np.broadcast_to(Image(image.astype(np.float32)).srgb(), (*image.shape[:2], 3)))
-
-
-# ---- putting them side by side ----------------------------------------------------------------
-
-
-def strip(panels: Sequence[Panel], columns: int | None = None) -> Bytes:
-    """Panels of one size side by side, in rows of `columns` (default: one row): (H, W, 3) bytes of sRGB."""
-    columns = min(columns or len(panels), len(panels))
-    height, width, _ = panels[0].picture.shape
-    gap, text = max(2, width // 20), max(9, width // 14)
-    caption = round(2.9 * text)
-    rows = -(-len(panels) // columns)
-    page = Picture.new("RGB", (columns * (width + gap) + gap, rows * (height + caption + gap) + gap), PAPER)
-    draw = ImageDraw.Draw(page)
-    for i, panel in enumerate(panels):
-        x, y = gap + i % columns * (width + gap), gap + i // columns * (height + caption + gap)
-        page.paste(Picture.fromarray(panel.picture), (x, y))
-        write_line(draw, panel.title, (x, y + height + 0.25 * text), width, text + 1, INK)
-        write_line(draw, panel.subtitle, (x, y + height + 1.5 * text), width, text, GREY)
-    return np.array(page)
-
-
-def write_line(
-    draw: ImageDraw.ImageDraw, line: str, corner: tuple[float, float], width: int, height: int, color: tuple[int, ...]
-) -> None:
-    """Text in the middle of a panel; ``^`` raises the digits that follow."""
-    pieces = [piece for piece in re.split(r"(\^\d+)", line) if piece]
-    font = fitting_font(line.replace("^", ""), height, width)
-    raised = fitting_font("0", max(6, round(0.7 * height)), width)
-    fonts = [raised if piece.startswith("^") else font for piece in pieces]
-    words = [piece.removeprefix("^") for piece in pieces]
-    x = corner[0] + (width - sum(f.getlength(word) for f, word in zip(fonts, words, strict=True))) / 2
-    for word, f in zip(words, fonts, strict=True):
-        top = corner[1] - (0.15 * height if f is raised else 0)
-        draw.text((x, top), word, color, f, anchor="la")
-        x += f.getlength(word)
+        tiles.append(Tile(f"{count} spp", f"RMSE {error:.2g}", shown(images[0])))
+    return tiles

@@ -29,7 +29,7 @@ EXACT = 12
 """Nodes with at most so many primitives try all splits."""
 
 MANY = 1 << 17
-"""From so many primitives on, memory is given back after the build: Dr.Jit would keep it for later arrays."""
+"""With more primitives, memory is given back after the build: Dr.Jit would keep it for later arrays."""
 
 
 def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = "sah") -> BinaryTree:
