@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import djpt
 from djpt.errors import BackendError
@@ -41,8 +41,12 @@ except BackendError as error:
     sys.exit()
 import drjit as dr
 total = dr.sum(dr.minimum(dr.arange(backend.Float, 8), 3.5))[0]
-llvm = ".".join(map(str, dr.detail.llvm_version())) if "llvm" in backend.__name__ else ""
-print(json.dumps({"total": total, "threads": dr.thread_count(), "llvm": llvm}))
+answer = {"total": total, "threads": dr.thread_count()}
+if "llvm" in backend.__name__:
+    from djpt.llvm.lanes import instruction_set, lane_count
+    answer["llvm"] = ".".join(map(str, dr.detail.llvm_version()))
+    answer["lanes"], answer["instructions"] = lane_count(), instruction_set()
+print(json.dumps(answer))
 """
 _TRIAL_TOTAL = 0 + 1 + 2 + 3 + 4 * 3.5
 
@@ -164,8 +168,15 @@ def _trial() -> Finding:
         return Finding("Trial", "a small kernel was not run", "problem", answer["error"])
     if answer["total"] != _TRIAL_TOTAL:
         return Finding("Trial", f"a small kernel computed {answer['total']}, not {_TRIAL_TOTAL}", "problem")
-    llvm = f" on LLVM {answer['llvm']}" if answer["llvm"] else ""
-    return Finding("Trial", f"a small kernel ran{llvm}, {answer['threads']} threads")
+    return Finding("Trial", f"a small kernel ran{_width(answer)}, {answer['threads']} threads")
+
+
+def _width(answer: dict[str, Any]) -> str:
+    """What the kernel was compiled by and for, such as `` on LLVM 19.1.7, 16 lanes (AVX-512)``."""
+    if "llvm" not in answer:
+        return ""
+    instructions = f" ({answer['instructions']})" if answer["instructions"] else ""
+    return f" on LLVM {answer['llvm']}, {answer['lanes']} lanes{instructions}"
 
 
 def print_report(report: Report, console: Console | None = None) -> None:

@@ -26,6 +26,26 @@ def test_this_machine() -> None:
         report["nothing"]
 
 
+WIDTH = """
+import re
+from djpt.types import Float
+import drjit as dr
+with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+    dr.eval(dr.arange(Float, 8) + 1)
+    code = dr.kernel_history()[-1]["ir"].getvalue()
+name = next(name for name, text in (("AVX-512", "+avx512f"), ("AVX2", "+avx2"), ("NEON", "+neon")) if text in code)
+print(re.search(r"<(\\d+) x float>", code)[1], name)
+"""
+
+
+@pytest.mark.skipif(djpt.variant() != "llvm_ad_rgb", reason="lanes are LLVM's")
+def test_it_names_the_width_of_kernels() -> None:
+    """That of the code that Dr.Jit hands to LLVM."""
+    done = run_python("-c", WIDTH)
+    width, name = done.stdout.split()
+    assert f", {width} lanes ({name}), " in examine()["Trial"].found
+
+
 def test_it_works_from_another_folder(tmp_path: Path) -> None:
     done = run_python("-c", DOCTOR, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
