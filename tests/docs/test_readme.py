@@ -93,3 +93,8 @@ def test_the_table_of_plugins_is_true(row: str) -> None:
     # Two of its integrators are in Python.
     assert both - {"prb", "prb_basic"} <= theirs
     assert missing <= theirs and not only_here & theirs
+
+
+def test_the_changelog_and_the_citation_name_this_version() -> None:
+    assert f"\n## [{djpt.__version__}] - " in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\nversion: {djpt.__version__}\n" in (ROOT / "CITATION.cff").read_text()
