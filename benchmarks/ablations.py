@@ -1,4 +1,4 @@
-"""What each idea behind djpt's speed gives: the Cornell box with one of them taken away.
+"""The gain of each idea behind djpt's speed: the Cornell box with one of them taken away.
 
     python benchmarks/ablations.py [--spp N] [--pairs N]
 
@@ -32,21 +32,21 @@ def renderer(spp: int, **options: Any) -> Render:
 
 @contextmanager
 def no_select_chains() -> Iterator[None]:
-    """Tables are gathered from memory."""
+    """Gather all tables from memory."""
     with patch.object(lookup, "MAX_CHAIN", 1):
         yield
 
 
 @contextmanager
 def no_shared_axes() -> Iterator[None]:
-    """Every plane and slab has axes of its own, known as values only."""
+    """Give every plane and slab axes of its own, known as values only."""
     with patch.object(axes, "ALIGNED", -1.0):
         yield
 
 
 @contextmanager
 def no_hull_culling() -> Iterator[None]:
-    """Shadow rays are tested against all shapes."""
+    """Test shadow rays against all shapes."""
     with patch.object(unrolled.Unrolled, "_is_hull", lambda *_: False):
         yield
 

@@ -1,9 +1,9 @@
-"""How many rays per second do the acceleration structures answer, compared with Mitsuba 3 on the same machine?
+"""Rays per second of the acceleration structures, compared with Mitsuba 3 on the same machine.
 
     python benchmarks/accelerators.py [--triangles 100000] [--rays 1000000] [--rounds 5] [--all]
 
 Three kinds of rays: coherent ones from a camera, incoherent ones that leave the first hits by the cosine, and
-shadow rays from there to a lamp, which only ask whether anything is hit. All structures and Mitsuba (Embree)
+shadow rays from there to a lamp, which end at any hit. All structures and Mitsuba (Embree)
 take turns in one process; numbers are medians over the rounds in millions of rays per second, and the median
 over the rounds of the ratio to Mitsuba. Kernels are compiled before the clock starts. `--all` adds trees by
 other methods and, on small scenes, brute force.
@@ -34,7 +34,7 @@ from djpt.types import PCG32, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 BRUTE_FORCE = 3000
-"""So many triangles are the most for which every ray can be tested against all."""
+"""Most triangles for which brute force is measured."""
 
 LAMP = (2.0, 3.0, 4.0)
 
@@ -42,7 +42,7 @@ Work = Callable[[], Any]
 
 
 def model(triangles: int, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Vertices and faces of a sphere with bumps of all sizes on a floor."""
+    """The vertices and faces of a sphere with bumps of all sizes on a floor."""
     rng = np.random.default_rng(seed)
     rows = max(2, round((triangles / 4) ** 0.5))
     u, v = np.linspace(0, 2 * np.pi, 2 * rows, endpoint=False), np.linspace(0.02, np.pi - 0.02, rows + 1)
@@ -62,7 +62,7 @@ def model(triangles: int, seed: int = 0) -> tuple[NDArray[np.float32], NDArray[n
 
 
 def rays(structure: Accelerator, corners: NDArray[np.float32], count: int) -> dict[str, Ray3f]:
-    """The rays to measure with."""
+    """Make the rays of each kind."""
     side = round(count**0.5)
     index = dr.arange(UInt32, side * side)
     x, y = (Float(index % side) + 0.5) / side - 0.5, (Float(index // side) + 0.5) / side - 0.5
@@ -91,7 +91,7 @@ def rays(structure: Accelerator, corners: NDArray[np.float32], count: int) -> di
 
 
 def mitsuba_scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> Any:
-    """The same triangles."""
+    """Load a mesh into Mitsuba."""
     mesh = mi.Mesh("model", len(vertices), len(faces))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"], parameters["faces"] = vertices.ravel(), faces.ravel()
@@ -100,7 +100,7 @@ def mitsuba_scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> A
 
 
 def mitsuba_works(scene: Any, kinds: dict[str, Ray3f]) -> dict[str, Work]:
-    """Mitsuba's answers."""
+    """The queries of each kind of rays to Mitsuba, as functions."""
     theirs = {kind: mi.Ray3f(mi.Point3f(ray.o), mi.Vector3f(ray.d), ray.maxt, 0.0, []) for kind, ray in kinds.items()}
 
     def closest(ray: Any) -> Any:
@@ -114,7 +114,7 @@ def mitsuba_works(scene: Any, kinds: dict[str, Ray3f]) -> dict[str, Work]:
 
 
 def works(structure: Accelerator, kinds: dict[str, Ray3f]) -> dict[str, Work]:
-    """A structure's answers."""
+    """The queries of each kind of rays to a structure, as functions."""
     return {
         kind: (lambda ray=ray: structure.any_hit(ray))
         if kind == "any hit"
@@ -133,7 +133,7 @@ def seconds(work: Work) -> float:
 
 
 def main() -> None:
-    """Print a table."""
+    """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--triangles", type=int, default=100_000)
     parser.add_argument("--rays", type=int, default=1_000_000)

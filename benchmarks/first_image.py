@@ -15,7 +15,7 @@ SPP = 16
 
 
 def first_image(renderer: Any, description: dict[str, Any]) -> float:
-    """Load, render, wait."""
+    """The seconds that loading and rendering take, until the image is computed."""
     import drjit as dr
 
     start = time.perf_counter()

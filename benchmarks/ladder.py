@@ -1,11 +1,11 @@
-"""Error of each step from ray casting to path tracing, on one scene: the table of docs/theory.
+"""The error of each step from ray casting to path tracing, on one scene: the table of docs/theory.
 
     python benchmarks/ladder.py [--size N] [--spp N] [--seeds N] [--reference N]
 
 Per integrator, over all pixels but those that see the lamp: the light that it shows, as a share of all (mean over
 mean of the reference); the root mean square error; the part of it that is noise; and the median of the pixels'
-absolute errors, which a few bright dots don't touch. All linear values, at equal samples per pixel. `reference`:
-samples per pixel of `path` that count as the truth.
+absolute errors, on which a few bright dots have no effect. All values are linear, at equal samples per pixel. The
+reference is an image of `path` with `--reference` samples per pixel.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def main() -> None:
 
     scene = djpt.load_dict(room(options.size))
     reference = render(scene, STEPS["path"], options.reference, 12345)
-    # The lamp itself is all or nothing at its edges, with each of them.
+    # The edges of the lamp are noisy with every integrator, so its pixels are left out.
     dark = render(scene, {"type": "path", "max_depth": 1}, 256, 0).max(axis=2) == 0
     truth = reference[dark]
     print(f"| {options.spp} spp | light shown | RMSE | noise | median error |\n|---|---|---|---|---|")

@@ -20,7 +20,7 @@ def sky(width: int = 512, height: int = 256) -> np.ndarray:
 
 
 def spheres_under_sky(module: Any, ground: bool, size: int = 256) -> dict[str, Any]:
-    """Twenty diffuse spheres, over a ground if wanted, as djpt or mitsuba (the `module`) describes them."""
+    """Twenty diffuse spheres, with `ground` above a floor, as the `module` djpt or mitsuba describes them."""
     T = module.ScalarTransform4f
     random = np.random.default_rng(0)
     scene: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""How fast are scenes under an environment map, compared with Mitsuba 3 on the same machine?
+"""Times of scenes under an environment map, compared with Mitsuba 3 on the same machine.
 
     python benchmarks/lights.py [--quick] [--pairs N] [--json FILE]
 
@@ -18,7 +18,7 @@ from pairs import Row, report
 
 
 def rows(pairs: int, quick: bool) -> Iterator[Row]:
-    """All measurements."""
+    """Measure all rows of the table."""
     spp = 32 if quick else 128
     yield image_row("20 spheres under an envmap", lambda m: spheres_under_sky(m, False), pairs, 4, None, spp)
     yield image_row("the same on a ground", lambda m: spheres_under_sky(m, True), pairs, None, None, spp)

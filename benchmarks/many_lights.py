@@ -1,4 +1,4 @@
-"""1000 lights: the error at equal time, by the way in which emitters are chosen.
+"""The error at equal time in scenes of 1000 lights, by the way in which emitters are chosen.
 
     python benchmarks/many_lights.py [--lights N] [--size N] [--rounds N] [--quick]
 
@@ -6,8 +6,8 @@ Each choice renders as many samples as it can in the same time: the errors (root
 against a long reference by the tree) are brought to equal time by error * sqrt(time), since the
 variance falls with the samples. Rounds are interleaved; medians.
 
-Camera rays pass through the lamps (`hide_emitters`): the noise at the edges of lamps that are seen is the
-same for all choices and larger than all else, so with it the tree's ratio would be below 1. The constants of
+Camera rays pass through the lamps (`hide_emitters`): the noise at the edges of visible lamps is the same for
+all choices and larger than all other noise, so with it the tree's ratio would be below 1. The constants of
 `djpt.emitters.choice.tree_nodes` were chosen for the floors of these scenes.
 """
 
@@ -35,7 +35,7 @@ EXTENT = 20.0
 SPP = {"uniform": 64, "power": 64, "tree": 64}
 REFERENCE_SPP = 8192
 REQUIRED = 3.0
-"""By how much the tree's error must be smaller than that of uniform choice."""
+"""The factor by which the tree's error must be smaller than that of the uniform choice."""
 
 
 def hall(size: int) -> dict[str, Any]:
@@ -62,17 +62,17 @@ def hall(size: int) -> dict[str, Any]:
 
 
 def places(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Where lights hang, (count, 3)."""
+    """The positions of the lights, (count, 3)."""
     return np.stack([*rng.uniform(-EXTENT, EXTENT, (2, count)), rng.uniform(0.8, 3.5, count)], axis=1)
 
 
 def colour(rng: np.random.Generator, strength: float) -> dict[str, Any]:
-    """A colour of a mean strength that varies by a factor of ten and more."""
+    """A random colour; its strength varies around a mean by a factor of ten and more."""
     return {"type": "rgb", "value": (strength * rng.exponential() * rng.uniform(0.3, 1, 3)).tolist()}
 
 
 def area_lights(count: int = 1000, size: int = 128) -> dict[str, Any]:
-    """Small rectangles that shine downwards, more or less, and spheres."""
+    """The hall with area lights: small rectangles that shine downwards, roughly, and spheres."""
     rng, scene = np.random.default_rng(2), hall(size)
     for k, p in enumerate(places(rng, count)):
         light = {"type": "area", "radiance": colour(rng, 100.0)}
@@ -87,7 +87,7 @@ def area_lights(count: int = 1000, size: int = 128) -> dict[str, Any]:
 
 
 def point_lights(count: int = 1000, size: int = 128) -> dict[str, Any]:
-    """Points."""
+    """The hall with point lights."""
     rng, scene = np.random.default_rng(3), hall(size)
     for k, p in enumerate(places(rng, count)):
         scene[f"light{k}"] = {"type": "point", "position": p.tolist(), "intensity": colour(rng, 1.0)}
@@ -98,7 +98,7 @@ SCENES: dict[str, Callable[[int, int], dict[str, Any]]] = {"area lights": area_l
 
 
 def rendered(scene: Any, choice: str, spp: int, seed: int) -> tuple[np.ndarray, float]:
-    """An image and its time in seconds."""
+    """Render an image: its pixels and its time in seconds."""
     integrator = djpt.load_dict({"type": "path", "max_depth": 3, "hide_emitters": True, "emitter_choice": choice})
     dr.sync_thread()
     start = time.perf_counter()
@@ -109,7 +109,7 @@ def rendered(scene: Any, choice: str, spp: int, seed: int) -> tuple[np.ndarray, 
 
 
 def errors(scene: Any, rounds: int, reference_spp: int) -> dict[str, tuple[float, float, float]]:
-    """By choice: (root mean square error of one second's samples, that at equal samples, seconds per render)."""
+    """Measure, by choice: (RMSE brought to one second, RMSE at equal samples, seconds per render)."""
     reference = np.mean([rendered(scene, "tree", reference_spp // 8, 100 + k)[0] for k in range(8)], axis=0)
     found: dict[str, list[tuple[float, float]]] = {choice: [] for choice in CHOICES}
     for k in range(rounds + 1):
@@ -125,7 +125,7 @@ def errors(scene: Any, rounds: int, reference_spp: int) -> dict[str, tuple[float
 
 
 def main() -> int:
-    """Print the table; 0 if the tree is as good as required."""
+    """Print the table; return 0 if the tree is as good as required."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--lights", type=int, default=1000)
     parser.add_argument("--size", type=int, default=128)

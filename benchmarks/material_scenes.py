@@ -15,7 +15,7 @@ ROUGH_GOLD = {"type": "roughconductor", "material": "Au", "distribution": "ggx",
 
 
 def glass_and_gold(module: Any) -> dict[str, Any]:
-    """The Cornell box with two spheres in place of its boxes."""
+    """The Cornell box with a sphere of glass and one of rough gold in place of its boxes."""
     scene = module.cornell_box()
     del scene["small-box"], scene["large-box"]
     scene["integrator"] = {"type": "path", "max_depth": 8}

@@ -1,4 +1,4 @@
-"""How fast are scenes of several materials, compared with Mitsuba 3 on the same machine?
+"""Times of scenes of several materials, compared with Mitsuba 3 on the same machine.
 
     python benchmarks/materials.py [--quick] [--pairs N] [--json FILE]
 
@@ -26,12 +26,12 @@ from pairs import Row, report
 
 
 def box_row(spp: int, pairs: int) -> Row:
-    """Analytic shapes: the flat schedule."""
+    """Measure analytic shapes, in the flat schedule."""
     return image_row("Cornell box, glass and rough gold spheres", glass_and_gold, pairs, 6.5, 9, spp)
 
 
 def meshes_row(folder: Path, pairs: int) -> Row:
-    """Triangles: the machine schedule."""
+    """Measure triangles, in the machine schedule."""
     files = [write_bumpy_sphere(folder, 5000, seed) for seed in range(20)]
     return image_row(
         "twenty meshes of five classes, 100000 triangles", lambda m: five_materials(m, files), pairs, 1.4, 1.8
@@ -39,14 +39,14 @@ def meshes_row(folder: Path, pairs: int) -> Row:
 
 
 def colours_rows(pairs: int) -> Iterator[Row]:
-    """A material for each of 200 spheres: tables instead of chains."""
+    """Measure 200 spheres with a material each, whose values are read from tables."""
     yield image_row("200 spheres of 200 colours", many_colours, pairs, 1.0, None)
     times = [first_image() for _ in range(3)]
     yield Row("  its first image, seconds", 2, None, [statistics.median(times)], "empty kernel cache", True)
 
 
 def first_image() -> float:
-    """Seconds from the end of the imports to the image in a process of its own."""
+    """Measure the seconds from the end of the imports to the image, in a process of its own."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "DRJIT_CACHE_DIR": cache}
         command = [sys.executable, __file__, "first"]
@@ -54,7 +54,7 @@ def first_image() -> float:
 
 
 def first_alone() -> None:
-    """Print what `first_image` measures."""
+    """Print the seconds that `first_image` reads from this process."""
     _ = djpt.load_dict, djpt.render, djpt.integrators
     start = time.perf_counter()
     dr.eval(djpt.render(djpt.load_dict(many_colours(djpt)), spp=16))
@@ -63,7 +63,7 @@ def first_alone() -> None:
 
 
 def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
-    """The whole table."""
+    """Measure all rows of the table."""
     yield box_row(64 if quick else 128, pairs)
     with tempfile.TemporaryDirectory() as name:
         yield meshes_row(Path(name), pairs)

@@ -14,7 +14,7 @@ __all__ = ["bumpy_sphere", "many_shapes", "over_floor", "twenty_meshes", "write_
 
 
 def write_bumpy_sphere(folder: Path, triangles: int, seed: int = 0) -> Path:
-    """A PLY file of about so many triangles: a unit sphere with bumps of all sizes."""
+    """Write a PLY file of about `triangles` triangles: a unit sphere with bumps of all sizes."""
     path = folder / f"bumpy_{triangles}_{seed}.ply"
     if not path.exists():
         positions, faces = bumps(triangles, seed)
@@ -23,7 +23,7 @@ def write_bumpy_sphere(folder: Path, triangles: int, seed: int = 0) -> Path:
 
 
 def bumps(triangles: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices and faces: longitude and latitude, the radius a sum of sines of rising frequency."""
+    """The vertices and faces by longitude and latitude; the radius is a sum of sines of rising frequency."""
     rows = int(np.sqrt(triangles / 4)) + 1
     columns = 2 * rows
     phi = np.linspace(0, 2 * np.pi, columns, endpoint=False)

@@ -1,4 +1,4 @@
-"""How fast are meshes and many shapes, compared with Mitsuba 3 on the same machine?
+"""Times of meshes and many shapes, compared with Mitsuba 3 on the same machine.
 
     python benchmarks/meshes.py [--quick] [--pairs N] [--json FILE]
 
@@ -33,7 +33,7 @@ SPP = 32
 def image_row(
     what: str, description: Any, pairs: int, required: float | None, aim: float | None, spp: int = SPP
 ) -> Row:
-    """An image, warm; ``description(module)`` gives the scene as djpt or mitsuba describes it."""
+    """Measure an image, kernels compiled; ``description(module)`` is the scene as djpt or mitsuba describes it."""
     ours, theirs = djpt.load_dict(description(djpt)), mi.load_dict(description(mi))
     ratios, times = in_pairs(
         lambda seed: djpt.render(ours, spp=spp, seed=seed), lambda seed: mi.render(theirs, spp=spp, seed=seed), pairs
@@ -42,7 +42,7 @@ def image_row(
 
 
 def image_rows(folder: Path, pairs: int, quick: bool) -> Iterator[Row]:
-    """Path tracing."""
+    """Measure images by path tracing."""
     for count in (10_000, 100_000) if quick else (10_000, 100_000, 1_000_000):
         file = write_bumpy_sphere(folder, count)
         for normals in ("face", "vertex"):
@@ -59,7 +59,7 @@ def image_rows(folder: Path, pairs: int, quick: bool) -> Iterator[Row]:
 
 
 def gradient_row(folder: Path, pairs: int) -> Row:
-    """An image and the gradient by an albedo, for information."""
+    """Measure an image and its gradient by an albedo, for information."""
     file = write_bumpy_sphere(folder, 100_000)
 
     def gradient(module: Any) -> Any:
@@ -83,7 +83,7 @@ def gradient_row(folder: Path, pairs: int) -> Row:
 
 
 def query_rows(folder: Path, pairs: int) -> Iterator[Row]:
-    """`ray_intersect` and `ray_test` on incoherent rays: diffuse bounces off the bumpy sphere."""
+    """Measure `ray_intersect` and `ray_test` on incoherent rays: diffuse bounces off the bumpy sphere."""
     file = write_bumpy_sphere(folder, 100_000)
     ours, theirs = (m.load_dict({"type": "scene", "ball": bumpy_sphere(file, True)}) for m in (djpt, mi))
     o, d = bounces(ours, 2**20)
@@ -107,7 +107,7 @@ def query_rows(folder: Path, pairs: int) -> Iterator[Row]:
 
 
 def bounces(scene: djpt.Scene, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and directions (3, N) of rays that leave the surface cosine-distributed."""
+    """The origins and directions (3, N) of rays that leave the surface cosine-distributed."""
     rng = np.random.default_rng(0)
     o = rng.normal(size=(3, count))
     o *= 3 / np.linalg.norm(o, axis=0)
@@ -123,7 +123,7 @@ def bounces(scene: djpt.Scene, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def build_rows(folder: Path) -> Iterator[Row]:
-    """Seconds and memory for the BVH of 10^6 triangles, each in a process of its own."""
+    """Measure seconds and memory for the BVH of 10^6 triangles, each in a process of its own."""
     file = write_bumpy_sphere(folder, 1_000_000)
     numbers = [float(x) for x in in_process("build", file).split()]
     yield Row("BVH over 10^6 triangles, seconds", 3, None, [numbers[0]], "triangles' frames and records included", True)
@@ -131,7 +131,7 @@ def build_rows(folder: Path) -> Iterator[Row]:
 
 
 def first_image_row(folder: Path) -> Row:
-    """The first image of a process that finds no compiled kernels, loading included."""
+    """Measure the first image of a process that finds no compiled kernels, loading included."""
     file = write_bumpy_sphere(folder, 100_000)
     times = [float(in_process("first", file)) for _ in range(3)]
     return Row(
@@ -140,7 +140,7 @@ def first_image_row(folder: Path) -> Row:
 
 
 def in_process(what: str, file: Path) -> str:
-    """What this script prints when it is called as ``meshes.py what file``, with an empty kernel cache."""
+    """Run this script as ``meshes.py what file`` with an empty kernel cache, and return its output."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "DRJIT_CACHE_DIR": cache}
         command = [sys.executable, __file__, what, str(file)]
@@ -148,7 +148,7 @@ def in_process(what: str, file: Path) -> str:
 
 
 def build_alone(file: Path) -> None:
-    """Print the seconds that the BVH of a mesh takes, and how many MiB more than before were in use at most."""
+    """Print the seconds that the BVH of a mesh takes, and the peak of additional memory in MiB."""
     from djpt.geometry.forest import Forest
     from djpt.geometry.mesh_set import MeshSet
 
@@ -173,7 +173,7 @@ def build_alone(file: Path) -> None:
 
 
 def memory_in_use() -> float:
-    """MiB of this process that are in memory; Linux only."""
+    """The memory of this process in MiB; Linux only."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
@@ -189,7 +189,7 @@ def first_alone(file: Path) -> None:
 
 
 def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
-    """The whole table."""
+    """Measure all rows of the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         yield from image_rows(folder, pairs, quick)

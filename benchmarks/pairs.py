@@ -1,4 +1,4 @@
-"""Measuring two renderers in turns, and reporting it: shared by the benchmarks of this folder."""
+"""Measurements of two renderers in turns, and their report: shared by the benchmarks of this folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Row:
 
     what: str
     required: float | None
-    """None: for information."""
+    """The ratio to be reached; None: for information."""
     aim: float | None
     ratios: list[float]
     """Mitsuba's time / djpt's, one per pair; or a single number that must not exceed `required`."""
@@ -35,12 +35,12 @@ class Row:
 
     @property
     def measured(self) -> float:
-        """The median."""
+        """The median of the ratios."""
         return statistics.median(self.ratios)
 
     @property
     def passed(self) -> bool:
-        """Was the required number reached?"""
+        """Whether the required number was reached."""
         if self.required is None:
             return True
         return self.measured <= self.required if self.at_most else self.measured >= self.required
@@ -59,7 +59,7 @@ def seconds(work: Callable[[], Any]) -> float:
 
 
 def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> tuple[list[float], str]:
-    """The ratios of interleaved calls, and the median times in words. Each call gets a new seed."""
+    """Measure interleaved calls: their ratios, and the median times in words. Each call gets a new seed."""
     for seed in (0, 1):
         seconds(lambda seed=seed: ours(seed))
         seconds(lambda seed=seed: theirs(seed))
@@ -74,7 +74,7 @@ def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: in
 
 
 def machine() -> dict[str, Any]:
-    """What the numbers depend on."""
+    """The facts that the numbers depend on: processor, versions, variant."""
     cpu, flags = platform.processor() or platform.machine(), ""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -122,7 +122,7 @@ LAYOUT = "{:49} {:>8} {:>5} {:>22}  {:6}  {}"
 
 
 def report(description: str, what: str, all_rows: Callable[[int, bool], Iterator[Row]]) -> int:
-    """Read the command line, measure `all_rows(pairs, quick)`, print; 0 if all required numbers were reached."""
+    """Read the command line, measure `all_rows(pairs, quick)`, print; return 0 if all required numbers were reached."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="3 pairs, and smaller images")
     parser.add_argument("--pairs", type=int, help="pairs of each row (default 7)")

@@ -1,4 +1,4 @@
-"""How fast is light tracing, compared with Mitsuba 3's `ptracer` on the same machine?
+"""Times of light tracing, compared with Mitsuba 3's `ptracer` on the same machine.
 
     python benchmarks/ptracer.py [--quick] [--pairs N] [--json FILE]
 
@@ -19,7 +19,7 @@ from versus_mitsuba import cornell_box
 
 
 def image_row(rfilter: str, spp: int, pairs: int, required: float | None) -> Row:
-    """An image, warm."""
+    """Measure an image, kernels compiled."""
     ours, theirs = (m.load_dict(cornell_box(m, rfilter, "ptracer")) for m in (djpt, mi))
     ratios, times = in_pairs(
         lambda seed: djpt.render(ours, spp=spp, seed=seed), lambda seed: mi.render(theirs, spp=spp, seed=seed), pairs
@@ -28,7 +28,7 @@ def image_row(rfilter: str, spp: int, pairs: int, required: float | None) -> Row
 
 
 def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
-    """The whole table."""
+    """Measure all rows of the table."""
     spp = 16 if quick else 64
     yield image_row("box", spp, pairs, 4)
     yield image_row("gaussian", spp, pairs, None)

@@ -1,10 +1,11 @@
-"""Error and time of every sampler: the Cornell box and a floor under a white sky.
+"""The error and time of every sampler, in the Cornell box and on a floor under a white sky.
 
     python benchmarks/samplers.py [--size N] [--seeds N] [--spp N ..]
 
-For each count, the RMSE over that of `independent` at the same asked count, averaged over pixels that see no lamp and
-over seeds; `blurred`: the same of images blurred by a Gaussian of 1.5 pixels, at the first count. The last column is
-the time per sample, the fastest of interleaved runs. Counts that a sampler rounds up are marked with what it took.
+For each count, the RMSE divided by that of `independent` at the same requested count, averaged over seeds and over
+pixels that see no lamp; `blurred`: the same for images blurred by a Gaussian of 1.5 pixels, at the first count. The
+last column is the time per sample, the fastest of interleaved runs. Counts that a sampler rounds up are marked with
+the count that it took.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def scene(lit: str, size: int, sampler: dict[str, Any]) -> Any:
 
 
 def blurred(image: np.ndarray) -> np.ndarray:
-    """Convolved with a Gaussian of 1.5 pixels, periodically."""
+    """Convolve an image with a Gaussian of 1.5 pixels, periodically."""
     frequency = [np.fft.fftfreq(n) for n in image.shape[:2]]
     squared = frequency[0][:, None, None] ** 2 + frequency[1][None, :, None] ** 2
     kernel = np.exp(-2 * (np.pi * 1.5) ** 2 * squared)
@@ -57,15 +58,15 @@ def blurred(image: np.ndarray) -> np.ndarray:
 
 
 def errors(loaded: Any, spp: int, seeds: int, reference: np.ndarray) -> np.ndarray:
-    """Differences from the reference, (seed, row, column, channel), 0 next to the lamp and in front of the sky."""
+    """The differences from the reference, (seed, row, column, channel); 0 next to the lamp and in front of the sky."""
     dim = (reference.max(axis=2, keepdims=True) < 0.99).astype(float)
-    # Edges of what shines would outweigh everything else.
+    # The error at the edges of lights would outweigh everything else.
     inner = np.min([np.roll(dim, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
     return np.array([(np.array(djpt.render(loaded, spp=spp, seed=s)) - reference) * inner for s in range(seeds)])
 
 
 def rmse(e: np.ndarray) -> float:
-    """Root of the mean square."""
+    """The root mean square."""
     return float(np.sqrt(np.square(e).mean()))
 
 

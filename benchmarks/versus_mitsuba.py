@@ -1,9 +1,9 @@
-"""How fast is djpt, compared with Mitsuba 3 on the same machine?
+"""Times of djpt, compared with Mitsuba 3 on the same machine.
 
     python benchmarks/versus_mitsuba.py [--quick] [--pairs N] [--json FILE]
 
 Both renderers run in this process and share Dr.Jit's threads. They take turns, pair by pair, so
-that whatever slows the machine down slows both; the ratio of a row is the median over the pairs of
+that other load on the machine slows both; the ratio of a row is the median over the pairs of
 Mitsuba's time divided by djpt's, with the smallest and the largest. Kernels are compiled before
 the clock starts, except in the row that measures just that. Exit code 1: a required ratio was missed.
 """
@@ -42,7 +42,7 @@ def cornell_box(module: Any, rfilter: str, integrator: str = "path") -> dict[str
 
 
 def image_row(rfilter: str, spp: int, pairs: int, required: float, aim: float) -> Row:
-    """An image, warm."""
+    """Measure an image, kernels compiled."""
     ours, theirs = (m.load_dict(cornell_box(m, rfilter)) for m in (djpt, mi))
     ratios, times = in_pairs(
         lambda seed: djpt.render(ours, spp=spp, seed=seed), lambda seed: mi.render(theirs, spp=spp, seed=seed), pairs
@@ -51,7 +51,7 @@ def image_row(rfilter: str, spp: int, pairs: int, required: float, aim: float) -
 
 
 def first_image_row(rfilter: str, pairs: int, required: float | None) -> Row:
-    """The first image of a process that finds no compiled kernels, without its imports."""
+    """Measure the first image of a process that finds no compiled kernels, without its imports."""
     results = [(first_image("mitsuba", rfilter), first_image("djpt", rfilter)) for _ in range(pairs)]
     medians = [
         [statistics.median(pair[side][key] for pair in results) for side in (0, 1)] for key in ("image", "process")
@@ -69,7 +69,7 @@ def first_image_row(rfilter: str, pairs: int, required: float | None) -> Row:
 
 
 def first_image(renderer: str, rfilter: str) -> dict[str, float]:
-    """`image`: seconds from the end of the imports to the image; `process`: from start to exit."""
+    """The seconds from the end of the imports to the image, `image`, and from start to exit, `process`."""
     with tempfile.TemporaryDirectory() as cache:
         start = time.perf_counter()
         done = subprocess.run(
@@ -83,7 +83,7 @@ def first_image(renderer: str, rfilter: str) -> dict[str, float]:
 
 
 def gradient_rows(rfilter: str, pairs: int, required: float, aim: float) -> Iterator[Row]:
-    """An image and the gradient of a linear loss by nine numbers; time, and agreement at equal seeds."""
+    """Measure an image and the gradient of a linear loss by nine numbers: time, and agreement at equal seeds."""
     loss_weights = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
 
     def gradient(module: Any) -> Callable[[int], list[Any]]:
@@ -113,7 +113,7 @@ def gradient_rows(rfilter: str, pairs: int, required: float, aim: float) -> Iter
 
 
 def all_rows(pairs: int, quick: bool) -> Iterator[Row]:
-    """The whole table."""
+    """Measure all rows of the table."""
     spp = 64 if quick else 256
     yield image_row("box", spp, pairs, 12, 15)
     yield image_row("gaussian", spp, pairs, 8, 10)

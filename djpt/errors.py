@@ -1,7 +1,7 @@
-"""The exception family of djpt, and the sentence that suggests a near miss.
+"""The exception family of djpt, and the part of messages that suggests a near miss.
 
 Every error that a user can cause is a `DjptError`. A message names the node (a scene
-path such as ``scene.white``), says what was found and what is possible. Subclasses also
+path such as ``scene.white``), what was found and what is possible. Subclasses also
 derive from the built-in exception that Python code would expect to catch.
 """
 
@@ -22,7 +22,7 @@ __all__ = [
 
 
 class DjptError(Exception):
-    """Base of all errors that djpt raises on purpose."""
+    """The base of all errors that djpt raises on purpose."""
 
 
 class BackendError(DjptError, RuntimeError):
@@ -34,14 +34,14 @@ class SceneError(DjptError, ValueError):
 
 
 class ParameterError(DjptError, KeyError):
-    """`traverse()`: an unknown parameter name, or a value that the parameter can't take."""
+    """A parameter of `traverse()` has an unknown name, or a value that it can't take."""
 
     def __str__(self) -> str:  # KeyError would show the repr of the message
         return str(self.args[0]) if self.args else ""
 
 
 class RenderError(DjptError, ValueError):
-    """`render()`: arguments that can't be rendered (spp 0, no sensor, an empty film)."""
+    """The arguments of `render()` can't be rendered (spp 0, no sensor, an empty film)."""
 
 
 class FileError(DjptError, OSError):
@@ -49,7 +49,7 @@ class FileError(DjptError, OSError):
 
 
 def near_miss(found: str, possible: Iterable[str]) -> str:
-    """Say what is possible: ``; did you mean 'x'?`` or ``; possible: a, b, c``.
+    """Suggest what is possible: ``; did you mean 'x'?`` or ``; possible: a, b, c``.
 
     Returns an empty string if `possible` is empty. Meant to be appended to a message.
     """

@@ -1,4 +1,4 @@
-"""Orthonormal frames: to and from the local space of a surface point."""
+"""Orthonormal frames: maps to and from the local space of a surface point."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Frame3f:
         return Frame3f(s, t, n)
 
     def to_local(self, v: Vector3f) -> Vector3f:
-        """World to local: (v.s, v.t, v.n)."""
+        """Map a world vector to local coordinates: (v.s, v.t, v.n)."""
         return Vector3f(dr.dot(v, self.s), dr.dot(v, self.t), dr.dot(v, self.n))
 
     def to_world(self, v: Vector3f) -> Vector3f:
-        """Local to world: s v.x + t v.y + n v.z."""
+        """Map a local vector to world space: s v.x + t v.y + n v.z."""
         return dr.fma(self.n, v.z, dr.fma(self.t, v.y, self.s * v.x))
 
     @staticmethod
     def cos_theta(v: Vector3f) -> Float:
-        """Cosine between a local direction and the normal."""
+        """The cosine between a local direction and the normal."""
         return v.z

@@ -36,11 +36,11 @@ def traverse(node: Plugin) -> SceneParameters:
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a parameter is kept."""
+    """The place of a parameter: its owner, and the owner's attribute."""
 
     owner: Plugin
     name: str
-    """As the owner reported it."""
+    """The parameter's name, as the owner reported it."""
     attribute: str
     flags: ParamFlags
     path: tuple[str, ...]
@@ -53,12 +53,12 @@ class Entry:
         setattr(self.owner, self.attribute, value)
 
     def is_computed(self) -> bool:
-        """Is the value made anew at each reading?"""
+        """Whether the value is computed anew at each read."""
         return isinstance(getattr(type(self.owner), self.attribute, None), property)
 
 
 class Loan:
-    """A value that a caller has had in hand and may have edited in place."""
+    """A value that a caller has read, and may have edited in place."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
@@ -67,7 +67,7 @@ class Loan:
         self.state = state_of(value)
 
     def is_edited(self) -> bool:
-        """Has the value changed since it was lent?"""
+        """Whether the value has changed since the caller read it."""
         return state_of(self.value) != self.state
 
 
@@ -81,7 +81,7 @@ class Walk:
 
 
 class Visit:
-    """The callback of one plugin."""
+    """The traversal callback of one plugin."""
 
     def __init__(self, walk: Walk, node: Plugin, path: tuple[str, ...]) -> None:
         self.walk, self.node, self.path = walk, node, path
@@ -93,7 +93,7 @@ class Visit:
         flags: ParamFlags = ParamFlags.NonDifferentiable,
         attribute: str | None = None,
     ) -> None:
-        """See `djpt.description.plugin.TraversalCallback`."""
+        """Add a parameter or a nested plugin: see `djpt.description.plugin.TraversalCallback`."""
         if isinstance(value, Plugin):
             if id(value) not in self.walk.parents:
                 self.walk.parents[id(value)] = self.node
@@ -122,7 +122,7 @@ class SceneParameters(Mapping[str, Any]):
         self._parents = parents
         self._lent: dict[str, Loan] = {}
         self._dirty: dict[str, tuple[Entry, Any]] = {}
-        """What has changed since the last update, each with the value it had before."""
+        """The parameters that have changed since the last update, with the values that they had before."""
 
     # ---- reading -----------------------------------------------------------------------
 
@@ -147,13 +147,13 @@ class SceneParameters(Mapping[str, Any]):
         return self._entry(key).flags
 
     def copy(self) -> SceneParameters:
-        """The same parameters of the same plugins, to be narrowed down with `keep` independently."""
+        """A second view of the same parameters, which can be narrowed down with `keep` independently."""
         return SceneParameters(self._root, self._entries, self._parents)
 
     def _entry(self, key: str) -> Entry:
         if isinstance(key, str) and key in self._entries:
             return self._entries[key]
-        # A scene has hundreds of names: show the nearest.
+        # A scene has hundreds of names: the message lists the nearest ones.
         nearest = difflib.get_close_matches(str(key), self._entries, n=6, cutoff=0.3)
         raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), nearest)}")
 
@@ -192,7 +192,7 @@ class SceneParameters(Mapping[str, Any]):
                 raise ParameterError("isn't differentiable, but the value has gradients enabled")
         except DjptError as error:
             if in_place and loan is not None:
-                # The edit has reached the plugin already: take it back.
+                # The edit in place has changed the plugin already: undo it.
                 entry.write(loan.before)
                 del self._lent[key]
             message = str(error)
@@ -220,7 +220,7 @@ class SceneParameters(Mapping[str, Any]):
                 (so an optimiser with further variables can be passed).
 
         Returns:
-            The plugins that were told, nested ones first, each with the names that changed in it.
+            The plugins that were updated, nested ones first, each with the names that changed in it.
 
         Raises:
             ParameterError: a value can't be used. If values contradict each other, all changes since
@@ -253,7 +253,7 @@ class SceneParameters(Mapping[str, Any]):
         return told
 
     def _who_must_know(self, changed: Iterable[Entry]) -> list[tuple[Plugin, set[str]]]:
-        """The owners of changed parameters and all plugins around them, innermost first, with names."""
+        """The owners of changed parameters and all plugins around them, innermost first, with the changed names."""
         found: dict[int, tuple[int, Plugin, set[str]]] = {}
         for entry in changed:
             node: Plugin | None = entry.owner
@@ -289,18 +289,18 @@ class SceneParameters(Mapping[str, Any]):
 
 
 def tell(told: Iterable[tuple[Plugin, set[str]]]) -> None:
-    """Let plugins recompute what they derive."""
+    """Let plugins recompute what they derive from changed parameters."""
     for node, keys in told:
         node.parameters_changed(sorted(keys))
 
 
 def state_of(value: Any) -> Any:
-    """Something that differs after any edit: the Dr.Jit and gradient indices of an array, else the value."""
+    """A key that differs after any edit: the Dr.Jit and gradient indices of an array, else the value."""
     return tuple(dr.detail.collect_indices(value)) if dr.is_array_v(value) else value
 
 
 def convert(value: Any, current: Any) -> Any:
-    """`value` as the type of `current`, copied if it is an array; raises `SceneError`."""
+    """Convert `value` to the type of `current`, copied if it is an array; raise `SceneError` if it can't be."""
     if dr.is_array_v(current):
         return convert_array(value, current)
     if isinstance(current, (bool, int, float, str)) and type(value) is not type(current):
@@ -315,7 +315,7 @@ def convert(value: Any, current: Any) -> Any:
 
 
 def convert_array(value: Any, current: Any) -> Any:
-    """`value` as a finite array of the type of `current`, copied, attached to the same gradients.
+    """Convert `value` to a finite array of the type of `current`: a copy, attached to the same gradients.
 
     Where `current` is uniform (of width 1), the result must be, too.
     """
@@ -332,7 +332,7 @@ def convert_array(value: Any, current: Any) -> Any:
         array = array.astype(np.float32 if dr.is_float_v(target) else np.int64)
         if fixed and array.shape != (dr.size_v(target),):
             raise SceneError(f"must be {wanted}, found {describe(value)}")
-        # Memory shared with NumPy may be unaligned, and kernels that read it are others: single numbers are copied.
+        # Memory shared with NumPy may be unaligned, which needs other kernels: single numbers are copied.
         single = array.size == 1 and not dr.is_tensor_v(target)
         copied = array.ravel().tolist() if fixed or single else None
         parts = copied or [array if dr.is_tensor_v(target) else array.ravel()]
@@ -343,5 +343,5 @@ def convert_array(value: Any, current: Any) -> Any:
     if not dr.is_tensor_v(target) and dr.width(current) == 1 != dr.width(converted):
         raise SceneError(f"must be {wanted}, found {describe(value)}")
     if is_readable():
-        as_array(dr.detach(converted))  # for its check that they are finite
+        as_array(dr.detach(converted))  # raises if a number isn't finite
     return converted

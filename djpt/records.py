@@ -15,13 +15,14 @@ import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.frame import Frame3f
-from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
     "BSDFContext",
     "BSDFFlags",
     "BSDFSample3f",
     "DirectionSample3f",
+    "EmissionSample",
     "EmitterFlags",
     "PositionSample3f",
     "PreliminaryIntersection3f",
@@ -306,6 +307,36 @@ class DirectionSample3f:
 
 
 @dataclass
+class EmissionSample:
+    """A ray that leaves an emitter, and the two densities that it was drawn with.
+
+        weight = radiance cos / (pdf_position pdf_direction)
+
+    In place of radiance cos, lights at a point have their intensity (W sr^-1), and lights whose direction is a
+    delta what crosses a unit of area (W m^-2). The probability of choosing the emitter isn't included.
+    """
+
+    ray: Ray3f
+    """From the emitter, without an offset from its surface. `d` has unit length."""
+    weight: Color3f
+    """Its mean is the emitter's power."""
+    n: Normal3f
+    """Normal of the side that shines; the ray's direction for light from a point or from infinity."""
+    uv: Point2f
+    """Texture coordinates at the ray's origin; those of the picture that a light throws or shows; else 0."""
+    cos: Float
+    """Cosine between the ray and `n`: 1 for light from a point or from infinity."""
+    pdf_position: Float
+    """Per unit area of the surface; across the ray for light from infinity; 1 for light from a point."""
+    pdf_direction: Float
+    """Per unit solid angle; 1 for light that leaves each point in one direction only."""
+    finite: Bool
+    """False for light from infinity: its rays start somewhere outside of the scene."""
+    delta: Bool
+    """True where the density of position or direction is a delta, which a 1 stands for."""
+
+
+@dataclass
 class BSDFSample3f:
     """A direction sampled from a BSDF; without arguments one that leads nowhere.
 
@@ -321,6 +352,18 @@ class BSDFSample3f:
     sampled_type: UInt32 = field(default_factory=lambda: UInt32(0))
     """`BSDFFlags` of the lobe that was sampled."""
     sampled_component: UInt32 = field(default_factory=lambda: UInt32(0))
+
+    @staticmethod
+    def of(
+        wo: Vector3f,
+        pdf: Float | float,
+        sampled_type: UInt32 | int,
+        *,
+        eta: Float | float = 1,
+        sampled_component: UInt32 | int = 0,
+    ) -> BSDFSample3f:
+        """A sample of the lobe `sampled_type` (`BSDFFlags`), from numbers or Dr.Jit arrays."""
+        return BSDFSample3f(wo, Float(pdf), Float(eta), UInt32(sampled_type), UInt32(sampled_component))
 
     @staticmethod
     def none() -> BSDFSample3f:

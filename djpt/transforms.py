@@ -20,9 +20,9 @@ P = ParamSpec("P")
 Matrix = NDArray[np.float64]
 
 FLATTEST = 1e-7
-"""A linear part whose columns, made unit vectors, are closer than this to a plane is singular.
+"""A linear part is singular if the smallest singular value of its columns, made unit vectors, is below this.
 
-Kernels compute in float32, where nothing useful is left of such a shape.
+Kernels compute in float32, in which such a shape can't be represented.
 """
 
 
@@ -49,8 +49,8 @@ class Chained(Generic[P]):
 
 
 def matrix_of(value: Any) -> Any:
-    """The matrix of a transform (ours or Mitsuba's), or `value` itself."""
-    # Dr.Jit's arrays answer to this name as well: they take it for a swizzle.
+    """The matrix of a transform (djpt's or Mitsuba's), or `value` itself."""
+    # Dr.Jit's arrays have this name as well: they take it for a swizzle.
     return value if dr.is_array_v(value) else getattr(value, "matrix", value)
 
 
@@ -157,11 +157,11 @@ class ScalarTransform4f:
         return self._apply(other, 1.0)
 
     def transform_affine(self, p: Any) -> Any:
-        """Apply to points: the same as ``@``."""
+        """Apply to points, like the operator ``@``."""
         return self._apply(p, 1.0)
 
     def apply_vector(self, v: Any) -> Any:
-        """Apply to vectors, which a translation doesn't move. Forms as for points."""
+        """Apply to vectors, which a translation doesn't change; accepts the same forms as `transform_affine`."""
         return self._apply(v, 0.0)
 
     def _apply(self, value: Any, w: float) -> Any:
@@ -179,7 +179,7 @@ class ScalarTransform4f:
     # ---- asking ------------------------------------------------------------------------
 
     def is_singular(self) -> bool:
-        """Does the transform flatten shapes (as far as float32 can tell)?"""
+        """Whether the transform flattens shapes, in the precision of float32."""
         linear = self._matrix[:3, :3]
         lengths = np.linalg.norm(linear, axis=0)
         if not (lengths > 0).all():
@@ -195,11 +195,11 @@ class ScalarTransform4f:
         return ScalarTransform4f(matrix)
 
     def translation(self) -> Matrix:
-        """Where the origin goes, (3,) float64."""
+        """The image of the origin, (3,) float64."""
         return self._matrix[:3, 3].copy()
 
     def has_scale(self) -> bool:
-        """Does the transform change lengths? (Mirroring doesn't.)"""
+        """Whether the transform changes lengths; mirroring doesn't."""
         lengths = np.linalg.norm(self._matrix[:3, :3], axis=0)
         return bool((np.abs(lengths**2 - 1) > 1e-3).any())
 
@@ -214,13 +214,13 @@ class ScalarTransform4f:
 
 
 Transform4f = ScalarTransform4f
-"""Mitsuba's other name. Transforms are kept on the host, so there is one class."""
+"""Mitsuba's other name of the class. Transforms are kept on the host, so one class is enough."""
 
 
 def as_transform(value: Any) -> ScalarTransform4f:
-    """An invertible transform from any accepted form.
+    """Convert any accepted form to an invertible transform.
 
-    Accepted are our own and Mitsuba's transforms, NumPy arrays, nested lists and Dr.Jit matrices.
+    Accepted are transforms of djpt and Mitsuba, NumPy arrays, nested lists and Dr.Jit matrices.
 
     Raises:
         SceneError: not an affine 4x4 matrix, not finite, or singular.

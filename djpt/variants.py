@@ -1,6 +1,6 @@
-"""Which backend Dr.Jit runs on: ``llvm_ad_rgb`` (the CPU) or ``cuda_ad_rgb``.
+"""The choice of Dr.Jit's backend: ``llvm_ad_rgb`` (the CPU) or ``cuda_ad_rgb``.
 
-The choice is made once per process, when the first name that needs it is used
+The choice is made once per process, when the first name that needs a backend is used
 (`djpt.types` calls `load_backend`). Until then it can be changed: `set_variant` comes
 first, then the environment variable ``DJPT_VARIANT``, then the default ``llvm_ad_rgb``.
 """
@@ -17,7 +17,7 @@ from djpt.llvm.finder import MINIMUM, PATH_VARIABLE, prepare
 __all__ = ["DEFAULT", "VARIANTS", "load_backend", "set_variant", "variant"]
 
 VARIANTS = {"llvm_ad_rgb": "llvm", "cuda_ad_rgb": "cuda"}
-"""Names of the variants, and of the Dr.Jit backend behind each."""
+"""The Dr.Jit backend of each variant, by the variant's name."""
 
 DEFAULT = "llvm_ad_rgb"
 
@@ -35,7 +35,7 @@ class _State:
 
 
 def variant() -> str:
-    """Name of the variant in use, or of the one that the first use of a type will choose.
+    """The name of the variant in use, or of the one that the first use of a type will load.
 
     Raises:
         BackendError: ``DJPT_VARIANT`` names an unknown variant.
@@ -122,7 +122,7 @@ def _import_drjit() -> ModuleType:
     try:
         return importlib.import_module("drjit")
     except (ImportError, NameError) as error:
-        # Dr.Jit 1.5.0's handler of a failed import itself fails, with a NameError; the reason is its context.
+        # Dr.Jit 1.5.0's handler of a failed import fails itself, with a NameError whose context is the reason.
         reason = f"{error} {error.__context__}"
         if "libatomic" in reason:
             raise BackendError(_LIBATOMIC) from error
@@ -130,7 +130,7 @@ def _import_drjit() -> ModuleType:
 
 
 def _check_llvm(drjit: ModuleType) -> None:
-    """Make sure that Dr.Jit has a usable LLVM: a bad one would end the process."""
+    """Raise `BackendError` unless Dr.Jit has a usable LLVM: an unusable one would end the process."""
     found = prepare()
     usable = drjit.has_backend(drjit.JitBackend.LLVM)
     version = tuple(drjit.detail.llvm_version()) if usable else (0,)

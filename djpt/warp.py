@@ -33,7 +33,7 @@ INV_PI = 1 / math.pi
 
 
 def _sincos_quarter(phi: Float) -> tuple[Float, Float]:
-    """Sine and cosine for abs(phi) <= pi/4, without the range reduction of `dr.sincos`.
+    """The sine and cosine for abs(phi) <= pi/4, without the range reduction of `dr.sincos`.
 
     Taylor polynomials of degree 9 and 8: the truncation error is below 2e-7 there.
     """
@@ -44,7 +44,7 @@ def _sincos_quarter(phi: Float) -> tuple[Float, Float]:
 
 
 def square_to_uniform_disk_concentric(sample: Point2f) -> Point2f:
-    """Unit square to unit disk, concentric squares to concentric circles.
+    """Map the unit square to the unit disk, concentric squares to concentric circles.
 
     P. Shirley and K. Chiu, "A Low Distortion Map Between Disk and Square", JGT 2(3), 1997,
     in the form with one division and no branches published by D. Cline (2011).
@@ -59,25 +59,25 @@ def square_to_uniform_disk_concentric(sample: Point2f) -> Point2f:
 
 
 def square_to_uniform_disk_concentric_pdf(p: Point2f) -> Float:
-    """1 / pi on the unit disk, per unit area."""
+    """The density 1 / pi on the unit disk, per unit area."""
     return dr.select(dr.squared_norm(p) <= 1, Float(INV_PI), 0)
 
 
 def square_to_cosine_hemisphere(sample: Point2f) -> Vector3f:
-    """Cosine-weighted direction on the upper hemisphere: Malley's method over the concentric disk."""
+    """A cosine-weighted direction on the upper hemisphere: Malley's method over the concentric disk."""
     p = square_to_uniform_disk_concentric(sample)
-    # The maps above may leave the disk by a rounding error.
+    # By a rounding error the point may lie outside of the disk.
     z_squared = 1 - dr.squared_norm(p)
     return Vector3f(p.x, p.y, dr.sqrt(dr.select(z_squared > 0, z_squared, 0)))
 
 
 def square_to_cosine_hemisphere_pdf(v: Vector3f) -> Float:
-    """cos(theta) / pi on the upper hemisphere, else 0."""
+    """The density cos(theta) / pi on the upper hemisphere, else 0."""
     return dr.select(v.z > 0, v.z * INV_PI, 0)
 
 
 def square_to_uniform_sphere(sample: Point2f) -> Vector3f:
-    """Uniform direction on the sphere: z = 1 - 2 sample.y, phi = 2 pi sample.x."""
+    """A uniform direction on the sphere: z = 1 - 2 sample.y, phi = 2 pi sample.x."""
     z = dr.fma(-2, sample.y, 1)
     r = dr.safe_sqrt(dr.fma(-z, z, 1))
     sin, cos = dr.sincos(2 * math.pi * sample.x)
@@ -85,12 +85,12 @@ def square_to_uniform_sphere(sample: Point2f) -> Vector3f:
 
 
 def square_to_uniform_sphere_pdf(v: Vector3f) -> Float:
-    """1 / (4 pi)."""
+    """The density 1 / (4 pi) on the sphere."""
     return dr.full(Float, INV_PI / 4, dr.width(v))
 
 
 def square_to_uniform_hemisphere(sample: Point2f) -> Vector3f:
-    """Uniform direction on the upper hemisphere: z = 1 - r^2, r the radius of a point of the concentric disk.
+    """A uniform direction on the upper hemisphere: z = 1 - r^2, r the radius of a point of the concentric disk.
 
     Equal areas of the disk lift to equal areas of the sphere (Archimedes).
     """
@@ -102,12 +102,12 @@ def square_to_uniform_hemisphere(sample: Point2f) -> Vector3f:
 
 
 def square_to_uniform_hemisphere_pdf(v: Vector3f) -> Float:
-    """1 / (2 pi) on the upper hemisphere, else 0."""
+    """The density 1 / (2 pi) on the upper hemisphere, else 0."""
     return dr.select(v.z >= 0, Float(INV_PI / 2), 0)
 
 
 def square_to_uniform_cone(sample: Point2f, cos_cutoff: Float) -> Vector3f:
-    """Uniform direction in the cone around +z whose half-angle has the cosine `cos_cutoff`.
+    """A uniform direction in the cone around +z whose half-angle has the cosine `cos_cutoff`.
 
     Equal areas of the disk lift to equal areas of the cap (Archimedes).
     """
@@ -119,12 +119,12 @@ def square_to_uniform_cone(sample: Point2f, cos_cutoff: Float) -> Vector3f:
 
 
 def square_to_uniform_cone_pdf(v: Vector3f, cos_cutoff: Float) -> Float:
-    """1 / (2 pi (1 - cos_cutoff)) inside the cone, else 0."""
+    """The density 1 / (2 pi (1 - cos_cutoff)) inside of the cone, else 0."""
     return dr.select(v.z >= cos_cutoff, dr.rcp(2 * math.pi * (1 - cos_cutoff)), 0)
 
 
 def square_to_tent(sample: Point2f) -> Point2f:
-    """Two tents over [-1, 1], each with the density 1 - abs(x): what bilinear interpolation weighs a node with."""
+    """A point on [-1, 1]^2 whose coordinates have the tent density 1 - abs(x): the weights of bilinear lookups."""
     return Point2f(_tent(sample.x), _tent(sample.y))
 
 
@@ -134,17 +134,17 @@ def _tent(sample: Float) -> Float:
 
 
 def square_to_tent_pdf(p: Point2f) -> Float:
-    """(1 - abs(x)) (1 - abs(y)) on [-1, 1]^2, per unit area."""
+    """The density (1 - abs(x)) (1 - abs(y)) on [-1, 1]^2, per unit area."""
     x, y = 1 - dr.abs(p.x), 1 - dr.abs(p.y)
     return dr.select((x > 0) & (y > 0), x * y, 0)
 
 
 def square_to_uniform_triangle(sample: Point2f) -> Point2f:
-    """Uniform barycentric coordinates (b1, b2): b1 = 1 - sqrt(1 - x), b2 = y sqrt(1 - x)."""
+    """Uniform barycentric coordinates (b1, b2) of a triangle: b1 = 1 - sqrt(1 - x), b2 = y sqrt(1 - x)."""
     t = dr.safe_sqrt(1 - sample.x)
     return Point2f(1 - t, t * sample.y)
 
 
 def square_to_uniform_triangle_pdf(b: Point2f) -> Float:
-    """2 on the triangle of barycentric coordinates, per unit of their area."""
+    """The density 2 on the triangle of barycentric coordinates, per unit of their area."""
     return dr.select((b.x >= 0) & (b.y >= 0) & (b.x + b.y <= 1), Float(2), 0)

@@ -49,8 +49,8 @@ def recover(
     """Fit the albedos of `scene` to the picture `target`; return them by name.
 
     Args:
-        scene: Its albedos are where the search starts; they are changed.
-        target: (H, W, 3), linear.
+        scene: The scene, whose albedos are the start of the search; they are changed.
+        target: The picture, (H, W, 3), linear.
         steps: Steps of Adam.
         spp: Samples per pixel of each step's picture, and as many for its gradient.
         rate: Size of the first steps. It shrinks to a twentieth, so that noise averages out.

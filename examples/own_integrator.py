@@ -19,7 +19,7 @@ KEY = "ball.bsdf.reflectance.value"
 class SkyLight(djpt.Integrator):
     """L = integral of f cos V over the hemisphere, estimated by f cos V / p with p = cos / pi.
 
-    V is 1 if nothing is met within `distance` (default 2): with white materials, this is ambient occlusion.
+    V is 1 if nothing is hit within `distance` (default 2): with white materials, this is ambient occlusion.
     """
 
     def __init__(self, props: djpt.Properties) -> None:
@@ -35,7 +35,7 @@ class SkyLight(djpt.Integrator):
         pdf = djpt.warp.square_to_cosine_hemisphere_pdf(wo)
         wo.z = dr.mulsign(wo.z, si.wi.z)
 
-        # Is the way free? Materials are all that depends on parameters here.
+        # Visibility. Only materials depend on the parameters here, so the test needs no derivative.
         probe = si.spawn_ray(si.to_world(wo))
         probe.maxt = djpt.Float(self.distance)
         free = hit & (pdf > 0) & ~scene.ray_test(probe, hit)
@@ -47,7 +47,7 @@ djpt.register_integrator("sky_light", SkyLight)
 
 
 def gradient(scene: djpt.Scene, integrator: djpt.Integrator, spp: int) -> float:
-    """How the mean of the image changes with the green of the ball, by automatic differentiation."""
+    """The derivative of the image's mean by the green of the ball, by automatic differentiation."""
     params = djpt.traverse(scene)
     dr.enable_grad(params[KEY])
     params.update()
@@ -58,7 +58,7 @@ def gradient(scene: djpt.Scene, integrator: djpt.Integrator, spp: int) -> float:
 
 
 def difference(scene: djpt.Scene, integrator: djpt.Integrator, spp: int, step: float = 0.05) -> float:
-    """The same by two renderings."""
+    """The derivative of the image's mean by the green of the ball, from the difference of two renderings."""
     params = djpt.traverse(scene)
     color, means = djpt.Color3f(params[KEY]), list[float]()
     for sign in (1, -1):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.errors import SceneError, near_miss
 from djpt.integrators.nesting import NestingIntegrator
 from djpt.records import Ray3f, SurfaceInteraction3f
@@ -138,3 +139,6 @@ def parse(text: str, node: str) -> list[tuple[str, str]]:
             raise SceneError(f"{node}: the name '{name}' appears twice in 'aovs'")
         result.append((name, kind))
     return result
+
+
+register_integrator("aov", AOV)

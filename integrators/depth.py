@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.description.registry import register_integrator
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
@@ -29,3 +30,6 @@ class Depth(Integrator):
         pi = scene.closest_hit(ray, active)
         valid = pi.is_valid()
         return Color3f(dr.select(valid, pi.t, 0)), valid, []
+
+
+register_integrator("depth", Depth)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator, mis_weight
@@ -86,3 +87,6 @@ class Direct(Integrator):
             result += bsdf_weight * met * mis
 
         return dr.select(active, result * scene.transmittance(ray, si.t), 0), si.is_valid() & active, []
+
+
+register_integrator("direct", Direct)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import Integrator, mis_weight
 from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
@@ -126,3 +127,6 @@ class Walk:
     radiance: Color3f
     covered: Bool
     active: Bool
+
+
+register_integrator("distributed", Distributed)

@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.integrators.nesting import NestingIntegrator
@@ -93,3 +94,6 @@ def variance(image: Any, channels: Sequence[str], spp: int) -> TensorXf:
         raise RenderError(f"no channel has a second moment ('{SECOND}..'): render with a 'moment' integrator")
     mean, square = (values[..., [pair[i] for pair in pairs]] for i in (0, 1))
     return TensorXf((np.maximum(square - mean**2, 0) / (spp - 1)).astype(np.float32))
+
+
+register_integrator("moment", Moment)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.unidirectional import UnidirectionalPath, roulette
@@ -84,3 +85,6 @@ class Path(UnidirectionalPath):
     def roulette_depth(self, depth: UInt32) -> UInt32:
         """The depth that is compared with `rr_depth`: that of the next vertex."""
         return depth + 1
+
+
+register_integrator("path", Path)

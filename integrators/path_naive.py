@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
 from djpt.integrators.unidirectional import UnidirectionalPath, roulette
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
@@ -110,3 +111,6 @@ class PathNaive(UnidirectionalPath):
         beyond = passes & (sampler.next_1d() < 0.5)
         wo.z = dr.select((si.wi.z < 0) ^ beyond, -wo.z, wo.z)
         return wo, dr.select(passes, 0.5 * pdf, pdf)
+
+
+register_integrator("path_naive", PathNaive)

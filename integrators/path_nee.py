@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import PathState, Vertex
 from djpt.integrators.unidirectional import UnidirectionalPath
@@ -78,3 +79,6 @@ class PathNEE(UnidirectionalPath):
             active=proceed & survives & (dr.max(throughput) > 0),
             valid=self.counts(scene, state, si, bs),
         )
+
+
+register_integrator("path_nee", PathNEE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState
 from djpt.integrators.path import Path
 from djpt.records import SurfaceInteraction3f
@@ -29,3 +30,6 @@ class PRB(Path):
     def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
         """Openings count as surfaces here."""
         return (state.depth > 0) | si.is_valid()
+
+
+register_integrator("prb", PRB)

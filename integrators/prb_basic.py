@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
 from djpt.integrators.unidirectional import UnidirectionalPath
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
@@ -64,3 +65,6 @@ class PRBBasic(UnidirectionalPath):
     def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
         """Openings count as surfaces here."""
         return (state.depth > 0) | si.is_valid()
+
+
+register_integrator("prb_basic", PRBBasic)

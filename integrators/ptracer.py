@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.passes import LightPath, PassIntegrator, Walks
@@ -173,3 +174,6 @@ def brightness(scene: Scene) -> float:
     radius = max(float(np.linalg.norm(np.array(high) - np.array(low))) / 2, 1e-6)
     radiance = sum(e.power() for e in scene.emitters()) / (math.pi * 4 * math.pi * radius**2)
     return 2.0 ** round(math.log2(radiance)) if radiance > 0 else 1.0
+
+
+register_integrator("ptracer", ParticleTracer)

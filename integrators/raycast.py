@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.integrators.base import Integrator
 from djpt.kernels import minimum
 from djpt.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
@@ -59,3 +60,6 @@ class Raycast(Integrator):
         hit = si.is_valid() & active
         sky = Color3f(0) if self.hide_emitters else si.emitter(scene).eval(si)
         return dr.select(hit, SHADINGS[self.shading](si), dr.select(active, sky, 0)), hit, []
+
+
+register_integrator("raycast", Raycast)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
@@ -136,3 +137,6 @@ class Walk:
     radiance: Color3f
     covered: Bool
     active: Bool
+
+
+register_integrator("whitted", Whitted)

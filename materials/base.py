@@ -12,7 +12,7 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BSDF"]
 
@@ -116,15 +116,9 @@ class BSDF(Plugin):
 # ---- what scripts return: Python's numbers will do --------------------------------------
 
 
-def as_uint(x: Any) -> UInt32:
-    """A number or flags, as `UInt32`."""
-    return UInt32(int(x) if isinstance(x, int) else x)
-
-
 def as_sample(bs: BSDFSample3f) -> BSDFSample3f:
-    """A sample whose fields may be Python's numbers."""
-    kind, component = as_uint(bs.sampled_type), as_uint(bs.sampled_component)
-    return BSDFSample3f(Vector3f(bs.wo), Float(bs.pdf), Float(bs.eta), kind, component)
+    """Convert a sample whose fields may be Python's numbers."""
+    return BSDFSample3f.of(Vector3f(bs.wo), bs.pdf, bs.sampled_type, eta=bs.eta, sampled_component=bs.sampled_component)
 
 
 CONVERSIONS: dict[str, Callable[[Any], Any]] = {

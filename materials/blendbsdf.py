@@ -7,6 +7,7 @@ import dataclasses
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.materials.base import BSDF
 from djpt.materials.delta import derivative_of_choice
@@ -127,3 +128,6 @@ class BlendBSDF(BSDF):
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         first, second = (bsdf.eval_diffuse_reflectance(si, active) for bsdf in (self.bsdf_0, self.bsdf_1))
         return dr.lerp(first, second, self._weight(si, active))
+
+
+register_bsdf("blendbsdf", BlendBSDF)

@@ -6,6 +6,7 @@ import math
 
 import drjit as dr
 
+from djpt.description.registry import register_bsdf
 from djpt.materials.phong import Phong, cosine_power, power
 from djpt.types import Float, Point2f, Vector3f
 
@@ -39,3 +40,6 @@ class Blinn(Phong):
     def sample_highlight(self, wi: Vector3f, n: Float, sample: Point2f) -> Vector3f:
         h = cosine_power(n, sample)
         return 2 * dr.dot(wi, h) * h - wi
+
+
+register_bsdf("blinn", Blinn)

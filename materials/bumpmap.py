@@ -10,6 +10,7 @@ import drjit as dr
 from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.kernels import as_float
 from djpt.materials.perturbed import PerturbedBSDF
@@ -69,3 +70,6 @@ def sees_tangent(plugin: Plugin) -> bool:
     return has_flag(flags, BSDFFlags.Anisotropic) or any(
         sees_tangent(child) for child in children if isinstance(child, Plugin) and child.kind == "bsdf"
     )
+
+
+register_bsdf("bumpmap", BumpMap)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Conductor"]
 
@@ -46,5 +47,7 @@ class Conductor(DeltaBSDF):
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
         weight = dr.select(si.wi.z > 0, self.reflectance_at(si, active), 0)
-        sampled_type = UInt32(int(BSDFFlags.DeltaReflection))
-        return BSDFSample3f(reflect(si.wi), Float(1), Float(1), sampled_type, UInt32(0)), weight
+        return BSDFSample3f.of(reflect(si.wi), 1, BSDFFlags.DeltaReflection), weight
+
+
+register_bsdf("conductor", Conductor)

@@ -9,13 +9,14 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Dielectric"]
 
@@ -83,9 +84,9 @@ class Dielectric(DeltaBSDF):
     ) -> tuple[tuple[BSDFSample3f, Color3f], tuple[BSDFSample3f, Color3f], Float]:
         """The reflected and the transmitted direction (pdf 1), each with its tint, and the reflectance F."""
         reflectance, cos_theta_t, eta_it, eta_ti = self.interface(si.wi.z)
-        kind_r, kind_t = UInt32(int(BSDFFlags.DeltaReflection)), UInt32(int(BSDFFlags.DeltaTransmission))
-        bs_r = BSDFSample3f(reflect(si.wi), Float(1), Float(1), kind_r, UInt32(0))
-        bs_t = BSDFSample3f(refract(si.wi, None, cos_theta_t, eta_ti), Float(1), eta_it, kind_t, UInt32(1))
+        bs_r = BSDFSample3f.of(reflect(si.wi), 1, BSDFFlags.DeltaReflection)
+        wo_t = refract(si.wi, None, cos_theta_t, eta_ti)
+        bs_t = BSDFSample3f.of(wo_t, 1, BSDFFlags.DeltaTransmission, eta=eta_it, sampled_component=1)
         tint_r = tint(self.specular_reflectance, si, active)
         tint_t = tint(self.specular_transmittance, si, active)
         if ctx.mode == TransportMode.Radiance:
@@ -106,3 +107,6 @@ def optional_texture(props: Properties, key: str) -> Texture | None:
 def tint(texture: Texture | None, si: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
     """The colour of an optional texture; white if it wasn't given."""
     return Color3f(1) if texture is None else texture.eval(si, active)
+
+
+register_bsdf("dielectric", Dielectric)

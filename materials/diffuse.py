@@ -7,9 +7,10 @@ import math
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Diffuse"]
@@ -45,8 +46,7 @@ class Diffuse(BSDF):
         # From behind, and at the horizon, the density vanishes and with it the sample.
         pdf = dr.select(si.wi.z > 0, wo.z * INV_PI, 0)
         weight = dr.select(pdf > 0, self.reflectance.eval(si, active), 0)
-        sampled_type = UInt32(int(BSDFFlags.DiffuseReflection))
-        return BSDFSample3f(wo, pdf, Float(1), sampled_type, UInt32(0)), weight
+        return BSDFSample3f.of(wo, pdf, BSDFFlags.DiffuseReflection), weight
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
@@ -56,3 +56,6 @@ class Diffuse(BSDF):
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.reflectance.eval(si, active)
+
+
+register_bsdf("diffuse", Diffuse)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.materials.dielectric import REFLECTION, TRANSMISSION, Dielectric
 from djpt.materials.fresnel import fresnel, fresnel_schlick
@@ -53,3 +54,6 @@ class Glass(Dielectric):
             return super().sample(ctx, si, sample1, sample2, active)
         (bs_r, tint_r), (bs_t, tint_t), share = self.lobes(ctx, si, active)
         return (bs_r, tint_r * share) if self.reflection else (bs_t, tint_t * (1 - share))
+
+
+register_bsdf("glass", Glass)

@@ -7,12 +7,13 @@ import dataclasses
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.kernels import minimum
 from djpt.materials.base import BSDF
 from djpt.materials.delta import derivative_of_choice
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["Mask", "rescaled", "unit_interval"]
 
@@ -54,7 +55,7 @@ class Mask(BSDF):
         hit = sample1 < opacity
         # Every kind of nested lobe counts as one component, as it mostly does in Mitsuba.
         last = (self.nested_bsdf.flags() & int(BSDFFlags.All)).bit_count()
-        null = BSDFSample3f(-si.wi, 1 - opacity, Float(1), UInt32(int(BSDFFlags.Null)), UInt32(last))
+        null = BSDFSample3f.of(-si.wi, 1 - opacity, BSDFFlags.Null, sampled_component=last)
         bs: BSDFSample3f = dr.select(hit, dataclasses.replace(nested, pdf=nested.pdf * opacity), null)
         return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
 
@@ -119,3 +120,6 @@ def unit_interval(x: Float) -> Float:
 def rescaled(sample: Float, probability: Float) -> Float:
     """The part of a uniform random number that is left after it was found to lie below `probability`."""
     return minimum(sample * dr.rcp(dr.select(probability > 0, probability, 1)), Float(ALMOST_ONE))
+
+
+register_bsdf("mask", Mask)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.conductor import Conductor
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, schlick
@@ -50,3 +51,6 @@ class Mirror(Conductor):
             cos_theta = si.wi.z if self.fresnel == "exact" else Float(1)
             reflectance = reflectance * fresnel_conductor(cos_theta, self.eta.eval(si, active), self.k.eval(si, active))
         return schlick(si.wi.z, reflectance) if self.fresnel == "schlick" else reflectance
+
+
+register_bsdf("mirror", Mirror)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.perturbed import PerturbedBSDF
 from djpt.records import SurfaceInteraction3f
 from djpt.types import Bool, Vector3f
@@ -28,3 +29,6 @@ class NormalMap(PerturbedBSDF):
 
     def normal(self, si: SurfaceInteraction3f, active: Bool | bool) -> Vector3f:
         return Vector3f(dr.fma(self.normalmap.eval(si, active), 2, -1))
+
+
+register_bsdf("normalmap", NormalMap)

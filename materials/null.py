@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from djpt.description.registry import register_bsdf
 from djpt.materials.delta import DeltaBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Null"]
 
@@ -26,7 +27,10 @@ class Null(DeltaBSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
-        return BSDFSample3f(-si.wi, Float(1), Float(1), UInt32(int(BSDFFlags.Null)), UInt32(0)), Color3f(1)
+        return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null), Color3f(1)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return Color3f(1)
+
+
+register_bsdf("null", Null)

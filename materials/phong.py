@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.numeric import as_array
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import maximum
@@ -99,8 +100,8 @@ class Phong(BSDF):
         glossy = sample1 < self._weights(si, active)
         wo = dr.select(glossy, self.sample_highlight(si.wi, n, sample2), square_to_cosine_hemisphere(sample2))
         value, pdf = self.eval_pdf(ctx, si, wo, active)
-        kind = dr.select(glossy, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.DiffuseReflection)))
-        bs = BSDFSample3f(wo, pdf, Float(1), kind, dr.select(glossy, UInt32(1), UInt32(0)))
+        kind = dr.select(glossy, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
+        bs = BSDFSample3f.of(wo, pdf, kind, sampled_component=dr.select(glossy, UInt32(1), UInt32(0)))
         return bs, value * dr.select(pdf > 0, dr.rcp(pdf), 0)
 
     def eval_pdf(
@@ -134,3 +135,6 @@ def cosine_power(n: Float, sample: Point2f) -> Vector3f:
     r = dr.sqrt(maximum(dr.fma(-z, z, 1), Float(0)))
     sin, cos = dr.sincos(2 * math.pi * sample.y)
     return Vector3f(r * cos, r * sin, z)
+
+
+register_bsdf("phong", Phong)

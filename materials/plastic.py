@@ -10,6 +10,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, fresnel_diffuse_reflectance, reflect
@@ -103,9 +104,10 @@ class PlasticAtPoint:
         mirror = self.tint * self.reflected
         base = self.base * (1 - fresnel(diffuse_wo.z, self.eta)[0])
         weight = dr.select(specular, mirror, base) * inv_p
-        sampled_type = dr.select(
-            specular, UInt32(int(BSDFFlags.DeltaReflection)), UInt32(int(BSDFFlags.DiffuseReflection))
-        )
+        sampled_type = dr.select(specular, UInt32(BSDFFlags.DeltaReflection), UInt32(BSDFFlags.DiffuseReflection))
         component = dr.select(specular, UInt32(0), UInt32(1))
-        bs = BSDFSample3f(wo, dr.select(ok, pdf, 0), Float(1), sampled_type, component)
+        bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), sampled_type, sampled_component=component)
         return bs, dr.select(ok, weight, 0)
+
+
+register_bsdf("plastic", Plastic)

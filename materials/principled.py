@@ -12,6 +12,7 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError
 from djpt.kernels import as_float, maximum
 from djpt.materials.fresnel import fresnel, reflect, refract, schlick
@@ -31,7 +32,7 @@ from djpt.materials.principled_lobes import (
     tint,
 )
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Principled"]
@@ -207,27 +208,26 @@ class Principled(PrincipledBase):
         body, coat, specular = self._shares(at)
         m = at.microfacets.sample_normal(wi, sample2)
         wo = reflect(wi, m)
-        bs = BSDFSample3f(wo, Float(0), Float(1), UInt32(int(BSDFFlags.GlossyReflection)), UInt32(3))
+        bs = BSDFSample3f.of(wo, 0, BSDFFlags.GlossyReflection, sampled_component=3)
         possible = wo.z > 0
         if "spec_trans" in self.given:
             reflectance, cos_theta_t, _, eta_ti = fresnel(dr.dot(wi, m), at.eta)
             refracts = sample1 < body + coat + specular * dr.select(at.front, at.clear, 1) * (1 - reflectance)
             wo = refract(wi, m, cos_theta_t, eta_ti)
             possible = dr.select(refracts, (wo.z < 0) & (dr.dot(wo, m) < 0), possible)
-            sampled_type = UInt32(int(BSDFFlags.GlossyTransmission))
-            bs = dr.select(refracts, BSDFSample3f(wo, Float(0), at.eta, sampled_type, UInt32(2)), bs)
+            bs_t = BSDFSample3f.of(wo, 0, BSDFFlags.GlossyTransmission, eta=at.eta, sampled_component=2)
+            bs = dr.select(refracts, bs_t, bs)
         if at.coat is not None:
             m = at.coat.sample(sample2)
             wo = reflect(wi, m)
             coated = sample1 < body + coat
             possible = dr.select(coated, (wo.z > 0) & (dr.dot(wi, m) > 0), possible)
-            sampled_type = UInt32(int(BSDFFlags.GlossyReflection))
-            bs = dr.select(coated, BSDFSample3f(wo, Float(0), Float(1), sampled_type, UInt32(1)), bs)
+            bs_c = BSDFSample3f.of(wo, 0, BSDFFlags.GlossyReflection, sampled_component=1)
+            bs = dr.select(coated, bs_c, bs)
         wo = square_to_cosine_hemisphere(sample2)
         scattered = sample1 < body
         possible = dr.select(scattered, wo.z > 0, possible)
-        sampled_type = UInt32(int(BSDFFlags.DiffuseReflection))
-        return dr.select(scattered, BSDFSample3f(wo, Float(0), Float(1), sampled_type, UInt32(0)), bs), possible
+        return dr.select(scattered, BSDFSample3f.of(wo, 0, BSDFFlags.DiffuseReflection), bs), possible
 
     # ---- evaluation ------------------------------------------------------------------------
 
@@ -296,3 +296,6 @@ class Principled(PrincipledBase):
             not_metal = 1 - scalars.get("metallic", 0)
             value += sheen(at.base_color, cos_d, scalars["sheen"] * not_metal, scalars.get("sheen_tint"))
         return value * cos_o
+
+
+register_bsdf("principled", Principled)

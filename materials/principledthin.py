@@ -12,6 +12,7 @@ import drjit as dr
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float, maximum
 from djpt.materials.fresnel import fresnel, reflect, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
@@ -27,7 +28,7 @@ from djpt.materials.principled_lobes import (
     tint,
 )
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["PrincipledThin"]
@@ -147,7 +148,7 @@ class PrincipledThin(PrincipledBase):
         mirror, glass, paint, _ = self._shares(at)
 
         def lobe(wo: Vector3f, sampled_type: BSDFFlags, component: int) -> BSDFSample3f:
-            return BSDFSample3f(wo, Float(0), Float(1), UInt32(int(sampled_type)), UInt32(component))
+            return BSDFSample3f.of(wo, 0, sampled_type, sampled_component=component)
 
         # In the order of the sample, from behind.
         wo = square_to_cosine_hemisphere(sample2)
@@ -219,3 +220,6 @@ class PrincipledThin(PrincipledBase):
         cos_t = dr.abs(fresnel(cos_d, at.eta)[1])
         tinted = schlick(dr.select(at.eta > 1, cos_d, cos_t), tint(at.base_color) * schlick_r0(at.eta))
         return dr.lerp(Color3f(F), tinted, at.scalars["spec_tint"])
+
+
+register_bsdf("principledthin", PrincipledThin)

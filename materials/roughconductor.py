@@ -8,13 +8,14 @@ import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["RoughConductor"]
 
@@ -105,6 +106,8 @@ class RoughConductorAtPoint:
         else:
             pdf = d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
             weight *= self.g1_i * cos * dr.rcp(dr.select(ok, m.z, 1))
-        sampled_type = UInt32(int(BSDFFlags.GlossyReflection))
-        bs = BSDFSample3f(wo, dr.select(ok, pdf, 0), Float(1), sampled_type, UInt32(0))
+        bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), BSDFFlags.GlossyReflection)
         return bs, dr.select(ok, self.fresnel(cos) * weight, 0)
+
+
+register_bsdf("roughconductor", RoughConductor)

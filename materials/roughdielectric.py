@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
@@ -149,9 +150,11 @@ class RoughDielectricAtPoint:
             g *= d * self.g1_i * dr.abs(cos_i) * dr.rcp(dr.select(ok, density, 1))
         through = self.tint_t * dr.square(eta_ti) if self.radiance else self.tint_t
         weight = dr.select(reflected, self.tint_r, through) * g
-        sampled_type = dr.select(
-            reflected, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.GlossyTransmission))
-        )
+        sampled_type = dr.select(reflected, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.GlossyTransmission))
         eta = dr.select(reflected, 1, eta_it)
-        bs = BSDFSample3f(wo, dr.select(ok, pdf, 0), eta, sampled_type, dr.select(reflected, UInt32(0), UInt32(1)))
+        component = dr.select(reflected, UInt32(0), UInt32(1))
+        bs = BSDFSample3f.of(wo, dr.select(ok, pdf, 0), sampled_type, eta=eta, sampled_component=component)
         return bs, dr.select(ok, weight, 0)
+
+
+register_bsdf("roughdielectric", RoughDielectric)

@@ -13,6 +13,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float, opaque
 from djpt.materials.dielectric import optional_texture, tint
@@ -187,10 +188,9 @@ class RoughPlasticAtPoint:
         wo = dr.select(specular, reflect(self.wi, m), square_to_cosine_hemisphere(sample2))
         value, pdf = self.eval_pdf(wo)
         weight = value * dr.rcp(dr.select(pdf > 0, pdf, 1))
-        sampled_type = dr.select(
-            specular, UInt32(int(BSDFFlags.GlossyReflection)), UInt32(int(BSDFFlags.DiffuseReflection))
-        )
-        return BSDFSample3f(wo, pdf, Float(1), sampled_type, dr.select(specular, UInt32(0), UInt32(1))), weight
+        sampled_type = dr.select(specular, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
+        component = dr.select(specular, UInt32(0), UInt32(1))
+        return BSDFSample3f.of(wo, pdf, sampled_type, sampled_component=component), weight
 
 
 # ---- the coat as a whole --------------------------------------------------------------
@@ -241,3 +241,6 @@ def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) ->
         wo = reflect(wi, m)
         share = dr.select(wo.z > 0, surface.smith_g1(wo, m) * f, 0)
     return dr.block_sum(share * dr.gather(Float, weights, i) * dr.gather(Float, weights, j), count**2)
+
+
+register_bsdf("roughplastic", RoughPlastic)

@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
 from djpt.materials.delta import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
@@ -63,12 +64,16 @@ class ThinDielectric(DeltaBSDF):
         chosen = sample1 < share  # as in `Dielectric`
         pdf = dr.select(chosen, share, 1 - share)
         wo = dr.select(chosen, reflect(si.wi), -si.wi)
-        kind = dr.select(chosen, UInt32(int(BSDFFlags.DeltaReflection)), UInt32(int(BSDFFlags.Null)))
+        kind = dr.select(chosen, UInt32(BSDFFlags.DeltaReflection), UInt32(BSDFFlags.Null))
         component = dr.select(chosen, UInt32(0), UInt32(1))
         colour = dr.select(
             chosen, tint(self.specular_reflectance, si, active), tint(self.specular_transmittance, si, active)
         )
-        return BSDFSample3f(wo, dr.detach(pdf), Float(1), kind, component), colour * derivative_of_choice(pdf)
+        bs = BSDFSample3f.of(wo, dr.detach(pdf), kind, sampled_component=component)
+        return bs, colour * derivative_of_choice(pdf)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return tint(self.specular_transmittance, si, active) * (1 - self.reflectance_at(si))
+
+
+register_bsdf("thindielectric", ThinDielectric)

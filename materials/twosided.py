@@ -8,6 +8,7 @@ import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
@@ -106,3 +107,6 @@ class TwoSided(BSDF):
 def flipped(v: Vector3f, behind: Bool) -> Vector3f:
     """`v` mirrored by the surface where `behind`."""
     return Vector3f(v.x, v.y, dr.select(behind, -v.z, v.z))
+
+
+register_bsdf("twosided", TwoSided)

@@ -32,4 +32,4 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "shader_ball": shader_ball,
     "stage": stage,
 }
-"""The built-in scenes by name, for the command line. Each call makes a new dict."""
+"""The functions of the built-in scenes by name, for the command line. Each call makes a new dict."""

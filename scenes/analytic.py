@@ -13,7 +13,7 @@ __all__ = ["furnace"]
 def furnace(reflectance: float = 0.5, radiance: float = 1.0) -> dict[str, Any]:
     """The Cornell box closed at the front, where every surface reflects and shines alike.
 
-    From any point every direction shows the same, so with `max_depth` n each pixel is::
+    From any point the same radiance arrives from all directions, so with `max_depth` n each pixel is::
 
         radiance (1 + reflectance + ... + reflectance^(n - 1)) = radiance (1 - reflectance^n) / (1 - reflectance)
 

@@ -1,4 +1,4 @@
-"""A gallery of materials: the same ball with each of them, and the sheet of all pictures."""
+"""A gallery of materials: a ball with each of them, and the sheet of all pictures."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def shader_ball(bsdf: dict[str, Any] | None = None, size: int = 256) -> dict[str
             "radius": 0.6,
             "bsdf": {"type": "twosided", "inner": {"type": "diffuse", "reflectance": 0.1}},
         },
-        # Its distance to the rim of the ring is the radius.
+        # Placed such that its centre is one radius away from the rim of the ring.
         "ball": {
             "type": "sphere",
             "center": [0, 0, 0.25 + 0.8],
@@ -74,10 +74,10 @@ def softbox(place: Sequence[float], half: Sequence[float], radiance: float) -> d
 
 
 def dots(rows: int, columns: int, radius: float) -> NDArray[np.float32]:
-    """Round domes, (256, 512) in [0, 1]: 1 in their middles, 0 between; every other row of them is shifted."""
+    """A height field of round domes, (256, 512): 1 in their middles, 0 between them; every other row is shifted."""
     v, u = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(512) + 0.5) / 512, indexing="ij")
     row = np.floor(v * rows)
-    # On a sphere, what lies near a pole is narrow.
+    # On a sphere, columns get narrower towards the poles.
     x = ((u * columns + 0.5 * (row % 2)) % 1 - 0.5) * np.sin(np.pi * v) * 2 * rows / columns
     y = v * rows - row - 0.5
     return np.asarray(np.maximum(1 - (x**2 + y**2) / radius**2, 0), np.float32)
@@ -92,7 +92,7 @@ def normals_of(height: NDArray[np.float32], depth: float) -> NDArray[np.float32]
 
 
 def bitmap(data: NDArray[np.float32]) -> dict[str, Any]:
-    """Numbers as a texture."""
+    """A bitmap texture of raw numbers."""
     return {"type": "bitmap", "data": data, "raw": True}
 
 
@@ -119,7 +119,7 @@ class Panel:
     title: str
     """The plugin's name."""
     subtitle: str
-    """What sets it apart from the plugin's other panels."""
+    """The feature that distinguishes the panel from the plugin's other panels."""
     bsdf: Callable[[], dict[str, Any]]
 
     def scene(self, size: int) -> dict[str, Any]:
@@ -268,11 +268,11 @@ MATERIALS: dict[str, Panel] = {
         lambda: {"type": "principledthin", "base_color": rgb(0.9, 0.75, 0.5), "roughness": 0.6, "diff_trans": 1.2},
     ),
 }
-"""Every material at least once."""
+"""The panels of all materials, by name; every plugin occurs at least once."""
 
 
 def glass(**parameters: Any) -> Callable[[], dict[str, Any]]:
-    """Glass in air, both of exact indices."""
+    """Make a function that describes glass in air; the indices of refraction are 1.5 and 1 by default."""
     return lambda: {"type": "glass", "ext_ior": 1.0, "int_ior": 1.5, **parameters}
 
 
@@ -284,7 +284,7 @@ GLASS: dict[str, Panel] = {
     "glass": Panel("glass", "IOR 1.5", glass()),
     "glass-absorption": Panel("glass", "with absorption", glass(absorption=rgb(0.9, 0.25, 0.12))),
 }
-"""The two lobes of glass, one by one and together; without and with a bend; coloured."""
+"""The panels of glass: its two lobes alone and together, with and without refraction, and coloured glass."""
 
 PANELS = {**MATERIALS, **GLASS}
 """All panels by the names that ``djpt gallery`` takes."""
@@ -296,7 +296,7 @@ PAPER, INK, GREY = (250, 250, 248), (28, 28, 30), (110, 110, 114)
 
 
 def panels(names: Sequence[str] = ()) -> list[Panel]:
-    """The panels of these names; all of them for none.
+    """The panels of the given names; without names, all panels.
 
     Raises:
         SceneError: there is no panel of that name.
@@ -317,7 +317,7 @@ class Labelled(Protocol):
     def subtitle(self) -> str: ...
 
     def scene(self, size: int) -> dict[str, Any]:
-        """The description of what it shows."""
+        """The description of the scene in the picture."""
 
 
 def sheet(
@@ -331,10 +331,10 @@ def sheet(
     """Render panels and put them side by side, with labels: (H, W, 3) bytes of sRGB.
 
     Args:
-        panels: What to show, row by row.
+        panels: The panels, row by row.
         size: Width and height of a panel in pixels.
         spp: Samples per pixel.
-        seed: Of all panels.
+        seed: The seed of all panels.
         columns: Panels in a row.
         progress: Called with (samples done, samples in all).
     """
@@ -359,7 +359,7 @@ def sheet(
 def render_panel(
     panel: Labelled, size: int, spp: int, seed: int, number: int, count: int, progress: Progress | None
 ) -> NDArray[np.uint8]:
-    """One picture as bytes of sRGB."""
+    """Render one picture as bytes of sRGB."""
     from djpt.description.loader import load_dict
     from djpt.images.image import Image
     from djpt.rendering import render

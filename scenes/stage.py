@@ -1,4 +1,4 @@
-"""A stage for lights and cameras: a few plain things before a wall, and a sky to put over them."""
+"""A scene for lights and cameras: a few plain objects in front of a wall, and a sky for it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["sky", "stage"]
 
 
 def stage(lights: dict[str, Any] | None = None, size: int = 256) -> dict[str, Any]:
-    """A ball, a block and a post on a floor before a wall; z is up.
+    """A ball, a block and a post on a floor in front of a wall; z is up.
 
     `lights` are further entries of the scene (default: an area light above); the picture has `size` x `size`
     pixels, 256 samples each, and paths have up to 6 edges.
@@ -48,7 +48,7 @@ def stage(lights: dict[str, Any] | None = None, size: int = 256) -> dict[str, An
 
 
 def above() -> T:
-    """Where the default lamp is."""
+    """The transform of the default lamp."""
     return T().look_at(origin=[-2.2, -2.2, 4.2], target=[0, 0, 0.5], up=[0, 0, 1]).scale(0.7)
 
 
@@ -58,7 +58,7 @@ def paint(*value: float) -> dict[str, Any]:
 
 
 def both() -> dict[str, Any]:
-    """The same on both sides: a cylinder is open."""
+    """A diffuse material on both sides, for the open cylinder."""
     return {"type": "twosided", "inner": paint(0.75, 0.6, 0.2)}
 
 

@@ -2,4 +2,8 @@
 
 from __future__ import annotations
 
+from kit.lanes import lanes_from_environment
+
 import djpt  # noqa: F401
+
+lanes_from_environment()

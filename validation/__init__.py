@@ -1,4 +1,4 @@
-"""The bridge to Mitsuba 3, which validation compares with: metrics, statistics, reports."""
+"""Validation against Mitsuba 3: the bridge to it, metrics, statistics, reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bridge to Mitsuba 3: the same scene description, rendered by the ground truth in this process.
+"""The bridge to Mitsuba 3, the ground truth: it renders the same scene description in this process.
 
 Only this module imports Mitsuba, and only when it is used: rendering never needs it.
 """
@@ -24,13 +24,13 @@ from djpt.variants import load_backend, variant
 __all__ = ["VERSION", "Renderer", "mitsuba_renderer", "render_in_mitsuba", "to_mitsuba"]
 
 VERSION = "3.9.1"
-"""The ground truth is this release: names and conventions change in the next one."""
+"""The release of Mitsuba that is the ground truth; names and conventions change between releases."""
 
 NOISE_ONLY = ("emitter_choice",)
-"""Parameters of djpt's that change the noise of an image and nothing else."""
+"""Parameters of djpt that change the noise of an image and nothing else."""
 
 Renderer = Callable[[int, int], npt.NDArray[np.float32]]
-"""``renderer(spp, seed)`` -> linear pixels (H, W, C)."""
+"""A function ``renderer(spp, seed)`` that returns linear pixels (H, W, C)."""
 
 
 def render_in_mitsuba(scene: Mapping[str, Any] | str, spp: int, seed: int = 0) -> npt.NDArray[np.float32]:
@@ -41,8 +41,8 @@ def render_in_mitsuba(scene: Mapping[str, Any] | str, spp: int, seed: int = 0) -
 def mitsuba_renderer(scene: Mapping[str, Any], optimize: bool = True) -> Renderer:
     """Load `scene` into Mitsuba once, to be rendered many times.
 
-    `optimize`: Mitsuba merges shapes and materials that look alike, its default and its fastest. Emitters that
-    merge leave the image as it is, but not what a random number picks: for equal seeds pass False.
+    `optimize`: Mitsuba merges shapes and materials that are alike, its fast default. Merged emitters don't change
+    the image's mean, but which emitter a random number chooses: pass False to compare at equal seeds.
 
     Raises:
         BackendError: Mitsuba isn't installed, or its variant can't be used.
@@ -91,14 +91,14 @@ def _value(mi: Any, value: Any, node: str) -> Any:
     try:
         array = as_array(value)
     except SceneError:
-        return value  # an object of Mitsuba, or something that Mitsuba will refuse by name
+        return value  # an object of Mitsuba, or a value that Mitsuba will refuse with a message
     if array.ndim == 3:
         return value  # pixels
     return mi.ScalarTransform4f(array.tolist()) if array.shape == (4, 4) else array.tolist()
 
 
 def _in_its_words(mi: Any, node: Mapping[str, Any]) -> dict[str, Any]:
-    """A node with what only djpt knows said as Mitsuba says it, where that has the same mean."""
+    """Replace what only djpt knows in a node by Mitsuba's terms, where the image keeps its mean."""
     known = {key: value for key, value in node.items() if key not in NOISE_ONLY}
     pixels = known.get("data")
     if known.get("type") == "sobol":
@@ -114,7 +114,7 @@ def _in_its_words(mi: Any, node: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _variant() -> Iterator[Any]:
-    """Mitsuba with the variant that is djpt's; a script's own variant comes back afterwards."""
+    """Use Mitsuba with djpt's variant; a script's own variant is restored afterwards."""
     load_backend()  # so that both use one LLVM, found by djpt
     try:
         import mitsuba as mi

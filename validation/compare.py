@@ -1,12 +1,12 @@
-"""`compare`: is djpt's image the one that Mitsuba renders? Numbers, tests, a verdict and a picture.
+"""The comparison of djpt's image with Mitsuba's: numbers, tests, a verdict and a picture.
 
     result = djpt.validation.compare(djpt.cornell_box(), spp=256, rmse=0.05)
     print(result)
     assert result.passed
 
 Both renderers render the same scene in batches with independent seeds. Batches have equal spp on both sides:
-developing a filtered image divides two sums, which biases images of few samples
-a little, and equally so only at equal spp.
+developing a filtered image divides two sums, which biases images of few samples a little. Only at equal spp
+are both biased alike.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ _OUR_SEEDS, _THEIR_SEEDS = 0, 1
 
 @dataclass(frozen=True)
 class Comparison:
-    """What `compare` found. `print()` shows a table; `write_picture(path)` draws it.
+    """The result of `compare`. `print()` shows a table; `write_picture(path)` draws a picture.
 
-    * `image`, `reference`: ours and Mitsuba's mean image, (H, W, C) float32, linear.
+    * `image`, `reference`: djpt's and Mitsuba's mean image, (H, W, C) float32, linear.
     * `spp`, `reference_spp`, `batch_spp`: samples per pixel in all, and of one batch.
-    * `rmse`, `relative_rmse`, `bias` (mean of ours - Mitsuba's), `relative_bias`: see `djpt.validation.metrics`.
-    * `noise_rmse`: the RMSE that noise alone is expected to cause: sqrt(mean(var ours + var Mitsuba)).
-    * `noise_ratio`: standard deviation of ours / Mitsuba's at equal spp, in the typical pixel.
+    * `rmse`, `relative_rmse`, `bias` (mean of djpt - Mitsuba), `relative_bias`: see `djpt.validation.metrics`.
+    * `noise_rmse`: the RMSE that noise alone is expected to cause: sqrt(mean(var djpt + var Mitsuba)).
+    * `noise_ratio`: standard deviation of djpt's pixels / Mitsuba's at equal spp, geometric mean over pixels.
     * `tests`: the families of `djpt.validation.statistics`: pixels, blocks, image mean.
     * `same_seed`: agreement of one pair of renders with the same seed at `same_seed_spp`, or None.
-    * `seconds`, `reference_seconds`: median time of one batch (the first, which compiles, left out).
+    * `seconds`, `reference_seconds`: median time of one batch, without the first one, which compiles.
     * `limits`: the thresholds that were given.
     """
 
@@ -86,17 +86,17 @@ class Comparison:
 
     @property
     def speed(self) -> float:
-        """Mitsuba's time / ours for one batch. Coarse: `benchmarks/` measures properly."""
+        """Mitsuba's time / djpt's for one batch: an estimate, which `benchmarks/` measures more precisely."""
         return self.reference_seconds / self.seconds if self.seconds > 0 else math.inf
 
     def write_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write ours | Mitsuba | difference side by side; png or jpg."""
+        """Write djpt | Mitsuba | difference side by side, as png or jpg."""
         from djpt.validation.report import write_picture
 
         write_picture(self, path)
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """The table: (what, value, limit, verdict)."""
+        """The rows of the table: (what, value, limit, verdict)."""
         limits = self.limits
 
         def verdict(name: str, good: bool) -> str:
@@ -156,18 +156,18 @@ def compare(
     Args:
         scene: A dict of Mitsuba's schema or the name of a built-in scene.
         spp: Samples per pixel of djpt's image, in all batches together; rounded down to full batches. At least 4.
-        rmse: Limit for the RMSE, which holds the noise of both images; None: no limit.
+        rmse: Limit for the RMSE, which includes the noise of both images; None: no limit.
         same_seed: Limit for the share of pixels that agree at equal seeds, 0 to 1; None: reported only.
-        reference_spp: The same for Mitsuba's image (default `spp`): more of it lowers the noise in `rmse`.
+        reference_spp: Samples per pixel of Mitsuba's image (default `spp`): more of them lower the noise in `rmse`.
         seed: Changes all seeds.
         significance: False-alarm probability of each of the three families of tests.
         batches: Independent renders that `spp` is split into.
         same_seed_spp: Samples per pixel of the same-seed pair; 0 leaves it out.
         width: Pixels, instead of the scene's; see `djpt.description.overrides.override`.
-        height: Likewise.
-        rfilter: Reconstruction filter, instead of the scene's. `box` makes the tests sharper.
-        integrator: Instead of the scene's, in both renderers.
-        mitsuba_integrator: Instead of `integrator`, in Mitsuba: compares two estimators of one image.
+        height: Pixels, instead of the scene's.
+        rfilter: Reconstruction filter, instead of the scene's. With `box` the tests are more sensitive.
+        integrator: Integrator, instead of the scene's, in both renderers.
+        mitsuba_integrator: Integrator in Mitsuba, instead of `integrator`: compares two estimators of one image.
         schedule: djpt's schedule.
         progress: Called with (renders done, renders in all).
 
@@ -199,7 +199,7 @@ def compare(
 
 
 def assert_matches(scene: Mapping[str, Any] | str, spp: int = 64, rmse: float | None = None, **options: Any) -> None:
-    """`compare` with the same arguments; raises `ComparisonError` with the table unless everything passes."""
+    """Call `compare` with the same arguments; raise `ComparisonError` with its table unless everything passes."""
     result = compare(scene, spp, rmse, **options)
     if not result.passed:
         raise ComparisonError("\n".join(["the images differ:", *result.failures, "", str(result)]))
@@ -236,7 +236,7 @@ def compare_renderers(
     independent_pixels: bool = False,
     progress: Progress | None = None,
 ) -> Comparison:
-    """`compare` for any two functions (spp, seed) -> (H, W, C).
+    """Compare any two functions (spp, seed) -> (H, W, C), as `compare` does.
 
     `paired`: renders the reference of the same-seed pair in place of `theirs`. `same_estimator`: both
     have the same variance. `independent_pixels`: pixels share no samples (box filter).
@@ -248,7 +248,7 @@ def compare_renderers(
         _Side(theirs, batch_spp, reference_count, seed, _THEIR_SEEDS),
     )
     done, total = 0, count + reference_count + (2 if same_seed_spp else 0)
-    # In turn, so that whatever slows the machine down slows both.
+    # In turn, so that other load on the machine slows both.
     for k in range(max(count, reference_count)):
         for side in sides:
             if k < side.count:
@@ -292,11 +292,11 @@ def compare_renderers(
 
 
 class _Side:
-    """One of the two renderers: its batches, its times, its seeds."""
+    """One of the two renderers, with its batches, times and seeds."""
 
     def __init__(self, renderer: Renderer, spp: int, count: int, seed: int, stream: int) -> None:
         self.renderer, self.spp, self.count = renderer, spp, count
-        # Seeds that the two sides share would make their noise equal, and the tests too lenient.
+        # With seeds that both sides share their noise would be correlated, and the tests too lenient.
         self.seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
         self.batches = Batches()
         self.times: list[float] = []
@@ -309,12 +309,12 @@ class _Side:
 
     @property
     def seconds(self) -> float:
-        """Median time of a batch; the first one compiles kernels."""
+        """The median time of a batch, without the first one, which compiles kernels."""
         return float(np.median(self.times[1:] or self.times))
 
 
 def _plan(spp: int, reference_spp: int | None, batches: int) -> tuple[int, int, int]:
-    """Samples of a batch, our number of batches, theirs."""
+    """The samples of a batch, djpt's number of batches, the reference's number of batches."""
     reference_spp = spp if reference_spp is None else reference_spp
     for name, value, low in (("spp", spp, 4), ("reference_spp", reference_spp, 4), ("batches", batches, 2)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < low:

@@ -1,7 +1,7 @@
-"""How far two images are apart: plain numbers, without a judgement on whether noise explains them.
+"""Measures of the difference of two images: plain numbers, without a test whether noise explains them.
 
 Every function takes two arrays of equal shape (H, W, C), compares `image` with `reference` and computes in
-float64. A judgement needs variances: see `djpt.validation.statistics`.
+float64. Such a test needs variances: see `djpt.validation.statistics`.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ class ComparisonError(DjptError, AssertionError):
 
 
 def rmse(image: Any, reference: Any) -> float:
-    """Root mean square error: sqrt(mean((a - b)^2)) over pixels and channels."""
+    """The root mean square error sqrt(mean((a - b)^2)) over pixels and channels."""
     a, b = pair(image, reference)
     return float(np.sqrt(np.mean(np.square(a - b))))
 
 
 def relative_rmse(image: Any, reference: Any, epsilon: float = 1e-2) -> float:
-    """sqrt(mean((a - b)^2 / (b^2 + epsilon))): the square root of relMSE.
+    """The square root of relMSE, sqrt(mean((a - b)^2 / (b^2 + epsilon))).
 
-    `epsilon` (default 0.01) keeps black pixels from ruling; it is the customary value in papers on
+    `epsilon` (default 0.01) keeps black pixels from dominating; it is the usual value in papers on
     denoising and sampling (Rousselle et al. 2011, *Adaptive sampling and reconstruction using
     greedy error minimization*).
     """
@@ -41,13 +41,13 @@ def relative_rmse(image: Any, reference: Any, epsilon: float = 1e-2) -> float:
 
 
 def mean_bias(image: Any, reference: Any) -> float:
-    """mean(a - b) over pixels and channels: positive if `image` is too bright."""
+    """The bias mean(a - b) over pixels and channels: positive if `image` is too bright."""
     a, b = pair(image, reference)
     return float(np.mean(a - b))
 
 
 def relative_bias(image: Any, reference: Any) -> float:
-    """`mean_bias` as a share of the reference's mean; 0 if both are black."""
+    """The ratio of `mean_bias` to the reference's mean; 0 if both are 0."""
     bias, level = mean_bias(image, reference), abs(float(np.mean(np.asarray(reference, np.float64))))
     if level == 0:
         return math.copysign(math.inf, bias) if bias else 0.0
@@ -55,7 +55,7 @@ def relative_bias(image: Any, reference: Any) -> float:
 
 
 def pair(image: Any, reference: Any) -> tuple[Array, Array]:
-    """Both images as float64; raises `ComparisonError` unless shapes agree and all values are finite."""
+    """Convert both images to float64; raise `ComparisonError` unless shapes agree and all values are finite."""
     a, b = np.asarray(image, np.float64), np.asarray(reference, np.float64)
     if a.shape != b.shape or a.ndim != 3 or a.size == 0:
         raise ComparisonError(f"images to compare need one shape (H, W, C), found {a.shape} and {b.shape}")

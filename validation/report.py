@@ -1,4 +1,4 @@
-"""The picture of a comparison: ours | Mitsuba | difference."""
+"""The picture of a comparison: djpt | Mitsuba | difference."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def picture(result: Comparison) -> Bytes:
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
-    """A signed map, (H, W, 3): white 0, red +scale and more, blue -scale and less."""
+    """Draw the signed difference, (H, W, 3): white for 0, red for +scale and more, blue for -scale and less."""
     signed = np.mean(np.asarray(image, np.float64) - np.asarray(reference, np.float64), axis=2) / scale
     away = np.clip(np.abs(signed), 0, 1)[..., None]
     hue = np.where(signed[..., None] > 0, np.array([178.0, 24, 43]), np.array([33.0, 102, 172]))
@@ -66,7 +66,7 @@ def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:
 
 
 def _shown(image: Any) -> Bytes:
-    """RGB bytes, from any number of channels."""
+    """Convert an image of any number of channels to RGB bytes."""
     pixels = Image(image).srgb()
     return pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1].repeat(3, axis=2)
 

@@ -1,7 +1,7 @@
-"""Same seed, same samples: the sharpest test, where two renderers draw the same random numbers.
+"""The comparison of images with the same seed, the most sensitive test: both renderers use the same random numbers.
 
 djpt seeds and draws as Mitsuba's `independent` sampler does, so both follow the same paths and
-pixels agree to float rounding, except where rounding flips a decision (an edge, a roulette, a lobe).
+pixels agree to float rounding, except where rounding changes a decision (an edge, a roulette, a lobe).
 A wrong term shows in nearly every pixel that it touches, at any number of samples.
 """
 
@@ -19,12 +19,12 @@ __all__ = ["Agreement", "agreement"]
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of two images with the same seed.
+    """The agreement of two images with the same seed.
 
     * `share`: the share of pixels whose channels all agree to within `tolerance`.
-    * `worst`: the largest relative difference; `median`: the median over the pixels.
-    * `bias`: sum of the differences / sum of the reference. Flipped paths are as often brighter as darker, so
-      a bias far above `(1 - share)` times the noise means more than rounding.
+    * `worst`: the largest relative difference of a pixel; `median`: the median over the pixels.
+    * `bias`: sum of the differences / sum of the reference. Paths that rounding has changed are as often brighter as
+      darker, so a bias far above `(1 - share)` times the noise has another cause than rounding.
     """
 
     share: float
@@ -42,7 +42,7 @@ def agreement(image: Any, reference: Any, tolerance: float = 1e-3) -> Agreement:
     """Compare two renders with equal seed and spp, shape (H, W, C).
 
     A pixel's relative difference is ``max over channels |a - b| / max(|a|, |b|, floor)``. The floor, 1e-3 of the
-    reference's mean, keeps channels that are nearly black from turning rounding into relative errors.
+    reference's mean, prevents large relative differences by rounding in channels that are nearly black.
     """
     a, b = pair(image, reference)
     floor = max(1e-3 * float(np.mean(np.abs(b))), float(np.finfo(np.float32).tiny))

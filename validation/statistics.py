@@ -1,24 +1,24 @@
-"""Is the difference of two noisy images explained by their noise? Tests with a stated false-alarm rate.
+"""Tests, with a stated false-alarm rate, whether noise explains the difference of two images.
 
 Each renderer renders the same scene several times with independent seeds: its *batches*. They give, for every
 pixel, block of pixels or whole image, a mean and an unbiased variance of that mean, without
-any help from the renderer. If both means estimate the same number, then
+any data from the renderer but images. If both means estimate the same number, then
 
     t = (mean_a - mean_b) / sqrt(variance_a + variance_b)
 
 follows Student's distribution. Three families of tests look at three scales:
 
-* **pixels**, each channel by itself: sees a defect of a few pixels, however small;
-* **blocks** of 32 x 32 pixels: sees a defect of an object or of a shadow;
-* **image mean** per channel: sees a missing factor, and a uniform bias smaller than the pixel test can by
-  about the square root of the number of pixels.
+* **pixels**, each channel by itself: detects a defect of a few pixels;
+* **blocks** of 32 x 32 pixels: detects a defect of an object or of a shadow;
+* **image mean** per channel: detects a missing factor, and a uniform bias that is smaller than the least one that
+  the pixel test detects by about the square root of the number of pixels.
 
 A family of n tests alarms falsely with probability `significance` altogether: each single test uses Sidak's level
 ``1 - (1 - significance)^(1/n)`` (Z. Sidak 1967, *Rectangular confidence regions for the means of multivariate
 normal distributions*), which is exact for independent tests, and safe for the correlated
 ones (neighbours under a wide filter, channels of a pixel), since it bounds any normal vector.
 
-Both images must come from different seeds, since equal seeds are not independent: for those see
+Both images must come from different seeds, since images of equal seeds aren't independent: for those see
 `djpt.validation.same_seed`.
 """
 
@@ -53,12 +53,12 @@ BLOCK = 32
 """Side of a block in pixels. Blocks at the right and lower border may be smaller."""
 
 RESOLUTION = 1e-5
-"""Relative differences of this size count as rounding: Mitsuba's own renders differ by 7e-6 (atomic order)."""
+"""Relative differences up to this count as rounding: Mitsuba's own renders differ by 7e-6 (order of atomics)."""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What batches say of some averages: all arrays have the shape of the averages."""
+    """Mean, variance and degrees of freedom of some averages; all arrays have the shape of the averages."""
 
     mean: Array
     variance: Array  # of one batch's average, unbiased
@@ -71,12 +71,12 @@ class TestResult:
     """One family of tests.
 
     * `name`, `count`: which family, and how many tests it has.
-    * `z`: the most extreme one of them, as the normal deviate with the same p-value; positive = too bright.
-    * `critical`: what |z| may be at most, by Sidak.
-    * `p_value`: the chance that noise alone gives such an extreme in any of them.
+    * `z`: the most extreme test, as the normal deviate with the same p-value; positive = too bright.
+    * `critical`: the largest |z| that passes, by Sidak.
+    * `p_value`: the probability that noise alone gives such an extreme in any of the tests.
     * `rejected`: how many tests exceed `critical`; `where`: the index of the extreme one.
-    * `detectable`: the bias that a single test of this family, of median noise, sees in every
-      second comparison, as a share of the reference's mean: what this comparison could see at all.
+    * `detectable`: the bias that a single test of this family, of median noise, detects in every
+      second comparison, as a share of the reference's mean: the resolution of this comparison.
     """
 
     __test__ = False  # not a class of tests for pytest
@@ -102,7 +102,7 @@ class TestResult:
 
 
 class Batches:
-    """Accumulates the mean and the variance of independent renders of one scene, one `add()` each.
+    """The mean and the variance of independent renders of one scene, accumulated by `add`.
 
     Memory: two float64 images, and per batch one number for each block and channel.
     """
@@ -187,7 +187,7 @@ class Batches:
 
 
 def pixel_test(a: Batches, b: Batches, significance: float = 1e-3, equal_variance: bool = True) -> TestResult:
-    """Does any pixel of `a` differ from `b`'s by more than noise? One test per pixel and channel."""
+    """Test whether any pixel of `a` differs from `b`'s by more than noise: one test per pixel and channel."""
     return _test("pixels", a.pixels(), b.pixels(), significance, equal_variance)
 
 
@@ -198,7 +198,7 @@ def block_test(
     equal_variance: bool = True,
     independent_pixels: bool = False,
 ) -> TestResult:
-    """Does any block? One test per block and channel; `independent_pixels`: see `Batches.blocks`."""
+    """Test whether any block's mean differs: one test per block and channel; see `Batches.blocks` for arguments."""
     if a.block != b.block:
         raise ComparisonError(f"blocks of different sizes: {a.block} and {b.block}")
     return _test(
@@ -217,15 +217,15 @@ def mean_test(
     equal_variance: bool = True,
     independent_pixels: bool = False,
 ) -> TestResult:
-    """Does the mean of any channel? One test per channel; `independent_pixels`: see `Batches.blocks`."""
+    """Test whether any channel's mean differs: one test per channel; see `Batches.blocks` for `independent_pixels`."""
     return _test("image mean", a.image(independent_pixels), b.image(independent_pixels), significance, equal_variance)
 
 
 def noise_ratio(a: Batches, b: Batches) -> float:
-    """Standard deviation of a batch of `a` / of `b`: the geometric mean over all pixels that have noise.
+    """The standard deviation of a batch of `a` / of `b`: the geometric mean over all pixels that have noise.
 
-    A few very noisy pixels, such as the edge of a lamp, can't rule it. An estimated variance's logarithm is on
-    average too small by log(dof/2) - digamma(dof/2), which is corrected. 1 if neither has noise.
+    A few very noisy pixels, such as the edge of a lamp, have little weight in it. The logarithm of an estimated
+    variance is on average too small by log(dof/2) - digamma(dof/2), which is corrected. 1 if neither has noise.
     """
     first, second = a.pixels(), b.pixels()
     both = (first.variance > 0) & (second.variance > 0)
@@ -245,13 +245,14 @@ def sidak(significance: float, count: int) -> float:
 
 
 def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance: bool) -> TestResult:
-    """Two-sample t-tests of all averages.
+    """Run two-sample t-tests of all averages.
 
     `equal_variance`: both renderers use the same estimator with the same samples per batch, so one variance is
-    estimated from both (Student): exact for normal noise, and careful for skewed noise (fireflies) as long
+    estimated from both (Student): exact for normal noise, and conservative for skewed noise (fireflies) as long
     as both have equally many batches, since the difference is symmetric then. With unequal counts skewness would
-    speak: many batches find rare bright paths that few miss, or few are hit by one too early. Then Welch's
-    test, which estimates two variances, must reject as well. Without `equal_variance` Welch's test alone decides.
+    cause false alarms: rare bright paths are found by many batches and missed by few, or meet one of the few.
+    Then Welch's test, which estimates two variances, must reject as well. Without `equal_variance` Welch's test
+    alone decides.
     """
     if a.mean.shape != b.mean.shape:
         raise ComparisonError(f"images of different shapes: {a.mean.shape} and {b.mean.shape}")
@@ -271,7 +272,7 @@ def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance
     for variance, dof in variances:
         error = np.sqrt(variance + rounding**2)
         t = np.abs(np.divide(difference, error, out=np.zeros_like(difference), where=error > 0))
-        # A normal deviate is never farther out than the t with the same p, which also mends p = 0.
+        # A normal deviate is never larger than the t with the same p; this also replaces the infinity of p = 0.
         size = np.minimum(size, np.minimum(normal.isf(student.sf(t, dof)), t))
         seen = max(seen, float(np.median(student.isf(single / 2, dof) * error)))
 
@@ -292,36 +293,36 @@ def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance
 
 
 def _student(a: Moments, b: Moments) -> tuple[Array, Array]:
-    """Variance of the difference of the means and its degrees of freedom, from one pooled variance."""
+    """The variance of the difference of the means and its degrees of freedom, from one pooled variance."""
     dof = a.dof + b.dof
     return (a.dof * a.variance + b.dof * b.variance) / dof * (1 / a.count + 1 / b.count), dof
 
 
 def _welch(a: Moments, b: Moments) -> tuple[Array, Array]:
-    """The same from two variances (Welch 1947, with Satterthwaite's degrees of freedom)."""
+    """The variance of the difference of the means from two variances (Welch 1947), and Satterthwaite's dof."""
     va, vb = a.variance / a.count, b.variance / b.count
     spread = va**2 / a.dof + vb**2 / b.dof
     return va + vb, np.where(spread > 0, (va + vb) ** 2 / np.where(spread > 0, spread, 1), a.dof + b.dof)
 
 
 def _pooled(pixels: Moments, add_up: Any, size: Any) -> Moments:
-    """Averages of independent pixels: `add_up` sums an array (H, W, C) over each group of `size` pixels."""
+    """The moments of averages of independent pixels: `add_up` sums an array (H, W, C) over groups of `size` pixels."""
     total = add_up(pixels.variance)
     squares = add_up(pixels.variance**2 / pixels.dof)
-    one = add_up(pixels.dof)  # no noise anywhere: any number of degrees of freedom will do
+    one = add_up(pixels.dof)  # where there is no noise any number of degrees of freedom will do
     dof = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1), one)
     return Moments(add_up(pixels.mean) / size, total / size**2, dof, pixels.count)
 
 
 def _block_means(image: Array, block: int) -> Array:
-    """Averages over blocks, (rows, columns, C)."""
+    """The averages over blocks, (rows, columns, C)."""
     sums = np.add.reduceat(image, np.arange(0, image.shape[0], block), axis=0)
     sums = np.add.reduceat(sums, np.arange(0, image.shape[1], block), axis=1)
     return np.asarray(sums / _block_sizes(image.shape, block))
 
 
 def _block_sizes(shape: tuple[int, ...], block: int) -> Array:
-    """How many pixels each block has, (rows, columns, 1)."""
+    """The number of pixels of each block, (rows, columns, 1)."""
     rows, columns = (np.diff(np.append(np.arange(0, n, block), n)).astype(np.float64) for n in shape[:2])
     return np.asarray(rows[:, None, None] * columns[None, :, None])
 

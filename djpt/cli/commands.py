@@ -145,7 +145,7 @@ def tonemap(
         check_writable(target)
         tone = _Tone(target, operator, exposure, white_balance)
         pixels = read_pixels(image)
-        # Of an image with layers the colour comes first.
+        # The first channels of an image with layers are the colour.
         shown = tone.apply(pixels if pixels.shape[2] <= 4 else pixels[..., :3])
         facts = read_metadata(image) if image.suffix.lower() == ".exr" else {}
         djpt.write(target, shown, metadata=_carried(target, {**facts, **tone.facts}))
@@ -214,7 +214,7 @@ def compare(
 
 @app.command()
 def info(scene: SceneName, define: Defines = None) -> None:
-    """Say what SCENE consists of, and how well its triangles can be searched."""
+    """Print what SCENE consists of, and how well its triangles can be searched."""
     with readable_errors():
         from djpt.cli.info import describe
         from djpt.description.overrides import described
@@ -266,7 +266,7 @@ def gallery(
 
 @app.command()
 def doctor() -> None:
-    """Say what was found on this machine, what was chosen and why, and what to do."""
+    """Print what was found on this machine, what was chosen and why, and what to do."""
     from djpt.cli.doctor import main as examine
 
     raise typer.Exit(examine())
@@ -277,7 +277,7 @@ for compares in (ladder.ladder, ladder.bounces, ladder.spp):
 
 
 def main() -> int:
-    """The command line; returns the exit code."""
+    """Run the command line and return the exit code."""
     try:
         app(prog_name="djpt")
     except SystemExit as end:  # how Click always ends
@@ -286,7 +286,7 @@ def main() -> int:
 
 
 def run() -> None:
-    """Run `main` as the whole process, which ends with its exit code."""
+    """Run `main`, and end the process with its exit code."""
     code = main()
     if code == ExitCode.UNUSABLE:
         # Without an LLVM, Dr.Jit's own shutdown has been seen to hang.
@@ -322,7 +322,7 @@ class _Tone:
 
 
 def _facts(scene: djpt.Scene, sensor: int, spp: int | None, seed: int) -> dict[str, Any]:
-    """What files say about an image."""
+    """The metadata that files of an image carry."""
     from djpt.description.registry import registered
 
     def name_of(plugin: Any) -> str:
@@ -341,7 +341,7 @@ def _facts(scene: djpt.Scene, sensor: int, spp: int | None, seed: int) -> dict[s
 
 
 def _carried(target: Path, facts: dict[str, Any]) -> dict[str, Any]:
-    """The facts, if a file of this kind can carry them."""
+    """The metadata, if a file of this format can carry them; else none."""
     from djpt.images.formats import METADATA
 
     return facts if target.suffix.lower() in METADATA else {}

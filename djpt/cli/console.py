@@ -1,4 +1,4 @@
-"""What the commands share: options, exit codes, errors as one line, the progress bar."""
+"""Parts that all commands share: options, exit codes, errors as one line, the progress bar."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = [
 
 
 class ExitCode(IntEnum):
-    """What the process returns."""
+    """The exit codes of the process."""
 
     DONE = 0
     DIFFERENT = 1
@@ -58,11 +58,11 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 
 @contextlib.contextmanager
 def readable_errors() -> Iterator[None]:
-    """What a user can cause ends with one line and an exit code, not with a traceback."""
+    """Turn errors that a user can cause into one line and an exit code, without a traceback."""
     try:
         yield
     except BackendError as error:
-        fail(str(error), ExitCode.UNUSABLE)  # its advice has lines of its own
+        fail(str(error), ExitCode.UNUSABLE)  # several lines: the advice has its own
     except DjptError as error:
         fail(" ".join(str(error).split()), ExitCode.BAD_INPUT)
     except MemoryError:
@@ -72,13 +72,13 @@ def readable_errors() -> Iterator[None]:
 
 
 def fail(message: str, code: ExitCode) -> None:
-    """Say what is wrong and end the process."""
+    """Print an error and end the process."""
     print(f"djpt: error: {message}", file=sys.stderr)
     raise typer.Exit(code) from None
 
 
 def number_or_word(text: str) -> float | str:
-    """A number if it is one."""
+    """Parse a number; any other text stays as it is."""
     try:
         return float(text)
     except ValueError:
@@ -86,7 +86,7 @@ def number_or_word(text: str) -> float | str:
 
 
 def parameters(definitions: list[str] | None) -> dict[str, str]:
-    """The parameters of ``-D name=value``; the last one of a name counts."""
+    """Parse the parameters of ``-D name=value``; the last one of a name counts."""
     pairs = [definition.partition("=") for definition in definitions or ()]
     for name, equals, value in pairs:
         if not name or not equals:
@@ -95,7 +95,7 @@ def parameters(definitions: list[str] | None) -> dict[str, str]:
 
 
 def require_positive(**options: float | None) -> None:
-    """Refuse options below 1."""
+    """End with an error if one of the options is below 1."""
     for name, value in options.items():
         if value is not None and value < 1:
             raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
@@ -103,9 +103,9 @@ def require_positive(**options: float | None) -> None:
 
 @contextlib.contextmanager
 def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar with `unit`/s and the time left, for a function that is called with (done, total).
+    """Show a bar with `unit`/s and the time left; gives a function to be called with (done, total).
 
-    Shows nothing where nobody watches: in a pipe, in a log, with --quiet.
+    Nothing is shown with --quiet, or if the output isn't a terminal.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -131,7 +131,7 @@ def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, 
 
 
 def short(number: float) -> str:
-    """Three digits and a prefix: ``13.5 M``."""
+    """Format a number with three digits and a prefix: ``13.5 M``."""
     for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if number >= factor:
             return f"{number / factor:.3g} {prefix}"

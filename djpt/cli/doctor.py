@@ -1,7 +1,7 @@
-"""``djpt doctor``: what was found on this machine, what was chosen and why, and what to do.
+"""The command ``djpt doctor``: what was found on this machine, what was chosen and why, and what to do.
 
 `examine` collects the findings, `print_report` shows them. The backend is tried in a
-process of its own, so that even a library that aborts yields a finding. Works without Dr.Jit.
+process of its own, so that even a library that aborts gives a finding. Works without Dr.Jit.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _TRIAL_TOTAL = 0 + 1 + 2 + 3 + 4 * 3.5
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report; `advice` says what to do, or why it is as it is."""
+    """One line of the report; `advice` says what to do, or gives the reason."""
 
     topic: str
     found: str
@@ -59,7 +59,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """What `examine` found. `usable`: djpt can render on this machine."""
+    """The findings of `examine`. `usable` tells whether djpt can render on this machine."""
 
     findings: tuple[Finding, ...]
     usable: bool
@@ -73,7 +73,7 @@ class Report:
 
 
 def examine() -> Report:
-    """Look at the machine. Takes about a second; changes nothing and raises no `DjptError`."""
+    """Examine the machine. Takes about a second; changes nothing and raises no `DjptError`."""
     libraries = search()
     trial = _trial()
     return Report(
@@ -191,7 +191,7 @@ def print_report(report: Report, console: Console | None = None) -> None:
 
 
 def main() -> int:
-    """``djpt doctor``: print the report. Returns 0 if djpt can render here, else 3."""
+    """Run ``djpt doctor``: print the report, and return 0 if djpt can render here, else 3."""
     report = examine()
     print_report(report)
     return 0 if report.usable else 3

@@ -1,4 +1,4 @@
-"""``djpt info``: what a scene consists of, and how well its triangles can be searched."""
+"""The command ``djpt info``: what a scene consists of, and how well its triangles can be searched."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["describe"]
 
 
 def describe(scene: Scene) -> str:
-    """A few lines about a scene: shapes, primitives, nodes, depth, SAH cost, memory, build time.
+    """Describe a scene in a few lines: shapes, primitives, nodes, depth, SAH cost, memory, build time.
 
     The SAH cost is the number of nodes and primitives that a random line through the scene meets on
     average; see docs/theory/acceleration.md.
@@ -42,7 +42,7 @@ def describe(scene: Scene) -> str:
 
 
 def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[str, str]]:
-    """What there is to say about the BVH."""
+    """Describe the BVH: (name, text) for each of its numbers."""
     nodes, depth, cost = triangles.forest.statistics()
     stored, seen = triangles.meshes.face_count, sum(faces_of(shape) for shape in shapes)
     instanced = "" if stored == seen else f", {seen} with instances"
@@ -56,13 +56,13 @@ def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[st
 
 
 def faces_of(shape: Shape) -> int:
-    """How many triangles of a shape can be seen."""
+    """The number of a shape's triangles, those of instances included."""
     if isinstance(shape, Instance):
         return sum(faces_of(inner) for inner in shape.group.shapes)
     return len(shape.indices) if isinstance(shape, Mesh) else 0
 
 
 def counted(plugins: Sequence[object]) -> str:
-    """How many of each class: ``2 Cube, 6 Rectangle``."""
+    """Count the plugins of each class: ``2 Cube, 6 Rectangle``."""
     kinds = Counter(type(plugin).__name__ for plugin in plugins)
     return ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds)) or "none"

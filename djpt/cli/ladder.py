@@ -148,7 +148,7 @@ def spp(
 
 
 def checked(target: Path) -> Path:
-    """A file that a strip can be written to."""
+    """Check that a strip can be written to a file, and return its path."""
     from djpt.errors import RenderError
     from djpt.images.formats import DISPLAY_FORMATS
     from djpt.images.image import check_writable
@@ -160,7 +160,7 @@ def checked(target: Path) -> Path:
 
 
 def write(target: Path, panels: list[Panel], columns: int | None, start: float, quiet: bool) -> None:
-    """Write the strip, and tell about it."""
+    """Write the strip, and print its size and the time that it took."""
     import djpt
     from djpt.validation.ladder.strips import strip
 

@@ -1,4 +1,4 @@
-"""Ranges of numbers: what a texture may hold, and how messages put it."""
+"""Ranges of numbers that a texture may hold, and their wording in messages."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ __all__ = ["Allowed", "bounds"]
 
 @dataclass(frozen=True)
 class Allowed:
-    """A range of numbers; None: no bound."""
+    """A range of numbers; a bound of None is no bound."""
 
     low: float | None = None
     high: float | None = None
     low_open: bool = False
-    """Is `low` itself outside?"""
+    """Whether `low` itself is outside of the range."""
 
     def within(self, other: Allowed) -> Allowed:
-        """What lies in both ranges."""
+        """The intersection of two ranges."""
         lows = [x for x in (self.low, other.low) if x is not None]
         highs = [x for x in (self.high, other.high) if x is not None]
         low = max(lows, default=None)
@@ -32,7 +32,7 @@ class Allowed:
 
     def require(self, numbers: NDArray[Any], where: str = "") -> None:
         """Raise `SceneError` if a number lies outside; `where` starts the message."""
-        # float32 rounds 0.1 up: compare what the user wrote, as float32.
+        # Numbers may be float32, which rounds 0.1 up: the bounds are compared as float32, too.
         smallest = -np.inf if self.low is None else np.float32(self.low)
         largest = np.inf if self.high is None else np.float32(self.high)
         outside = numbers[(numbers <= smallest if self.low_open else numbers < smallest) | (numbers > largest)]
@@ -43,7 +43,7 @@ class Allowed:
 
 
 def bounds(low: float | None, high: float | None, low_open: bool = False, high_open: bool = False) -> str:
-    """A range in words: ``lie in [0, 1]``, ``be at least 1``, ``be greater than 0``."""
+    """Put a range in words: ``lie in [0, 1]``, ``be at least 1``, ``be greater than 0``."""
     if low is not None and high is not None:
         return f"lie in {'(' if low_open else '['}{low:g}, {high:g}{')' if high_open else ']'}"
     if low is not None:

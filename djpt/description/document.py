@@ -1,4 +1,4 @@
-"""A scene description that knows where it came from."""
+"""Scene descriptions that know the file they come from."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Document(dict[str, Any]):
 
     Args:
         description: the description.
-        name: what the scene is called, for messages and output files.
+        name: the scene's name, for messages and output files.
         places: file and line by path: of nodes (``sensor.film``; the root is the empty path) and of
             their entries (``sensor.film.width``).
         directories: where relative names of files are looked up, besides the working directory.
@@ -33,5 +33,5 @@ class Document(dict[str, Any]):
         self.directories = directories
 
     def copy(self) -> Document:
-        """A shallow copy that still knows its places."""
+        """A shallow copy that keeps the name, the places and the directories."""
         return Document(self, self.name, self.places, self.directories)

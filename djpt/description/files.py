@@ -1,4 +1,4 @@
-"""Finding the files that a scene description names."""
+"""The search for files that a scene description names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["FileResolver", "resolve"]
 
 
 class FileResolver:
-    """Directories in which relative names are looked up, the first hit wins; at last the working directory."""
+    """Directories in which relative names are looked up, in order; the working directory comes last."""
 
     def __init__(self, directories: Sequence[Path] = ()) -> None:
         self.directories = tuple(directories)
@@ -48,5 +48,5 @@ _current: ContextVar[FileResolver | None] = ContextVar("file_resolver", default=
 
 
 def resolve(name: str) -> Path:
-    """The path of a file that the description being loaded names."""
+    """The path of a file that is named by the description being loaded; raises `FileError`."""
     return (_current.get() or FileResolver()).resolve(name)

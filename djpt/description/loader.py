@@ -53,13 +53,13 @@ class Loader:
         """File and line of each path, if the description comes from a file."""
         self.nodes: dict[str, Mapping[str, Any] | Plugin] = {}
         self.paths: dict[str, str] = {}
-        """What a reference can name (a path or an ``id`` entry), and the path that it means."""
+        """The path of a node by each name that a reference can use: its path or its ``id`` entry."""
         self.plugins: dict[str, Plugin] = {}
         self.open: list[str] = []
-        """Paths of the nodes under construction, outermost first: a reference to one is a cycle."""
+        """Paths of the nodes under construction, outermost first; a reference to one of them is a cycle."""
 
     def load(self) -> Plugin:
-        """Build the root and, with it, everything."""
+        """Build the root, and with it all other nodes."""
         self.collect()
         return self._build("")
 
@@ -73,16 +73,16 @@ class Loader:
     # ---- first walk: names ---------------------------------------------------------------
 
     def name(self, path: str, key: str = "") -> str:
-        """A path as messages have it: ``scene.white``, ``box.xml:12: scene.white``.
+        """The name of a path in messages: ``scene.white``, ``box.xml:12: scene.white``.
 
-        With a `key`, the line is that of this entry.
+        With a `key`, the line is the line of this entry.
         """
         name = f"{self.label}.{path}" if path else self.label
         place = self.places.get((f"{path}.{key}" if path else key) if key else path)
         return f"{place}: {name}" if place else name
 
     def _collect(self, node: Mapping[str, Any], path: str, parents: tuple[int, ...]) -> None:
-        """Check the form of a node and of all below it; note what references can name."""
+        """Check the form of a node and of all below it; note the names that references can use."""
         where = self.name(path)
         if id(node) in parents:
             raise SceneError(f"{where}: the dict contains itself")
@@ -104,7 +104,7 @@ class Loader:
             return
         identity = node.get("id")
         if identity is not None:
-            # Exporters write ids with dots, such as "Material.001": they are names like others.
+            # Exporters write ids with dots, such as "Material.001": any non-empty string is a name.
             if not isinstance(identity, str) or not identity:
                 raise SceneError(f"{where}: 'id' must be a name, found {describe(identity)}")
             self._name_node(identity, path)
@@ -124,7 +124,7 @@ class Loader:
     # ---- second walk: plugins ------------------------------------------------------------
 
     def _build(self, path: str) -> Plugin:
-        """The plugin of a node, built at the first call."""
+        """The plugin of a node; built at the first call."""
         if path in self.plugins:
             return self.plugins[path]
         node = self.nodes[path]
@@ -145,7 +145,7 @@ class Loader:
         return plugin
 
     def target(self, node: Mapping[str, Any], path: str) -> str:
-        """The path of what a reference refers to."""
+        """The path of the node that a reference refers to."""
         where = self.name(path)
         extra = [key for key in node if key not in ("type", "id")]
         if extra:
@@ -154,7 +154,7 @@ class Loader:
         if not isinstance(target, str):
             raise SceneError(f"{where}: a reference needs an 'id' that is a string, found {describe(target)}")
         if target not in self.paths or target == "":
-            # Top-level names and ids; paths only if a path was asked for.
+            # Suggest top-level names and ids; paths only if the reference looks like a path.
             names = (n for n in self.paths if n and ("." in target or "." not in n))
             possible = [n for n in names if self.paths[n] != path and not self._is_reference(self.paths[n])]
             raise SceneError(f"{where}: nothing has the id '{target}'{near_miss(target, possible)}")
@@ -179,7 +179,7 @@ class Loader:
             if isinstance(value, (Mapping, Plugin)):
                 below = f"{path}.{key}" if path else key
                 value = self._build(below)
-                # In a scene an explicit `id` is the name; elsewhere the key says what the node is for.
+                # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
             values[key] = value
         places = {key: self.name(path, key) for key in node} if self.places else {}

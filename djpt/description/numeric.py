@@ -1,6 +1,6 @@
-"""What counts as a number, a vector or a matrix in a scene description.
+"""Numbers, vectors and matrices in a scene description: the accepted types, and their checks.
 
-Plain Python and NumPy numbers and the width-1 arrays of Dr.Jit and Mitsuba do, as long as
+Plain Python and NumPy numbers and the width-1 arrays of Dr.Jit and Mitsuba are accepted if
 they are finite in single precision, in which kernels compute. The errors raised here don't
 name the node: the caller knows it.
 """
@@ -19,7 +19,7 @@ from djpt.errors import SceneError
 __all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe", "is_readable", "non_negative"]
 
 LARGEST = float(np.finfo(np.float32).max)
-"""Kernels compute in float32, where anything larger is infinite."""
+"""The largest number of float32, in which kernels compute."""
 
 _shorten = reprlib.Repr()
 _shorten.maxstring = _shorten.maxother = 60
@@ -27,7 +27,7 @@ _shorten.maxlist = _shorten.maxtuple = _shorten.maxdict = 8
 
 
 def describe(value: Any) -> str:
-    """What was found, for a message: ``str 'abc'``, ``list [1, 2]``."""
+    """Describe a value for a message: ``str 'abc'``, ``list [1, 2]``."""
     if value is None:
         return "None"
     try:
@@ -39,17 +39,17 @@ def describe(value: Any) -> str:
 
 
 def is_readable() -> bool:
-    """Can array contents be read now? Not while `dr.freeze` records: values go unchecked then."""
+    """Whether the contents of arrays can be read now; false while `dr.freeze` records: values aren't checked then."""
     return not dr.flag(dr.JitFlag.FreezingScope)
 
 
 def as_array(value: Any) -> NDArray[np.float64]:
-    """`value` as float64 numbers; the lane axis of width-1 Dr.Jit arrays is dropped.
+    """Convert `value` to float64 numbers; the lane axis of width-1 Dr.Jit arrays is dropped.
 
     Raises:
         SceneError: not numbers, numbers of unequal length, not finite, or attached to a gradient.
     """
-    # Strings and booleans would convert, and objects might do anything.
+    # NumPy would convert strings and booleans, and the conversion of objects is unpredictable.
     if value is None or isinstance(value, (str, bytes, bool, dict, set, type)):
         raise SceneError(f"must be numbers, found {describe(value)}")
     jit = dr.is_array_v(value)
@@ -70,7 +70,7 @@ def as_array(value: Any) -> NDArray[np.float64]:
 
 
 def from_device(value: Any) -> NDArray[Any]:
-    """The contents of a Dr.Jit array; lanes are the last axis, unless there is only one.
+    """Read the contents of a Dr.Jit array; lanes are the last axis, unless there is only one.
 
     NumPy's own conversion would compile a kernel to interleave the components, and another one for
     every new literal.
@@ -86,13 +86,13 @@ def from_device(value: Any) -> NDArray[Any]:
 
 
 def as_number(value: Any) -> float:
-    """A finite float; raises `SceneError`."""
+    """Convert to a finite float; raise `SceneError` for anything else."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         try:
             number = float(value)
         except OverflowError:
             number = float("inf")
-        # `not <=` also catches NaN.
+        # `not <=` is also true for NaN.
         if not abs(number) <= LARGEST:
             raise SceneError(f"must be finite in single precision, found {describe(value)}")
         return number
@@ -105,7 +105,7 @@ def as_number(value: Any) -> float:
 
 
 def as_integer(value: Any) -> int:
-    """A whole number; floats are refused, as in Mitsuba. Raises `SceneError`."""
+    """Convert to a whole number; raise `SceneError` for anything else. Floats are refused, as in Mitsuba."""
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
         return int(value)
     if isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iu":
@@ -116,7 +116,7 @@ def as_integer(value: Any) -> int:
 
 
 def as_vector(value: Any) -> NDArray[np.float64]:
-    """Three finite numbers, (3,) float64; raises `SceneError`."""
+    """Convert to three finite numbers, (3,) float64; raise `SceneError` for anything else."""
     array = as_array(value)
     if array.shape != (3,):
         raise SceneError(f"must be three numbers, found {describe(value)}")
@@ -124,7 +124,7 @@ def as_vector(value: Any) -> NDArray[np.float64]:
 
 
 def non_negative(value: Any) -> float:
-    """A number that is at least 0.
+    """Convert to a finite number that is at least 0.
 
     Raises:
         SceneError: anything else.

@@ -1,4 +1,4 @@
-"""Find a scene description by name, and change it before it is loaded: image size, filter, integrator.
+"""Scene descriptions found by name, and changed before they are loaded: image size, filter, integrator.
 
 For command lines and comparisons, which take a scene as it is and vary one thing. Works on dicts of
 Mitsuba's schema, so the same change reaches djpt and Mitsuba.
@@ -19,10 +19,10 @@ __all__ = ["described", "override", "rfilter_name"]
 SENSORS = frozenset(
     {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
 )
-"""Types of the nodes that hold a film."""
+"""The types of nodes that hold a film."""
 
 METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
-"""Those that measure numbers rather than take pictures."""
+"""The types of sensors that measure numbers and take no pictures."""
 
 INTEGRATORS = frozenset(
     {"path", "direct", "depth", "aov", "moment", "ptracer", "stokes", "volpath", "volpathmis"}
@@ -32,11 +32,11 @@ INTEGRATORS = frozenset(
 
 KEPT: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("depth", "aov", "moment"), ()),
-    # The depth of a tree of rays is no depth of paths.
+    # The depth of a tree of rays isn't the depth of a path.
     **dict.fromkeys(("direct", "raycast", "whitted", "distributed"), ("hide_emitters",)),
     **dict.fromkeys(("path_nee", "prb_basic"), ("max_depth", "hide_emitters")),
 }
-"""Settings of the scene's integrator that another one takes over, if it doesn't take all of `COMMON`."""
+"""The settings that an integrator takes over from the scene's, by name; djpt's others take over `COMMON`."""
 
 COMMON = ("max_depth", "rr_depth", "hide_emitters")
 
@@ -46,8 +46,8 @@ def described(
 ) -> tuple[str, dict[str, Any]]:
     """The name and the description of a scene: a dict, a built-in name, or an XML file.
 
-    `parameters` are those of the file. Raises `SceneError` for unknown names, saying which there are, and what
-    `djpt.load_file` raises.
+    `parameters` are values for the ``$name`` of a file. Raises `SceneError` for unknown names, with those that
+    there are, and the errors of `djpt.load_file`.
     """
     from djpt.description.scene_files import read_file
     from djpt.scenes import SCENES
@@ -150,7 +150,7 @@ def _set_integrator(scene: dict[str, Any], integrator: str | Mapping[str, Any]) 
     if not isinstance(integrator, str):
         scene[key] = dict(integrator)
         return
-    # Of somebody's own integrator nothing else is known.
+    # Integrators of others are only known to accept this one.
     takes = KEPT.get(integrator, COMMON if integrator in INTEGRATORS else ("hide_emitters",))
     kept = {name: old[name] for name in takes if name in old}
     scene[key] = {"type": integrator, **kept}

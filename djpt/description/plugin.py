@@ -1,4 +1,4 @@
-"""What every node of a scene description is: a plugin with values, children and statics."""
+"""The base class of all nodes of a scene: a plugin with values, tables, children and statics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INFERRED = ("bsdf", "emitter", "texture")
 
 
 class ParamFlags(enum.IntFlag):
-    """What `traverse()` says of a parameter."""
+    """The properties of a parameter that `traverse()` reports."""
 
     NonDifferentiable = 0
     Differentiable = 1
@@ -32,7 +32,7 @@ class ParamFlags(enum.IntFlag):
 
 
 class TraversalCallback(Protocol):
-    """What `Plugin.traverse` reports to."""
+    """The object that `Plugin.traverse` reports parameters to."""
 
     def put(
         self,
@@ -48,7 +48,7 @@ class TraversalCallback(Protocol):
 
 
 class Inferred:
-    """Stands for a class attribute that isn't declared: empty, or inferred from each instance."""
+    """A class attribute that stands for a missing declaration: empty, or inferred from each instance."""
 
     def __init__(self, sort: str, empty: Any) -> None:
         self.sort, self.empty = sort, empty
@@ -62,7 +62,7 @@ class Inferred:
 class Plugin:
     """A node of the scene: built from checked properties, edited through `traverse()`.
 
-    A plugin keeps four sorts of attributes, and says which is which:
+    A plugin has four sorts of attributes, which its class declares:
 
     * `values`: Dr.Jit arrays of width 1 that may differ between instances and that edits
       may change. Kernels read them as opaque inputs, so an edit compiles nothing.
@@ -80,7 +80,7 @@ class Plugin:
     """
 
     kind: ClassVar[str] = ""
-    """`bsdf`, `shape`, `emitter`, `texture`, `sensor`, `film`, `rfilter`, `sampler`, `integrator` or `scene`."""
+    """The kind: `bsdf shape emitter texture sensor film rfilter sampler integrator` or `scene`."""
 
     values: ClassVar[Mapping[str, ParamFlags]] = Inferred("values", {})  # type: ignore[assignment]
     tables: ClassVar[Mapping[str, ParamFlags]] = {}
@@ -88,7 +88,7 @@ class Plugin:
     statics: ClassVar[Sequence[str]] = Inferred("statics", ())  # type: ignore[assignment]
 
     infers: ClassVar[bool] = False
-    """Does the class declare none of these? Then they are inferred from its instances' attributes."""
+    """Whether the class declares none of these, so that they are inferred from the attributes of instances."""
 
     id: str = ""
 
@@ -104,11 +104,11 @@ class Plugin:
 
     @property
     def _identity(self) -> Hashable:
-        """What sets an instance apart whose class declares nothing."""
+        """The key that tells apart instances of a class that declares nothing."""
         return sorts_of(self).identity
 
     def __repr__(self) -> str:
-        """The plugin's type, and its parameters and nested plugins as a tree; a script's `to_string` if it has one."""
+        """The plugin's type, with its parameters and nested plugins as a tree; a script's `to_string` if it has one."""
         if hasattr(self, "to_string"):
             return str(self.to_string())
         listing = _Listing()
@@ -119,7 +119,7 @@ class Plugin:
     def traverse(self, callback: TraversalCallback) -> None:
         """Report all parameters; by default the `values`, the `tables` and the `children`."""
         if self.infers and type(self).traverse is not Plugin.traverse:
-            return  # called by the override, which reports what it wants
+            return  # called by the override, which reports the parameters itself
         for name, flags in {**self.values, **self.tables}.items():
             callback.put(name, getattr(self, name), flags)
         for name in self.children:
@@ -128,7 +128,7 @@ class Plugin:
                 callback.put(name, child)
 
     def as_property(self) -> Any:
-        """What a script's ``props[key]`` gives for this plugin: the plugin, or the value that it stands for."""
+        """The result of a script's ``props[key]`` for this plugin: the plugin, or the value that it stands for."""
         return self
 
     def check_parameter(self, name: str, value: Any) -> Any:
@@ -140,7 +140,7 @@ class Plugin:
 
 
 class _Listing:
-    """Collects ``name = value`` lines for `Plugin.__repr__`."""
+    """A traversal callback that collects ``name = value`` lines for `Plugin.__repr__`."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -158,26 +158,26 @@ class _Listing:
 
 # ---- plugins that declare nothing -------------------------------------------------------------
 #
-# A class from a script written for Mitsuba keeps what it likes in its attributes, and may report some of
+# A class from a script written for Mitsuba has any attributes, and may report some of
 # them in `traverse`. So all attributes count: Dr.Jit arrays of width 1 are values, plugins are children, and
-# whatever else there is sets instances apart, so that only those are traced as one that agree in it.
+# instances are traced as one only if all their other attributes are equal.
 
 PLAIN = (bool, int, float, str, bytes, type(None), enum.Enum)
 
 
 @dataclass
 class Sorts:
-    """The attributes of a plugin by what they are to kernels."""
+    """The attributes of a plugin, sorted by how kernels use them."""
 
     values: Mapping[str, ParamFlags]
     children: Sequence[str]
     identity: Hashable
-    """Differs between plugins that can't be traced as one."""
+    """A key that differs between plugins that can't be traced as one."""
     statics: Sequence[str] = ("_identity",)
 
 
 def sorts_of(plugin: Plugin) -> Sorts:
-    """Look through a plugin's attributes."""
+    """Sort the attributes of a plugin whose class declares nothing."""
     reported, unreported = Collection(), ParamFlags.Differentiable
     if type(plugin).traverse is not Plugin.traverse:
         plugin.traverse(reported)
@@ -200,7 +200,7 @@ def sorts_of(plugin: Plugin) -> Sorts:
 
 
 def is_uniform(value: Any) -> bool:
-    """Is it a Dr.Jit number, vector or matrix of width 1?"""
+    """Whether `value` is a Dr.Jit number, vector or matrix of width 1."""
     if not dr.is_array_v(value) or dr.is_tensor_v(value) or not dr.is_jit_v(value):
         return False
     kind = type(value)
@@ -208,23 +208,23 @@ def is_uniform(value: Any) -> bool:
 
 
 def is_plain(value: Any) -> bool:
-    """Is it made of Python's own immutable values?"""
+    """Whether `value` consists of Python's own immutable types."""
     return all(map(is_plain, value)) if isinstance(value, (tuple, frozenset)) else isinstance(value, PLAIN)
 
 
 class Collection:
-    """A traversal callback that notes which attributes are reported."""
+    """A traversal callback that collects the names of the attributes that are reported."""
 
     def __init__(self) -> None:
         self.flags: dict[str, ParamFlags] = {}
 
     def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
-        """See `TraversalCallback`."""
+        """Note a parameter: see `TraversalCallback.put`."""
         self.flags[attribute or name] = flags
 
 
 class Report:
-    """The callback that a script's `traverse` sees: it finds out which attribute a reported value is kept in."""
+    """The callback that a script's `traverse` reports to; finds the attribute that holds a reported value."""
 
     def __init__(self, plugin: Plugin, callback: TraversalCallback) -> None:
         self._plugin, self._callback = plugin, callback
@@ -234,7 +234,7 @@ class Report:
         flags = ParamFlags(int(flags))
         if not isinstance(value, Plugin):
             attribute = attribute or self._attribute(name, value)
-            if not is_uniform(value):  # kernels don't look it up: no gradient would arrive
+            if not is_uniform(value):  # a constant of the kernel: it would get no gradient
                 flags &= ~ParamFlags.Differentiable
         self._callback.put(name, value, flags, attribute)
 
@@ -253,7 +253,7 @@ class Report:
 
 
 def reporting(traverse: Callable[..., None]) -> Callable[..., None]:
-    """A script's `traverse`, called with a `Report`."""
+    """Wrap a script's `traverse`, so that it is called with a `Report`."""
 
     @functools.wraps(traverse)
     def wrapper(self: Plugin, callback: TraversalCallback) -> None:

@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 __all__ = ["REQUIRED", "Properties"]
 
 REQUIRED: Final[Any] = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
-"""Stands for "no default": the key must be there."""
+"""Stands for "no default": the key is required."""
 
 
 class Properties:
     """The entries of a node, handed out by type and checked, to its plugin's constructor.
 
     Every getter raises `SceneError` with the node's path if an entry is missing, of the wrong
-    type or out of range. What no getter asked for is an unknown key: `check_all_used`.
+    type or out of range. Entries that no getter asked for are unknown keys: see `check_all_used`.
 
     Args:
         plugin_name: the node's ``type``.
         node: path for messages, such as ``scene.white``.
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
-        id: the name that `Plugin.id` gets; default: `node`.
-        places: what stands for `node` in messages about one entry, if its line in a file is known.
+        id: the value of `Plugin.id`; default: `node`.
+        places: the text that replaces `node` in messages about an entry, by key, if its line in a file is known.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Properties:
         return key in self._values
 
     def __getitem__(self, key: str) -> Any:
-        """The entry as Mitsuba hands it over: numbers, strings, plugins; colours as `Color3f`."""
+        """The entry as in Mitsuba: numbers, strings, plugins; colours as `Color3f`."""
         return as_in_mitsuba(self._take(key, REQUIRED))
 
     def get(self, key: str, default: Any = None) -> Any:
@@ -72,7 +72,7 @@ class Properties:
     has_property = __contains__
 
     def get_texture(self, key: str, default: builtins.float = REQUIRED) -> Texture:
-        """A texture, also for a number or a colour."""
+        """The entry as a texture; numbers and colours become constant textures."""
         return self.texture(key, default)
 
     def keys(self) -> list[str]:
@@ -85,14 +85,14 @@ class Properties:
     # ---- errors ----------------------------------------------------------------------
 
     def error(self, key: str, problem: str) -> SceneError:
-        """The error to raise for an entry: ``scene.x: 'fov' must be a float, found str 'abc'``."""
+        """Make the error to raise for an entry: ``scene.x: 'fov' must be a float, found str 'abc'``."""
         return SceneError(f"{self._place(key)}: '{key}' {problem}")
 
     def _place(self, key: str) -> str:
         return self._places.get(key, self.node)
 
     def _take(self, key: str, default: Any) -> Any:
-        """The raw entry, or `default`."""
+        """Take the raw entry, or `default`, and mark its key as used."""
         self._asked.add(key)
         if key in self._values:
             self._used.add(key)
@@ -116,7 +116,7 @@ class Properties:
     # ---- values ----------------------------------------------------------------------
 
     def raw(self, key: str, default: Any = REQUIRED) -> Any:
-        """The entry as it is, for plugins that check it themselves."""
+        """The entry as it is in the description, for plugins that check it themselves."""
         return self._take(key, default)
 
     def float(
@@ -194,7 +194,7 @@ class Properties:
         low: builtins.float | None = None,
         high: builtins.float | None = None,
     ) -> Texture:
-        """A coloured texture; a number gives a constant grey. Its values must lie between `low` and `high`."""
+        """A texture of colours; a number becomes a constant grey. Its values must lie between `low` and `high`."""
         return self._texture(key, default, "rgb", Allowed(low, high))
 
     def texture_1(
@@ -206,9 +206,9 @@ class Properties:
         high: builtins.float | None = None,
         low_open: bool = False,
     ) -> Texture:
-        """A scalar texture, to be read with `eval_1`; a number gives a constant one.
+        """A texture of scalars, to be read with `eval_1`; a number becomes a constant texture.
 
-        Its values must lie between `low` (unless open: included) and `high`.
+        Its values must lie between `low` (included unless `low_open`) and `high`.
         """
         return self._texture(key, default, "uniform", Allowed(low, high, low_open))
 
@@ -218,7 +218,7 @@ class Properties:
             if isinstance(value, (list, tuple, np.ndarray)):
                 hint = "write {'type': 'rgb', 'value': [r, g, b]} for a colour"
                 raise self.error(key, f"must be a number or a texture, found {describe(value)}; {hint}")
-            # Mitsuba takes its own colour type here; a Dr.Jit 3-array is the nearest thing that djpt has.
+            # Mitsuba accepts its own colour type here, which is a Dr.Jit 3-array as well.
             colour = dr.is_array_v(value) and not dr.is_tensor_v(value) and dr.size_v(value) == 3
             if not colour:
                 try:
@@ -236,7 +236,7 @@ class Properties:
         return texture
 
     def plugin(self, key: str, kind: str, default: Any = REQUIRED) -> Any:
-        """The plugin of `kind` under one key."""
+        """The plugin of `kind` under `key`."""
         value = self._take(key, default)
         if key in self._values and not (isinstance(value, Plugin) and value.kind == kind):
             raise self.error(key, f"must be {article(kind)}, found {name_of(value)}")
@@ -272,7 +272,7 @@ class Properties:
 
 
 def as_in_mitsuba(value: Any) -> Any:
-    """An entry as scripts expect it: constant colours and triples of numbers are colours, NumPy's scalars Python's."""
+    """Convert an entry for scripts: constant colours and number triples to `Color3f`, NumPy's scalars to Python's."""
     if isinstance(value, Plugin):
         return value.as_property()
     if isinstance(value, np.generic):
@@ -283,12 +283,12 @@ def as_in_mitsuba(value: Any) -> Any:
 
 
 def name_of(value: Any) -> str:
-    """What an entry is, for a message: ``the film 'hdrfilm'``, ``str 'abc'``."""
+    """Describe an entry for a message: ``the film 'hdrfilm'``, ``str 'abc'``."""
     if not isinstance(value, Plugin):
         return describe(value)
     return f"the {value.kind} '{value.id}'" if value.id else article(value.kind)
 
 
 def article(kind: str) -> str:
-    """``a film``, ``an emitter``."""
+    """Put the article before a kind: ``a film``, ``an emitter``."""
     return f"{'an' if kind[:1] in 'aeio' or kind == 'rfilter' else 'a'} {kind}"

@@ -1,6 +1,6 @@
-"""Which plugin names exist, and what builds each.
+"""The registry of plugins: names, and the factory behind each.
 
-A plugin package registers its plugins in its own ``__init__``, one line each::
+The last line of a plugin's file registers it, in djpt as in a user's own package::
 
     register_bsdf("diffuse", Diffuse)
 
@@ -48,7 +48,7 @@ PACKAGES = (
     "djpt.integrators",
     "djpt.scene",
 )
-"""What registers djpt's own plugins when it is imported."""
+"""The modules that register djpt's own plugins when they are imported."""
 
 MITSUBA = {
     "bsdf": (
@@ -77,7 +77,7 @@ MITSUBA = {
     "phase function": "blendphase hg isotropic rayleigh sggx tabphase",
     "volume": "constvolume gridvolume",
 }
-"""Plugins of Mitsuba 3.9.1 by kind, for the message about those that djpt doesn't have."""
+"""The plugins of Mitsuba 3.9.1 by kind, for messages about those that djpt lacks."""
 
 _plugins: dict[str, tuple[str, Factory]] = {}
 _own_names: set[str] = set()
@@ -90,7 +90,7 @@ def register(kind: str, name: str, factory: Factory) -> None:
     Registering a name again replaces its factory (a notebook cell may be run twice).
 
     Raises:
-        SceneError: `name` isn't a name, `factory` can't be called, or the name belongs to another kind.
+        SceneError: `name` isn't a valid name, `factory` can't be called, or the name belongs to another kind.
     """
     if not isinstance(name, str) or not name:
         raise SceneError(f"register_{kind}: a plugin's name must be a string, found {name!r}")
@@ -99,7 +99,7 @@ def register(kind: str, name: str, factory: Factory) -> None:
     known = _plugins.get(name)
     taken = known[0] if known is not None else home_of(name)
     if taken not in (None, kind):
-        # Mitsuba's names count, also those that djpt lacks: a description must mean the same in both.
+        # Also names of Mitsuba that djpt lacks are taken: a description must mean the same in both.
         raise SceneError(f"register_{kind}: '{name}' is the name of another kind of plugin already: {taken}")
     first_own = is_own(factory) and name not in _own_names
     if first_own:
@@ -115,7 +115,7 @@ def home_of(name: str) -> str | None:
 
 
 def is_own(factory: Factory) -> bool:
-    """Does the factory come from djpt itself?"""
+    """Whether the factory is part of djpt itself."""
     return str(getattr(factory, "__module__", "")).split(".")[0] == "djpt"
 
 
@@ -183,7 +183,7 @@ def lookup(kind: str | None, name: str) -> Factory:
         name: the plugin's name, a node's ``type``.
 
     Raises:
-        SceneError: nothing of that kind has that name; the message has the supported names.
+        SceneError: no plugin of that kind has that name; the message lists the names that exist.
     """
     _import_own_packages()
     if name in _plugins and kind in (None, _plugins[name][0]):
@@ -203,11 +203,11 @@ def _import_own_packages() -> None:
     global _own_packages_imported
     if _own_packages_imported:
         return
-    # Set first: a package that is being imported may look a plugin up.
+    # Set before the imports: a package that is being imported may look up a plugin.
     _own_packages_imported = True
     try:
         for package in PACKAGES:
             importlib.import_module(package)
     except ImportError:
-        _own_packages_imported = False  # the next call shall see the same error
+        _own_packages_imported = False  # so that the next call raises the same error
         raise

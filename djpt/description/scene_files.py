@@ -20,7 +20,7 @@ __all__ = ["load_file", "load_string", "read_file", "read_string"]
 def load_file(path: str | os.PathLike[str], /, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
     """Build a scene, or any other plugin, from an XML file of Mitsuba 3.
 
-    Names of files in it are looked up in its own directory first, then in the working directory.
+    File names in it are looked up in its own directory first, then in the working directory.
 
     Args:
         path: the file.
@@ -34,7 +34,7 @@ def load_file(path: str | os.PathLike[str], /, parallel: bool = True, optimize: 
 
     Raises:
         FileError: the file can't be read.
-        SceneError: it is wrong, a parameter is missing or isn't used; the message names file and line.
+        SceneError: the scene is wrong, a parameter is missing or unused; the message names file and line.
     """
     return load_dict(read_file(path, **parameters), parallel, optimize)
 
@@ -42,15 +42,15 @@ def load_file(path: str | os.PathLike[str], /, parallel: bool = True, optimize: 
 def load_string(text: str | bytes, /, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
     """Build a scene, or any other plugin, from the text of an XML file: see `load_file`.
 
-    Names of files are looked up in the working directory.
+    File names are looked up in the working directory.
     """
     return load_dict(read_string(text, **parameters), parallel, optimize)
 
 
 def read_file(path: str | os.PathLike[str], /, **parameters: Any) -> Document:
-    """The dict that an XML file stands for: to be changed, and then given to `djpt.load_dict`.
+    """Read an XML file as a dict, which can be changed and then given to `djpt.load_dict`.
 
-    Arguments and errors as those of `load_file`. Names of files become absolute.
+    Arguments and errors are those of `load_file`. File names become absolute.
     """
     if not isinstance(path, (str, os.PathLike)):
         raise FileError(f"the path of a scene file is a string or a path, found {describe(path)}")
@@ -62,7 +62,7 @@ def read_file(path: str | os.PathLike[str], /, **parameters: Any) -> Document:
 
 
 def read_string(text: str | bytes, /, **parameters: Any) -> Document:
-    """The dict that the text of an XML file stands for; arguments and errors as those of `load_string`."""
+    """Read the text of an XML file as a dict; arguments and errors are those of `load_string`."""
     if not isinstance(text, (str, bytes)):
         raise SceneError(f"the text of a scene file is a string, found {describe(text)}")
     reader = Reader(parameters)

@@ -20,11 +20,12 @@ from djpt.records import (
     BSDFFlags,
     BSDFSample3f,
     DirectionSample3f,
+    EmissionSample,
     Ray3f,
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["BSDFPtr", "EmitterPtr"]
 
@@ -165,14 +166,29 @@ class EmitterPtr:
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
 
+    def sample_emission(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> EmissionSample:
+        """Sample a ray that leaves the emitter; weight 0 where there is none and on inactive lanes."""
+        es = self._emitters.call(
+            self.index, self._lookup, lambda e: e.sample_emission(position_sample, direction_sample, active), None
+        )
+        es.weight = dr.select(self.is_valid() & active, es.weight, 0)
+        return es
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        """The densities of `sample_emission` by position and direction; 0 where there is no emitter."""
+        position, direction = self._emitters.call(
+            self.index, self._lookup, lambda e: e.pdf_emission(d, n, uv, active), (Float(0), Float(0))
+        )
+        return dr.select(active, position, 0), dr.select(active, direction, 0)
+
     def sample_ray(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> tuple[Ray3f, Color3f]:
-        """A ray that leaves the emitter; weight 0 where there is none."""
-        ray, weight = self._emitters.call(
-            self.index, self._lookup, lambda e: e.sample_ray(position_sample, direction_sample, active), None
-        )
-        return ray, dr.select(self.is_valid() & active, weight, 0)
+        """Sample a ray that leaves the emitter: ray and weight of `sample_emission`."""
+        es = self.sample_emission(position_sample, direction_sample, active)
+        return es.ray, es.weight
 
     def pdf_direction(
         self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True

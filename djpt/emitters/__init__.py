@@ -1,33 +1,13 @@
-"""Emitters: one file each, one registration line each."""
+"""Emitters, one per file. The file registers its emitter; one line here imports it."""
 
-from djpt.description.registry import register_emitter
-from djpt.emitters.area import Area
-from djpt.emitters.base import Emitter
-from djpt.emitters.constant import ConstantBackground
-from djpt.emitters.directional import DirectionalEmitter
-from djpt.emitters.directionalarea import DirectionalArea
-from djpt.emitters.envmap import EnvironmentMap
-from djpt.emitters.point import PointLight
-from djpt.emitters.projector import Projector
-from djpt.emitters.spot import SpotLight
+from djpt.emitters.area import Area as Area
+from djpt.emitters.base import Emitter as Emitter
+from djpt.emitters.constant import ConstantBackground as ConstantBackground
+from djpt.emitters.directional import DirectionalEmitter as DirectionalEmitter
+from djpt.emitters.directionalarea import DirectionalArea as DirectionalArea
+from djpt.emitters.envmap import EnvironmentMap as EnvironmentMap
+from djpt.emitters.point import PointLight as PointLight
+from djpt.emitters.projector import Projector as Projector
+from djpt.emitters.spot import SpotLight as SpotLight
 
-__all__ = [
-    "Area",
-    "ConstantBackground",
-    "DirectionalArea",
-    "DirectionalEmitter",
-    "Emitter",
-    "EnvironmentMap",
-    "PointLight",
-    "Projector",
-    "SpotLight",
-]
-
-register_emitter("area", Area)
-register_emitter("point", PointLight)
-register_emitter("constant", ConstantBackground)
-register_emitter("directional", DirectionalEmitter)
-register_emitter("directionalarea", DirectionalArea)
-register_emitter("envmap", EnvironmentMap)
-register_emitter("projector", Projector)
-register_emitter("spot", SpotLight)
+__all__ = [name for name, value in globals().items() if isinstance(value, type)]

@@ -10,17 +10,27 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
-from djpt.emitters.extent import area_of, box_of, mean_of, normals_of
+from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
 from djpt.frame import Frame3f
-from djpt.records import DirectionSample3f, EmitterFlags, PositionSample3f, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    PositionSample3f,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.shapes.base import towards
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Area"]
+
+INV_PI = 1 / math.pi
 
 
 class Area(Emitter):
@@ -74,6 +84,10 @@ class Area(Emitter):
         ps.pdf *= pdf
         return ps, dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0)
 
+    def _pdf_texture(self, uv: Point2f, active: Bool | bool = True) -> Float:
+        """The density of `_sample_texture` per unit area."""
+        return self.radiance.pdf_position(uv, active) * self.shape.eval_parameterization(uv).pdf
+
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return dr.select(si.wi.z > 0, self.radiance.eval(si, active), 0)
 
@@ -91,20 +105,37 @@ class Area(Emitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         if not self.follows_texture:
             return dr.select(dr.dot(ds.d, ds.n) < 0, self.shape.pdf_direction(ref, ds), 0)
-        cos = -dr.dot(ds.d, ds.n)
-        pdf = self.radiance.pdf_position(ds.uv) * self.shape.eval_parameterization(ds.uv).pdf
-        pdf *= dr.square(ds.dist) * dr.rcp(cos)
-        return dr.select((cos > 0) & dr.isfinite(pdf), pdf, 0)
+        pdf = self._pdf_texture(ds.uv)
+        pdf *= dr.square(ds.dist) * dr.rcp(self.shape.cosine(ds))
+        return dr.select((dr.dot(ds.d, ds.n) < 0) & dr.isfinite(pdf), pdf, 0)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
-        if not self.shape.has_area:
-            raise SceneError(f"{self.shape.id}: no rays can be drawn from this shape, since its area isn't known")
+    ) -> EmissionSample:
+        require_area(self.shape)
         if self.follows_texture:
             ps, inverse_pdf = self._sample_texture(position_sample)
         else:
             ps, inverse_pdf = self.shape.sample_position(position_sample), self.shape.surface_area()
-        d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(direction_sample))
-        # Cosine and density leave pi.
-        return Ray3f(ps.p, d), self.radiance.eval(ps, active) * (math.pi * inverse_pdf)
+        local = square_to_cosine_hemisphere(direction_sample)
+        return EmissionSample(
+            ray=Ray3f(ps.p, Frame3f.from_normal(ps.n).to_world(local)),
+            # Cosine and density leave pi.
+            weight=self.radiance.eval(ps, active) * (math.pi * inverse_pdf),
+            n=ps.n,
+            uv=ps.uv,
+            cos=local.z,
+            pdf_position=ps.pdf,
+            pdf_direction=local.z * INV_PI,
+            finite=Bool(True),
+            delta=Bool(False),
+        )
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        require_area(self.shape)
+        position = self._pdf_texture(uv, active) if self.follows_texture else dr.rcp(self.shape.surface_area())
+        cos = dr.dot(d, n)
+        return position, dr.select(cos > 0, cos * INV_PI, 0)
+
+
+register_emitter("area", Area)

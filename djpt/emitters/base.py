@@ -11,8 +11,8 @@ from djpt.description.numeric import non_negative
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 
 __all__ = ["Emitter"]
 
@@ -104,11 +104,36 @@ class Emitter(Plugin):
         """Density of `sample_direction` at `ds`; 0 for delta emitters."""
         raise NotImplementedError
 
+    def sample_emission(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> EmissionSample:
+        """Sample a ray that leaves the emitter, with its weight and densities.
+
+        The mean of the weight is the emitter's power. The ray carries no offset from the surface.
+
+        Raises:
+            SceneError: the emitter is on a shape whose area isn't known.
+        """
+        raise NotImplementedError
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        """The densities (pdf_position, pdf_direction) of `sample_emission` at a ray that leaves the emitter.
+
+        For paths that meet the emitter in another way. `d` is the ray's direction, of unit length; `n` the normal of
+        the side that shines and `uv` the texture coordinates at the ray's origin. A `DirectionSample3f` ds, sampled
+        or `between` a point and a hit, gives them as -ds.d, ds.n and ds.uv.
+
+        Measures are those of `EmissionSample`. The product is 0 for rays that are never drawn, except that deltas
+        aren't tested: their density is 1 whatever the arguments, which must describe a ray that exists.
+
+        Raises:
+            SceneError: the emitter is on a shape whose area isn't known.
+        """
+        raise NotImplementedError
+
     def sample_ray(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> tuple[Ray3f, Color3f]:
-        """A ray that leaves the emitter, and its weight: radiance times cosine over the density.
-
-        The mean of the weight is the emitter's power. The ray carries no offset from the surface.
-        """
-        raise NotImplementedError
+        """Sample a ray that leaves the emitter: ray and weight of `sample_emission` (Mitsuba's method)."""
+        es = self.sample_emission(position_sample, direction_sample, active)
+        return es.ray, es.weight

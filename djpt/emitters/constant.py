@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.frame import Frame3f
 from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 
 __all__ = ["ConstantBackground"]
@@ -28,6 +29,14 @@ INV_FOUR_PI = 1 / (4 * math.pi)
 
 class ConstantBackground(Emitter):
     """An environment of constant radiance, sampled uniformly over the sphere: pdf = 1 / (4 pi).
+
+    A ray that leaves it starts at a uniform point of the sphere about the scene, of radius r, and goes inwards with the
+    cosine to the normal there. Rays are so spread over all lines through the sphere evenly, as if their direction
+    were uniform, and their place uniform on the disk across it:
+
+        dA cos(theta) dw = dA_across dw,    1 / (4 pi r^2) 1 / pi = 1 / (pi r^2) 1 / (4 pi),
+
+    whose right side gives the densities of `sample_emission`.
 
     Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
     """
@@ -83,11 +92,28 @@ class ConstantBackground(Emitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(INV_FOUR_PI)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
+    ) -> EmissionSample:
         outward = square_to_uniform_sphere(position_sample)
         d = Frame3f.from_normal(-outward).to_world(square_to_cosine_hemisphere(direction_sample))
         ray = Ray3f(dr.fma(outward, self.radius, self.center), d)
-        # Cosine and densities, 1 / (4 pi r^2) and cos / pi, leave (2 pi r)^2.
-        return ray, self.radiance.eval(ray, active) * dr.square(2 * math.pi * self.radius)
+        position, direction = self.pdf_emission(d, d, Point2f(0))
+        return EmissionSample(
+            ray=ray,
+            # The inverse of the densities' product.
+            weight=self.radiance.eval(ray, active) * dr.square(2 * math.pi * self.radius),
+            n=d,
+            uv=Point2f(0),
+            cos=Float(1),
+            pdf_position=position,
+            pdf_direction=direction,
+            finite=Bool(False),
+            delta=Bool(False),
+        )
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        return dr.rcp(math.pi * dr.square(self.radius)), Float(INV_FOUR_PI)
+
+
+register_emitter("constant", ConstantBackground)

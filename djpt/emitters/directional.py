@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import SceneError
 from djpt.frame import coordinate_system
 from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["DirectionalEmitter"]
@@ -94,14 +95,28 @@ class DirectionalEmitter(OrientedEmitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
+    ) -> EmissionSample:
         # From a disk as wide as the scene, in front of it.
         at = square_to_uniform_disk_concentric(position_sample)
         o = dr.fma(self.local_to_world(Vector3f(at.x, at.y, -1)), self.radius, self.center)
         ray = Ray3f(o, Vector3f(self.forward))
-        return ray, self.irradiance.eval(ray, active) * (math.pi * dr.square(self.radius))
+        area = math.pi * dr.square(self.radius)
+        return EmissionSample(
+            ray=ray,
+            weight=self.irradiance.eval(ray, active) * area,
+            n=ray.d,
+            uv=Point2f(0),
+            cos=Float(1),
+            pdf_position=dr.rcp(area),
+            pdf_direction=Float(1),
+            finite=Bool(False),
+            delta=Bool(True),
+        )
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        return dr.rcp(math.pi * dr.square(self.radius)), Float(1)
 
 
 def looking_along(direction: NDArray[np.float64]) -> ScalarTransform4f:
@@ -109,3 +124,6 @@ def looking_along(direction: NDArray[np.float64]) -> ScalarTransform4f:
     unit = direction / np.linalg.norm(direction)
     up = coordinate_system(as_vector(unit))[0]
     return ScalarTransform4f().look_at(origin=[0, 0, 0], target=unit, up=up)
+
+
+register_emitter("directional", DirectionalEmitter)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
-from djpt.emitters.extent import area_of, box_of, mean_of, normals_of
+from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["DirectionalArea"]
 
@@ -24,7 +26,7 @@ class DirectionalArea(Emitter):
     name for it is kept).
 
     No ray from a camera or surface point meets the surface head-on, so `eval` and `sample_direction` give 0, as in
-    Mitsuba: only rays from lights (`sample_ray`) show it.
+    Mitsuba: only rays from lights (`sample_emission`) show it.
     """
 
     children = ("radiance", "shape")
@@ -69,10 +71,26 @@ class DirectionalArea(Emitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
-        if not self.shape.has_area:
-            raise SceneError(f"{self.shape.id}: no rays can be drawn from this shape, since its area isn't known")
+    ) -> EmissionSample:
+        require_area(self.shape)
         ps = self.shape.sample_position(position_sample)
-        return Ray3f(ps.p, ps.n), self.radiance.eval(ps, active) * self.shape.surface_area()
+        return EmissionSample(
+            ray=Ray3f(ps.p, ps.n),
+            weight=self.radiance.eval(ps, active) * self.shape.surface_area(),
+            n=ps.n,
+            uv=ps.uv,
+            cos=Float(1),
+            pdf_position=ps.pdf,
+            pdf_direction=Float(1),
+            finite=Bool(True),
+            delta=Bool(True),
+        )
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        require_area(self.shape)
+        return dr.rcp(self.shape.surface_area()), Float(1)
+
+
+register_emitter("directionalarea", DirectionalArea)

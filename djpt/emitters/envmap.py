@@ -14,6 +14,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import is_readable, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
 from djpt.emitters.bounds import LightBounds
@@ -22,10 +23,10 @@ from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import as_float, as_vector, maximum, minimum
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
-from djpt.types import Bool, Color3f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["EnvironmentMap"]
@@ -211,23 +212,39 @@ class EnvironmentMap(OrientedEmitter):
         return ds, radiance * weight
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        d = self.world_to_local(ds.d)
-        density = self.distribution.density(*self._cell(d), active)
-        return density * inverse_sine(d) * (1 / SPHERE)
+        return self._pdf(self.distribution, ds.d, active)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
-        local, _, _, weight, radiance = self._sample(
-            self.ray_distribution or self.distribution, direction_sample, active
-        )
+    ) -> EmissionSample:
+        distribution = self.ray_distribution or self.distribution
+        local, uv, pdf, weight, radiance = self._sample(distribution, direction_sample, active)
         # From a disk as wide as the scene, in front of it.
         at = square_to_uniform_disk_concentric(position_sample)
         d = self.local_to_world(-local)
         # Mitsuba 3.9.1 forgets to turn the disk.
         across = self.local_to_world(Frame3f.from_normal(local).to_world(Vector3f(at.x, at.y, 0)))
-        ray = Ray3f(dr.fma(across - d, self.radius, self.center), d)
-        return ray, radiance * (weight * math.pi * dr.square(self.radius))
+        return EmissionSample(
+            ray=Ray3f(dr.fma(across - d, self.radius, self.center), d),
+            weight=radiance * (weight * math.pi * dr.square(self.radius)),
+            n=d,
+            uv=uv,
+            cos=Float(1),
+            pdf_position=dr.rcp(math.pi * dr.square(self.radius)),
+            pdf_direction=pdf,
+            finite=Bool(False),
+            delta=Bool(False),
+        )
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        direction = self._pdf(self.ray_distribution or self.distribution, -d, active)
+        return dr.rcp(math.pi * dr.square(self.radius)), direction
+
+    def _pdf(self, distribution: Hierarchical2D, d: Vector3f, active: Bool | bool) -> Float:
+        """The density of `_sample` per solid angle, in the direction `d` (world space) towards the light."""
+        local = self.world_to_local(d)
+        density = distribution.density(*self._cell(local), active)
+        return density * inverse_sine(local) * (1 / SPHERE)
 
     def _sample(
         self, distribution: Hierarchical2D, sample: Point2f, active: Bool | bool
@@ -343,3 +360,6 @@ def mean_over_sphere(texels: NDArray[Any]) -> float:
     shares = np.sin(np.arange(rows) * step) * (2 * (1 - math.cos(step)) / step)
     shares[[0, -1]] = 1 - math.sin(step) / step
     return float(np.average(texels.mean(axis=(1, 2), dtype=np.float64), weights=shares))
+
+
+register_emitter("envmap", EnvironmentMap)

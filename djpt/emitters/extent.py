@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.numeric import as_array
+from djpt.errors import SceneError
 from djpt.shapes import Mesh, Shape
 from djpt.textures import Texture
 
-__all__ = ["area_of", "box_of", "mean_of", "normals_of", "number"]
+__all__ = ["area_of", "box_of", "mean_of", "normals_of", "number", "require_area"]
 
 Vector = NDArray[np.float64]
 
@@ -41,6 +42,12 @@ def area_of(shape: Shape, scene: tuple[Vector, Vector]) -> float:
     low, high = box_of(shape)
     x, y, z = np.maximum(np.minimum(high, scene[1]) - np.maximum(low, scene[0]), 0)
     return float(2 * (x * y + y * z + z * x))
+
+
+def require_area(shape: Shape) -> None:
+    """Raise `SceneError` if no points can be drawn on a shape."""
+    if not shape.has_area:
+        raise SceneError(f"{shape.id}: no rays can be drawn from this shape, since its area isn't known")
 
 
 def normals_of(shape: Shape) -> tuple[Vector, float]:

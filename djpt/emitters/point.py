@@ -12,15 +12,18 @@ import numpy as np
 from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
 
-__all__ = ["PointLight", "towards_point"]
+__all__ = ["PointLight", "from_point", "towards_point"]
+
+INV_FOUR_PI = 1 / (4 * math.pi)
 
 
 class PointLight(Emitter):
@@ -68,11 +71,29 @@ class PointLight(Emitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
+    ) -> EmissionSample:
         ray = Ray3f(self.position, square_to_uniform_sphere(direction_sample))
-        return ray, self.intensity.eval(ray, active) * (4 * math.pi)
+        return from_point(ray, self.intensity.eval(ray, active) * (4 * math.pi), Point2f(0), Float(INV_FOUR_PI))
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        return Float(1), Float(INV_FOUR_PI)
+
+
+def from_point(ray: Ray3f, weight: Color3f, uv: Point2f, pdf_direction: Float) -> EmissionSample:
+    """The sample of a light at a point: `uv` is that of its picture, if it has one."""
+    return EmissionSample(
+        ray=ray,
+        weight=weight,
+        n=ray.d,
+        uv=uv,
+        cos=Float(1),
+        pdf_position=Float(1),
+        pdf_direction=pdf_direction,
+        finite=Bool(True),
+        delta=Bool(True),
+    )
 
 
 def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, Float]:
@@ -85,3 +106,6 @@ def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, F
         position, -d, Point2f(0), d, dist_squared * inv_dist, Float(1), Float(1), Bool(True), UInt32(0)
     )
     return ds, dr.select(dist_squared > 0, dr.square(inv_dist), 0)
+
+
+register_emitter("point", PointLight)

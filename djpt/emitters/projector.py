@@ -11,15 +11,16 @@ import drjit as dr
 from djpt.description.numeric import as_array, is_readable, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
-from djpt.emitters.point import towards_point
+from djpt.emitters.point import from_point, towards_point
 from djpt.kernels import as_float
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
 
 __all__ = ["Projector"]
 
@@ -99,26 +100,42 @@ class Projector(OrientedEmitter):
         self, ref: Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         ds, falloff = towards_point(self.position, ref)
-        d = self.world_to_local(-ds.d)
+        ds.uv, inv_z, lit = self._on_image(self.world_to_local(-ds.d))
+        value = self.irradiance.eval(ds, lit & active) * (math.pi * self.scale * falloff * inv_z * dr.square(inv_z))
+        return ds, dr.select(lit, value, 0)
+
+    def _on_image(self, d: Vector3f) -> tuple[Point2f, Float, Bool]:
+        """uv in a local direction of unit length, 1 / cos of the angle to the axis, and whether the image is there."""
         ahead = d.z > 0
         inv_z = dr.rcp(dr.select(ahead, d.z, 1))
         x, y = d.x * inv_z * dr.rcp(self.reach_x), d.y * inv_z * dr.rcp(self.reach_y)
         lit = ahead & (dr.abs(x) <= 1) & (dr.abs(y) <= 1)
-        ds.uv = Point2f(dr.fma(x, -0.5, 0.5), dr.fma(y, -0.5, 0.5))
-        value = self.irradiance.eval(ds, lit & active) * (math.pi * self.scale * falloff * inv_z * dr.square(inv_z))
-        return ds, dr.select(lit, value, 0)
+        return Point2f(dr.fma(x, -0.5, 0.5), dr.fma(y, -0.5, 0.5)), inv_z, lit
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
+    ) -> EmissionSample:
         # By the brightness of the image.
         uv, pdf = self.irradiance.sample_position(direction_sample, active)
         x, y = dr.fma(uv.x, -2, 1) * self.reach_x, dr.fma(uv.y, -2, 1) * self.reach_y
         d = dr.normalize(self.local_to_world(Vector3f(x, y, 1)))
-        inverse_pdf = dr.select(pdf > 0, dr.rcp(dr.detach(pdf)), 0)
+        pdf = dr.detach(pdf)
+        inverse_pdf = dr.select(pdf > 0, dr.rcp(pdf), 0)
         area = 4 * self.reach_x * self.reach_y
         weight = self.irradiance.eval(OnImage(uv), active) * (math.pi * self.scale * area * inverse_pdf)
-        return Ray3f(self.position, d), weight
+        # dw = dA cos^3, on the plane at z = 1.
+        length_squared = dr.fma(x, x, dr.fma(y, y, 1))
+        pdf_direction = pdf * dr.rcp(area) * (length_squared * dr.sqrt(length_squared))
+        return from_point(Ray3f(self.position, d), weight, uv, pdf_direction)
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        at, inv_z, lit = self._on_image(self.world_to_local(d))
+        pdf = self.irradiance.pdf_position(at, lit & active)
+        pdf *= inv_z * dr.square(inv_z) * dr.rcp(4 * self.reach_x * self.reach_y)
+        return Float(1), dr.select(lit, pdf, 0)
+
+
+register_emitter("projector", Projector)

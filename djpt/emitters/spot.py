@@ -11,15 +11,16 @@ import drjit as dr
 from djpt.description.numeric import as_array, as_number, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
-from djpt.emitters.point import towards_point
+from djpt.emitters.point import from_point, towards_point
 from djpt.errors import ParameterError
 from djpt.kernels import maximum, minimum
-from djpt.records import DirectionSample3f, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, Vector3f
-from djpt.warp import square_to_uniform_cone
+from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
 
 __all__ = ["SpotLight"]
 
@@ -113,11 +114,22 @@ class SpotLight(OrientedEmitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
-    def sample_ray(
+    def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
+    ) -> EmissionSample:
         # Uniform in the cone; as in Mitsuba, by the numbers that are for positions elsewhere.
-        cos_cutoff = dr.cos(RADIANS * dr.detach(self.cutoff_angle))
+        cos_cutoff = self._cos_cutoff()
         d = square_to_uniform_cone(position_sample, cos_cutoff)
-        weight = self.intensity_towards(d, active) * (2 * math.pi * (1 - cos_cutoff))
-        return Ray3f(self.position, self.local_to_world(d)), weight
+        solid_angle = 2 * math.pi * (1 - cos_cutoff)
+        weight = self.intensity_towards(d, active) * solid_angle
+        return from_point(Ray3f(self.position, self.local_to_world(d)), weight, Point2f(0), dr.rcp(solid_angle))
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        return Float(1), square_to_uniform_cone_pdf(self.world_to_local(d), self._cos_cutoff())
+
+    def _cos_cutoff(self) -> Float:
+        """The cosine between the axis and the cone's edge, detached."""
+        return dr.cos(RADIANS * dr.detach(self.cutoff_angle))
+
+
+register_emitter("spot", SpotLight)

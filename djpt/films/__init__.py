@@ -1,8 +1,5 @@
-"""Films: one file each, one registration line each."""
+"""Films, one per file. The file registers its film; one line here imports it."""
 
-from djpt.description.registry import register_film
-from djpt.films.hdrfilm import HDRFilm
+from djpt.films.hdrfilm import HDRFilm as HDRFilm
 
-__all__ = ["HDRFilm"]
-
-register_film("hdrfilm", HDRFilm)
+__all__ = [name for name, value in globals().items() if isinstance(value, type)]

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_film
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
@@ -122,3 +123,6 @@ class HDRFilm(Plugin):
         if self.pixel_format == "luminance":
             return Color3f(*(weight * channels[0] for weight in LUMINANCE))
         return Color3f(channels[0], channels[1], channels[2])
+
+
+register_film("hdrfilm", HDRFilm)

@@ -1,8 +1,8 @@
 """All surfaces of a scene behind one set of queries.
 
 Shapes with a formula of their own are unrolled into straight-line code, triangles stand in a BVH; a
-ray asks both. Every face has one number in the scene: first the faces of the unrolled set, then the
-BVH's records.
+ray is tested against both. Every face has one number in the scene: first the faces of the unrolled set,
+then the records of the BVH.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Geometry:
     """The shapes of a scene, compiled for ray queries."""
 
     def __init__(self, shapes: Sequence[Shape], points: Sequence[Point3f], open_sky: bool) -> None:
-        """`points` are the positions of point lights; `open_sky`: is there light from infinity?"""
+        """`points` are the positions of point lights; `open_sky` is true if there is light from infinity."""
         self.contents = Contents(shapes)
         self.analytic_shapes = self.contents.analytic
         every = self.contents.shapes
@@ -50,7 +50,7 @@ class Geometry:
         self._measure()
 
     def _measure(self) -> None:
-        """Find out how far the shapes reach."""
+        """Measure how far the shapes reach."""
         low, high = self.bounding_box()
         self.triangles = self.seen_from([low, high]).triangles
         # An infinite plane may be hit before a ray comes near the box about everything else.
@@ -59,7 +59,7 @@ class Geometry:
         self._low, self._high = as_vector(low), as_vector(high)
 
     def approach(self, ray: Ray3f) -> tuple[Ray3f, Float]:
-        """The ray from where it comes near the shapes, and how far that is: for queries from anywhere."""
+        """Move a ray's origin near the shapes, and return the ray and the distance moved: see `recentre`."""
         return recentre(ray, self._low, self._high)
 
     def seen_from(self, points: Sequence[np.ndarray]) -> Geometry:
@@ -75,12 +75,12 @@ class Geometry:
         return view
 
     def _number(self) -> None:
-        """Tables by face number; they follow the unrolled set's numbering, which an edit may change."""
+        """Build the tables by face number; they follow the unrolled set's numbering, which an edit may change."""
         self.first_record = self.unrolled.face_count
         self._shape_of = Numbers([self.analytic_shapes[s] for s in self.unrolled.face_shape])
 
     def move(self, shapes: Sequence[Shape]) -> None:
-        """Some shapes' parameters have changed."""
+        """Follow an edit of the parameters of `shapes`."""
         renewed = self.contents.renewed(shapes)
         for shape in renewed:
             self.unrolled.move(shape)
@@ -92,7 +92,7 @@ class Geometry:
         self._measure()
 
     def move_points(self, points: Sequence[Point3f]) -> None:
-        """The positions of point lights have changed."""
+        """Follow an edit of the positions of point lights."""
         self.unrolled.move_points(points)
 
     def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -111,19 +111,19 @@ class Geometry:
     # ---- ray queries -----------------------------------------------------------------
 
     def closest(self, ray: Ray3f, through_lights: Bool | None = None) -> PreliminaryIntersection3f:
-        """The first hit with 0 < t < maxt. Lanes with `through_lights` ignore shapes that emit."""
+        """The first hit with 0 < t < maxt. Where `through_lights`, shapes that emit are ignored."""
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
         if self.triangles is None:
             return PreliminaryIntersection3f(t, face, self.shape_of(face))
         found = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(dr.isfinite(t), t, ray.maxt)), through_lights)
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
-        # As the search has moved the origin, whether that is structure or not: nothing is computed twice.
+        # The origin that the search has moved, even where a scene needs no move: nothing is computed twice.
         near = Near(found.origin, found.near_t, found.entry, None, found.inside)
         return PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
-        """Is anything hit with 0 < t < maxt?"""
+        """Whether anything is hit with 0 < t < maxt."""
         hit = self.unrolled.any_hit(ray, active)
         return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit & active)
 
@@ -150,13 +150,13 @@ class Geometry:
         if shadow is not None:
             active = active & ~(shadow & found)
         hit = dr.select(found, face | ANALYTIC, UInt32(NONE))
-        # Instances look their corners up anyway.
+        # Points on instances need their corners anyway.
         weights = self.triangles.meshes.smooth and not self.triangles.records.instanced
         cursor = start(self.triangles.records, origin, ray.d, maxt, active, hit, weights)
         return Query(origin, ray.d, entry, cursor)
 
     def turn(self, query: Query, shadow: Bool, through_lights: Bool | None) -> Cursor:
-        """Where the cursor is after some steps; the masks as for `begin`."""
+        """The cursor after some steps; the masks mean what they mean for `begin`."""
         assert self.triangles is not None
         through = through_lights if self.triangles.emit else None
         return turn(self.triangles.records, query.cursor, query.o, query.d, shadow, through)
@@ -164,7 +164,7 @@ class Geometry:
     def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
         """The ray of a query whose cursor has come to the end, and its result.
 
-        The ray starts where the BVH began, that is `entry` before; `t` counts from its own origin.
+        The ray's origin is moved back by `entry`, which its `t` counts from.
         """
         assert self.triangles is not None
         number = query.cursor.hit
@@ -184,7 +184,7 @@ class Geometry:
     # ---- faces -------------------------------------------------------------------------
 
     def per_face(self, of_shape: Sequence[int]) -> FaceNumbers:
-        """A table of numbers by shape as one by face."""
+        """Turn a table of numbers by shape into one by face."""
         return FaceNumbers(self, of_shape)
 
     def shape_of(self, face: UInt32) -> UInt32:
@@ -199,7 +199,7 @@ class Geometry:
         return face >= self.first_record
 
     def record_of(self, face: UInt32) -> UInt32:
-        """The BVH's record of a triangle; that of no triangle for all other faces."""
+        """The BVH's record of a triangle; the empty record for all other faces."""
         return dr.select(self.on_mesh(face), face - self.first_record, NONE) if self.first_record else face
 
     # ---- surface points ------------------------------------------------------------------
@@ -216,7 +216,7 @@ class Geometry:
         return dr.select(self.on_mesh(hit.face), mesh, analytic)
 
     def _near(self, ray: Ray3f, t: Float) -> Near:
-        """A hit that comes from elsewhere, as a search for triangles would have seen it."""
+        """A hit that no search of this geometry found, in the form that the search for triangles gives."""
         assert self.triangles is not None
         origin, entry = self.triangles.enter(ray)
         return Near(origin, t if entry is None else t - entry, entry, None, None)
@@ -233,20 +233,20 @@ class Geometry:
         return Surface(p, n, frame, uv, dp_du, dp_dv, Point2f(0))
 
     def _frame(self, face: UInt32, p: Point3f, lookup: Lookup) -> tuple[Vector3f, Frame3f]:
-        """Geometric normal and shading frame: of flat faces by number, of curved shapes by their class."""
+        """Geometric normal and shading frame: looked up by number for flat faces, computed by curved shapes."""
         flat = any(group not in self._curved for group in self.surfaces.groups)
         result: Any = self.unrolled.frame(face) if flat else None
         for group in self._curved:
             shape = group.at(self.surfaces.slots(group, self.unrolled.shape_of(face)), lookup)
             curved = shape.frame_at(p)
-            # Curved faces are numbered first, so this is one range test.
+            # Curved faces have the lowest numbers, so this is one range test.
             here = is_one_of(face, self.unrolled.faces_of(group.indices))
             result = curved if result is None else dr.select(here, curved, result)
         up = Vector3f(0, 0, 1)
         return result or (up, Frame3f.from_normal(up))
 
     def primitive_index(self, face: UInt32, uv: Point2f, p: Point3f, lookup: Lookup) -> UInt32:
-        """The primitive of its shape, numbered as in Mitsuba: triangles of meshes, boxes and rectangles."""
+        """The number that Mitsuba gives to the primitive: to triangles of meshes, boxes and rectangles."""
         index = UInt32(0)
         if self.analytic_shapes:
             local = self.unrolled.local_face(face)
@@ -263,7 +263,7 @@ class Geometry:
 
 
 class FaceNumbers:
-    """Whole numbers by face. Analytic faces lead there in one step, triangles by way of their mesh."""
+    """Whole numbers by face: looked up directly for analytic faces, through the mesh for triangles."""
 
     def __init__(self, geometry: Geometry, of_shape: Sequence[int]) -> None:
         self._geometry = geometry

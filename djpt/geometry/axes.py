@@ -45,7 +45,7 @@ class Axis:
             self.vector = Vector3f(*(float(x) for x in unit))
 
     def assign(self, direction: NDArray[np.float64]) -> None:
-        """Take a new direction; for axes with one user, whose kernels read `vector` as a value."""
+        """Take a new direction; only for axes of a single shape, whose kernels read `vector` as a value."""
         self.direction = direction
         self.vector = Vector3f(*(as_float(x) for x in direction))
 
@@ -67,7 +67,7 @@ class SignedAxis:
 
 
 def canonical(direction: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
-    """The direction scaled to unit length with its largest component positive; was it negative?"""
+    """The direction scaled to unit length with its largest component positive, and whether that was negative."""
     unit = direction / np.linalg.norm(direction)
     negative = bool(unit[int(np.argmax(np.abs(unit)))] < 0)
     return (-unit if negative else unit), negative
@@ -143,7 +143,7 @@ class ProjectedRay:
         self.ray = ray
         maxt = ray.maxt
         self.unbounded = maxt.state == dr.VarState.Literal and maxt[0] == math.inf
-        """Is it known, as the kernel is traced, that the ray has no end?"""
+        """Whether it is known, while the kernel is traced, that the ray has no end."""
         self._projections: dict[int, tuple[Float, Float, Float]] = {}
 
     def onto(self, axis: Axis) -> tuple[Float, Float, Float]:

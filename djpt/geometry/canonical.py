@@ -1,6 +1,6 @@
 """Analytic shapes in their own space, where each is the same for all its instances.
 
-A scene of few shapes unrolls them, with all that they share. A scene of many keeps them in the BVH:
+The analytic shapes of a scene are unrolled if they are few. If they are many they stand in the BVH:
 the record of a shape holds the map to its canonical space, and lanes that come to one take the ray
 there. Affine maps keep distances along a ray, so `t` means the same in both.
 """
@@ -35,7 +35,7 @@ class LocalSurface:
 
 
 FLAT_KINDS = 3
-"""The first of them are meshes in Mitsuba, or flat."""
+"""So many of the first `KINDS` are flat, or meshes in Mitsuba."""
 
 Hit = tuple[Bool, Float]
 
@@ -51,7 +51,7 @@ def intersect(kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt:
 
 
 def surface(kinds: Sequence[int], kind: UInt32, p: Point3f) -> LocalSurface:
-    """What belongs to a point on the surface."""
+    """The normal, the texture coordinates and their derivatives at a point `p` on the surface."""
     result = SURFACES[KINDS[kinds[0]]](p)
     for k in kinds[1:]:
         result = dr.select(kind == k, SURFACES[KINDS[k]](p), result)
@@ -158,7 +158,7 @@ def on_cylinder(p: Point3f) -> LocalSurface:
 
 
 def turn(p: Point3f) -> Float:
-    """The angle about z as a share of the full turn, from the x axis."""
+    """The angle about z, counted from the x axis, as a share of the full turn: phi / 2 pi in [0, 1)."""
     phi = dr.atan2(p.y, p.x)
     return dr.select(phi < 0, phi + 2 * math.pi, phi) * (1 / (2 * math.pi))
 

@@ -1,4 +1,4 @@
-"""Sorting a scene's shapes: which are unrolled, which stand in the BVH, and which are seen where."""
+"""The sorting of a scene's shapes: which are unrolled, which stand in the BVH, which are seen through instances."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from djpt.shapes.shapegroup import ShapeGroup
 __all__ = ["Contents", "unseen"]
 
 MAX_UNROLLED = 24
-"""More analytic shapes than that stand in the BVH (docs/performance.md, "Many analytic shapes")."""
+"""Most analytic shapes that are unrolled; if there are more they stand in the BVH (docs/performance.md)."""
 
 LARGE, MAX_LARGE = 0.5, 6
-"""A few shapes at least half as large as the largest are unrolled all the same."""
+"""In a scene of many shapes, up to `MAX_LARGE` larger than `LARGE` times the largest are unrolled."""
 
 
 class Contents:
@@ -35,7 +35,7 @@ class Contents:
     def __init__(self, shapes: Sequence[Shape]) -> None:
         self._own = tuple(shapes)
         self._instances = [s for s in shapes if isinstance(s, Instance)]
-        # Groups without meshes need no tree, nor do those that nobody places.
+        # Groups without meshes need no tree, nor do those without instances.
         self._groups: list[ShapeGroup] = []
         for instance in self._instances:
             if instance.group not in self._groups and any(s.of_triangles for s in instance.group.shapes):
@@ -43,19 +43,19 @@ class Contents:
         inner = [mesh for group in self._groups for mesh in group.shapes if mesh.of_triangles]
         copies = [(i, s) for i in self._instances for s in i.group.shapes if not s.of_triangles]
         for _, original in copies:
-            # Only their extent counts: the copies are what is hit.
+            # Rays hit the copies; of the originals only the extent counts.
             original.place(AxisPool())
         self._copied = [(instance, original, placed(instance, original)) for instance, original in copies]
         self.shapes: list[Shape] = [*shapes, *inner, *(copied for _, _, copied in self._copied)]
         analytic = [i for i, s in enumerate(self.shapes) if not unseen(s) and not s.of_triangles]
         self._solids = self._for_tree(analytic)
         self.analytic = [i for i in analytic if i not in set(self._solids)]
-        """The shapes to be unrolled."""
+        """Indices of the shapes to be unrolled."""
         self._meshes = [i for i, s in enumerate(self.shapes) if s.of_triangles]
         self._placed = [i for i in self._instances if i.group in self._groups]
         solids = [self.shapes[i] for i in self._solids]
         self.bounding = [*(s for s in shapes if s.of_triangles or isinstance(s, Instance)), *solids]
-        """Shapes whose extent counts beside that of the analytic ones."""
+        """The shapes beside the unrolled ones that make up the scene's extent."""
         self.seen = [*(self.shapes[i] for i in self.analytic), *self.bounding]
 
     def triangles(self) -> Triangles | None:
@@ -72,9 +72,9 @@ class Contents:
         return Triangles(mesh_set, [*self._meshes, *self._solids], self._forest)
 
     def _for_tree(self, analytic: Sequence[int]) -> list[int]:
-        """Which of the analytic shapes stand in the BVH: none of a few, most of many.
+        """The analytic shapes that stand in the BVH, by index: none of a few, most of many.
 
-        Large ones are left out: they are hit by most rays, and often share axes.
+        Large ones stay unrolled: most rays come near them, and they often share axes.
         """
         if len(analytic) <= MAX_UNROLLED:
             return []
@@ -90,24 +90,24 @@ class Contents:
         return [s for s in changed if isinstance(s, Mesh)]
 
     def moved_instances(self, changed: Sequence[Shape]) -> bool:
-        """Tell the trees where the changed instances are; has any moved?"""
+        """Tell the trees where the changed instances are; true if one of them has changed."""
         moved = [s for s in changed if isinstance(s, Instance) and s in self._placed]
         for instance in moved:
             self._forest.place(self._placed.index(instance), instance.to_world.matrix)
         return bool(moved)
 
     def moved_solids(self, changed: Sequence[Shape]) -> bool:
-        """Has an analytic shape in the BVH moved?"""
+        """Whether an analytic shape in the BVH has moved."""
         solids = [self.shapes[i] for i in self._solids]
         return any(shape in solids for shape in changed)
 
     def renewed(self, changed: Sequence[Shape]) -> list[Shape]:
-        """The shapes that the unrolled set must look at again: changed ones, and copies of what has changed."""
+        """The shapes that the unrolled set must place again: changed ones, and copies of what has changed."""
         result = list(changed)
         for instance, original, copied in self._copied:
             if instance in changed or original in changed:
                 original.place(AxisPool())
-                # Its axes stay: they are those of the set that it stands in.
+                # The copy keeps its axes, which belong to the unrolled set.
                 own = {key: getattr(copied, key) for key in ("_axes",) if hasattr(copied, key)}
                 copied.__dict__.update(placed(instance, original).__dict__ | own)
                 result.append(copied)
@@ -116,7 +116,7 @@ class Contents:
 
 def size(shape: Shape) -> float:
     """The diagonal of a shape's bounding box."""
-    # A copy: where a shape has been placed first decides which axes it shares.
+    # Measured on a copy: the first `place` of a shape decides which axes it shares.
     copied = copy.copy(shape)
     copied.place(AxisPool())
     intervals = np.array([copied.interval(unit) for unit in np.eye(3)])
@@ -124,7 +124,7 @@ def size(shape: Shape) -> float:
 
 
 def unseen(shape: Shape) -> bool:
-    """Groups aren't visible themselves, and instances only stand for others."""
+    """Whether rays never hit the shape itself: true for groups and instances."""
     return isinstance(shape, (ShapeGroup, Instance))
 
 

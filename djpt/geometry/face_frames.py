@@ -1,6 +1,6 @@
 """The frame of each triangle, computed once on the host.
 
-A path tracer asks for the normal and the direction of dp/du at every vertex of a path. Both are the
+A path tracer needs the normal and the direction of dp/du at every vertex of a path. Both are the
 same all over a triangle, so its record holds them, and shading needs no corners.
 """
 
@@ -18,7 +18,7 @@ CHUNK = 1 << 17
 
 
 def face_frames(meshes: MeshSet, corners: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Unit normals (F, 3), and where dp/du points (F, 2): its cosines with the tangents of the normal.
+    """Unit normals (F, 3), and the direction of dp/du (F, 2) as cosines with the two tangents of the normal.
 
     The tangents are those of `djpt.frame.coordinate_system`. `flip_normals` has been applied.
     """

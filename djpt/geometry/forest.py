@@ -27,9 +27,9 @@ class Placement:
     """An instance of a group."""
 
     group: int
-    """Counted from 1: the number of its tree."""
+    """The number of the group's tree; groups are counted from 1."""
     to_world: NDArray[np.float64]
-    """(4, 4)."""
+    """The map from the group's space to world space, (4, 4)."""
 
 
 @dataclass
@@ -41,12 +41,12 @@ class Tree:
 
 
 class Forest:
-    """Builds the records of a scene's triangles, and renews them after an edit."""
+    """The trees of a scene, which build its records and renew them after an edit."""
 
     def __init__(
         self, meshes: MeshSet, parts: Sequence[int], solids: Sequence[Shape], placements: Sequence[Placement]
     ) -> None:
-        """`parts`: how many meshes of the set belong to the world, and then to each group, in this order.
+        """`parts` counts the meshes of the set that belong to the world, and then to each group, in this order.
 
         `solids` are analytic shapes of the world, numbered after the meshes.
         """
@@ -56,7 +56,7 @@ class Forest:
         self._depth = 0
 
     def records(self) -> Records:
-        """The records of the current geometry. Trees are refitted if they keep their quality, or else rebuilt."""
+        """The records of the current geometry. Trees that keep their quality are refitted, others are rebuilt."""
         corners = self._meshes.corners()
         normals, directions = face_frames(self._meshes, corners)
         mesh_of_face = self._meshes.mesh_of_face()
@@ -89,7 +89,7 @@ class Forest:
         return records
 
     def _tree(self, number: int, low: NDArray[np.float32], high: NDArray[np.float32]) -> Tree:
-        """A tree over boxes: the old one with new boxes, unless it has become too loose."""
+        """A tree over boxes: the old one refitted, or a new one if rays would take too many steps through the old."""
         if self._trees and (self._trees[number].wide.child <= -2).sum() == len(low):
             old = self._trees[number]
             fitted = refit(old.wide, low, high)
@@ -99,7 +99,7 @@ class Forest:
         return Tree(wide, sah_cost(wide))
 
     def _placed_leaves(self, triangles: TriangleLeaves, trees: Sequence[WideTree]) -> PlacedLeaves:
-        """The leaves of the world's tree, with the ways into the spaces of shapes and groups."""
+        """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
         starts, first = roots(trees), len(self._meshes.meshes)
         inverse, label, detail, side = [], [], [], []
         for i, shape in enumerate(self._solids):
@@ -124,7 +124,7 @@ class Forest:
 
     @property
     def emits(self) -> bool:
-        """Is any of its shapes a light?"""
+        """Whether any of the shapes is a light."""
         return any(shape.emitter is not None for shape in (*self._meshes.meshes, *self._solids))
 
     def place(self, number: int, to_world: NDArray[np.float64]) -> None:
@@ -156,11 +156,11 @@ def solid_box(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def placed_box(tree: WideTree, to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The world's box about a group's box."""
+    """A box in world space about a group's box, which `to_world` has placed."""
     filled = tree.child[0] != -1
     low, high = tree.box[0, filled, :3].min(axis=0), tree.box[0, filled, 3:].max(axis=0)
     corners = np.array([[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)], np.float64)
     placed = corners @ to_world[:3, :3].T + to_world[:3, 3]
-    # The rounding to 32 bits must not cut anything off.
+    # Rounding to 32 bits must not make the box smaller.
     margin = 1e-6 * (np.abs(placed).max() + 1e-30)
     return placed.min(axis=0) - margin, placed.max(axis=0) + margin

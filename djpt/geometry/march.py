@@ -15,10 +15,10 @@ REFINEMENTS = 40
 """Most evaluations after a zero was bracketed; about 6 are needed."""
 
 MOST_STEPS = 1 << 17
-"""Whatever a function returns, the search ends."""
+"""Most evaluations of a function; bounds the search whatever the function returns."""
 
 NARROW = 2.0**-22
-"""A bracket of this relative width is as good as float32 can tell."""
+"""Relative width of a bracket that float32 can't narrow further."""
 
 
 @dataclass
@@ -31,10 +31,10 @@ class Zero:
 
 @dataclass
 class Search:
-    """Loop state: `f` counts as positive at the start."""
+    """Loop state. The sign of `f` is turned so that it is positive at the start."""
 
     t: Float
-    """Where to look next."""
+    """Where `f` is evaluated next."""
     low: Float
     f_low: Float
     high: Float
@@ -45,7 +45,7 @@ class Search:
     """How many times the function was called."""
     bracketed: Bool
     crossed: Bool
-    """Was the last point beyond the zero?"""
+    """Whether the last point was beyond the zero."""
     active: Bool
 
 
@@ -54,7 +54,7 @@ def first_zero(f: Callable[[Float], Float], start: Float, end: Float, reach: Flo
 
     From each point the search goes on by abs(f) times `reach`, but at least by `least`: with 1 / reach a bound of
     abs(f') no zero is left out (J. C. Hart, "Sphere Tracing", The Visual Computer 12, 1996), except pairs of zeros
-    closer than `least`. With reach = 0 it takes equal steps. Once the sign has changed, the zero is narrowed down
+    closer than `least`. With reach = 0 all steps are `least`. Once the sign has changed, the zero is narrowed down
     by false position with Illinois' rule, every fourth time by bisection, to the last digits that `f` has. One loop
     with one evaluation of `f`, so that lanes don't wait for each other's phase.
     """

@@ -1,9 +1,9 @@
-"""All meshes of a scene side by side: one numbering of faces, and the tables that kernels read.
+"""All meshes of a scene together: one numbering of faces, and the tables that kernels read.
 
 Numbers are set-wide: the faces of the first mesh come first, then those of the second; vertices
 likewise. Rows of tables are padded to powers of two, so that a kernel reads each with one packet load,
-and tables lie in memory of their own (see `own_copy`). What no mesh has isn't read: a set without
-vertex normals has no code for them.
+and tables lie in memory of their own (see `own_copy`). What no mesh has isn't read: kernels for a set
+without vertex normals have no code for them.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ __all__ = ["Corners", "MeshSet"]
 Corners = tuple[Point3f, Point3f, Point3f]
 
 HAS_NORMALS, HAS_TEXCOORDS, FLIPS = 1, 2, 4
-"""Bits in the fourth word of a face's row."""
+"""Bits in the fourth word of a face's row: the mesh has vertex normals, texture coordinates, `flip_normals`."""
 
 
 class MeshSet:
-    """The meshes of a scene, seen by kernels.
+    """The meshes of a scene, as kernels read them.
 
     `first_face[i]` is the set-wide number of the first face of mesh i; `face_count` counts all.
     """
@@ -45,7 +45,7 @@ class MeshSet:
         self._tabulate()
 
     def refresh(self) -> None:
-        """Meshes were edited: build the tables again. They keep their sizes unless its topology changed."""
+        """Build the tables again after an edit of meshes; tables keep their sizes unless the topology has changed."""
         self._tabulate()
 
     # ---- on the host -----------------------------------------------------------------
@@ -60,7 +60,7 @@ class MeshSet:
         self._has_texcoords = Presence([mesh.texcoords is not None for mesh in self.meshes], HAS_TEXCOORDS)
         self._flips = Presence([mesh.flip_normals for mesh in self.meshes], FLIPS)
         self._positions = self._table([mesh.positions for mesh in self.meshes], 4)
-        # A scene's BVH may hold analytic shapes alone: then nobody asks.
+        # A scene's BVH may hold analytic shapes alone: the table is then never read.
         self._faces = own_copy(self._face_rows() if self.meshes else np.zeros((1, 4), np.uint32))
         self._attributes = {name: Attribute(self.meshes, name) for mesh in self.meshes for name in mesh.attributes}
         self.areas = AreaTable(self.meshes, 0 if self.areas is None else self.areas.steps)
@@ -118,7 +118,7 @@ class MeshSet:
         return load(self._faces, face, 4, active)
 
     def normal_of(self, row: Any, b: Sequence[Float], otherwise: Vector3f) -> Vector3f:
-        """The unit vertex normal at barycentric weights `b`; the unit normal `otherwise` where there is none."""
+        """The interpolated unit normal at barycentric weights `b`; `otherwise`, a unit normal, where there is none."""
         if self._normals is None:
             return otherwise
         n0, n1, n2 = (load_vector(self._normals, row[k]) for k in range(3))
@@ -182,13 +182,13 @@ class MeshSet:
 
     @property
     def smooth(self) -> bool:
-        """Does any mesh have vertex normals?"""
+        """Whether any mesh has vertex normals."""
         return self._normals is not None
 
     def smooth_frame(self, face: UInt32, b: Point2f, n: Vector3f, dp_du: Vector3f) -> Frame3f:
         """The shading frame at a point of a face with the normal `n` and the tangent `dp_du`."""
         row = self.face_row(face)
-        # The vertex normals aren't flipped yet, `n` is.
+        # `n` has been flipped, the vertex normals haven't.
         flipped = self._flips.choose(row, -n, n) if self._flips.any else n
         shading = self.normal_of(row, (1 - b.x - b.y, b.x, b.y), flipped)
         shading = self._flips.choose(row, -shading, shading) if self._flips.any else shading
@@ -225,7 +225,7 @@ class MeshSet:
 
 
 class Presence:
-    """Which meshes have something."""
+    """Which meshes have a kind of data, such as vertex normals; `flag` is its bit in the rows of faces."""
 
     def __init__(self, present: Sequence[bool], flag: int) -> None:
         self._present, self._flag = present, flag
@@ -233,16 +233,16 @@ class Presence:
         self.mixed = self.any and not all(present)
 
     def bit(self, mesh: int) -> int:
-        """The flag of a mesh."""
+        """The flag if the mesh has the data, else 0."""
         return self._flag if self._present[mesh] else 0
 
     def choose(self, row: Any, present: Any, absent: Any) -> Any:
-        """`present` on faces of meshes that have it; some mesh must."""
+        """`present` on faces of meshes that have the data, else `absent`; at least one mesh must have it."""
         return dr.select((row[3] & self._flag) != 0, present, absent) if self.mixed else present
 
 
 class Attribute:
-    """One attribute of all meshes."""
+    """One attribute of all meshes, as a table."""
 
     def __init__(self, meshes: Sequence[Mesh], name: str) -> None:
         self.name, self.by_face = name, name.startswith("face_")

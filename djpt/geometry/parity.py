@@ -1,4 +1,4 @@
-"""Inside or outside, by counting crossings."""
+"""The test whether a point lies inside of closed shapes, by counting crossings."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from djpt.types import Bool, Point3f, UInt32, Vector3f
 __all__ = ["closed_shapes", "is_inside"]
 
 DIRECTION = (0.3651484, 0.5477226, 0.7527727)
-"""Any direction does; one along an axis would run within the faces of boxes."""
+"""The direction of the rays, arbitrary but not along an axis, where rays would run within the faces of boxes."""
 
 
 @dataclass
 class Walk:
-    """Loop state."""
+    """A ray on its way out of the scene, and the crossings so far: loop state."""
 
     o: Point3f
     crossings: UInt32
@@ -34,11 +34,11 @@ def closed_shapes(geometry: Geometry) -> list[int]:
 
 
 def is_inside(geometry: Geometry, p: Point3f, active: Bool | bool = True, shapes: Sequence[int] | None = None) -> Bool:
-    """Is a point within an odd number of closed surfaces? Of `shapes` alone (indices), if given.
+    """Whether a point lies within an odd number of closed surfaces: of `shapes` (indices), or of all closed ones.
 
     A ray from an inner point crosses a closed surface an odd number of times (the Jordan-Brouwer theorem);
-    crossings of open shapes don't count. After each the ray goes on RAY_EPSILON (1 + max abs(p)) further,
-    so walls thinner than that may be missed.
+    crossings of open shapes don't count. After each crossing the ray starts again RAY_EPSILON (1 + max abs(p))
+    further on, so thinner walls may be missed.
     """
     inner = closed_shapes(geometry) if shapes is None else shapes
     count = len(geometry.contents.shapes)

@@ -10,26 +10,26 @@ from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 __all__ = ["ANALYTIC", "FACE", "Near", "Query"]
 
 ANALYTIC = 0x80000000
-"""Set in `Query.cursor.hit` where the number is that of a face of the unrolled set, not of a record."""
+"""A bit of `Query.cursor.hit`: set where the rest is the number of an unrolled face, not of a record."""
 
 FACE = 0x7FFFFFFF
-"""The rest of it."""
+"""The bits of `Query.cursor.hit` that hold the number of an unrolled face."""
 
 
 @dataclass
 class Near:
-    """A hit as the search for triangles sees it."""
+    """A hit as the search for triangles gives it."""
 
     origin: Point3f
     """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.traversal.enter`."""
     t: Float
-    """The distance from there: exact where the ray's own origin is so far off that its distance isn't."""
+    """The distance from `origin`: exact also where the distance from a far origin would be rounded."""
     entry: Float | None
-    """How far it was moved, in units of the ray's `d`; None: not at all."""
+    """How far the origin was moved, in units of the ray's `d`; None: not at all."""
     b: Point2f | None
     """Barycentric weights of the second and third corner, if they are known."""
     inside: UInt32 | None
-    """In scenes with instances: the record of that which the triangle belongs to."""
+    """The record of the instance that the triangle belongs to; None in scenes without instances."""
 
 
 @dataclass
@@ -40,5 +40,5 @@ class Query:
     """The origin, near the triangles, as seen from the centre of the BVH."""
     d: Vector3f
     entry: Float | None
-    """How far from the ray's own origin that is, in units of `d`; None: not at all."""
+    """The distance of `o` from the ray's own origin, in units of `d`; None: the origin wasn't moved."""
     cursor: Cursor

@@ -1,4 +1,4 @@
-"""Rays from far away, moved near to what they may hit."""
+"""Rays from far away, started again near the shapes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["recentre"]
 
 
 def recentre(ray: Ray3f, low: Point3f, high: Point3f) -> tuple[Ray3f, Float]:
-    """The same ray, started where it comes near the box from `low` to `high`, and how far that is in units of `d`.
+    """Start a ray where it comes near the box from `low` to `high`; return it and the distance, in units of `d`.
 
     Intersections subtract coordinates of the origin: from 10^4 sizes away 4 of 7 digits are lost, and rays miss what
     they should hit. A ray that starts outside of the sphere around the box begins at that sphere instead (or beside it,

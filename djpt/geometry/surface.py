@@ -1,4 +1,4 @@
-"""What shading needs of the geometry at a point."""
+"""The geometry at a point, as shading needs it."""
 
 from __future__ import annotations
 

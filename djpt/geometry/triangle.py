@@ -23,11 +23,11 @@ __all__ = ["RayPlane", "TriangleHit", "intersect_triangle"]
 
 @dataclass
 class TriangleHit:
-    """A triangle's answer to a ray: where `hit` is false, the rest means nothing."""
+    """The result of a ray-triangle test; where `hit` is false, the other fields are unspecified."""
 
     hit: Bool
     t: Float
-    """Distance in units of the ray's `d`, not compared with anything."""
+    """Distance in units of the ray's `d`, along the whole line: it may be negative or beyond `maxt`."""
     b1: Float
     """Barycentric weight of the second corner."""
     b2: Float
@@ -38,7 +38,7 @@ class RayPlane:
     """A ray and two directions across it. Neither they nor `d` need have unit length."""
 
     def __init__(self, o: Point3f, d: Vector3f) -> None:
-        # Perpendicular to d by swapping two components; never the two small ones.
+        # Perpendicular to d by swapping two components that aren't both small.
         steep = dr.abs(d.x) > dr.abs(d.z)
         s = Vector3f(dr.select(steep, -d.y, 0), dr.select(steep, d.x, -d.z), dr.select(steep, 0, d.y))
         self._axes = [(axis, -dr.dot(axis, o)) for axis in (s, dr.cross(d, s), d)]
@@ -47,7 +47,7 @@ class RayPlane:
     def project(self, p: Point3f) -> list[Float]:
         """Coordinates of a point across the ray (two) and along it, seen from the origin.
 
-        Rounded in units of the coordinates: these should be small where triangles are.
+        The rounding error is relative to the coordinates, so the triangles should lie near the origin of coordinates.
         """
         return [dr.fma(a.x, p.x, dr.fma(a.y, p.y, dr.fma(a.z, p.z, offset))) for a, offset in self._axes]
 

@@ -1,4 +1,4 @@
-"""Choosing points on meshes uniformly by area, as lights do."""
+"""The choice of points on meshes, uniform by area, as lights need them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ __all__ = ["AreaTable", "square_to_triangle"]
 
 
 class AreaTable:
-    """For each mesh the running sum of its faces' areas, one mesh after the other."""
+    """The running sums of the areas of faces, for one mesh after the other."""
 
     def __init__(self, meshes: Sequence[Mesh], least_steps: int = 0) -> None:
-        """Tells each mesh where its part begins, its attribute `first_area`.
+        """Build the table, and tell each mesh where its part begins: its attribute `first_area`.
 
-        `least_steps`: those of the table before an edit, so that fewer faces don't mean a new kernel.
+        `least_steps` is the number of steps before an edit, so that fewer faces don't need a new kernel.
         """
         sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in meshes]
         starts = np.cumsum([0, *(len(part) for part in sums)])
         for mesh, start in zip(meshes, starts[:-1], strict=True):
             mesh.first_area = dr.opaque(UInt32, int(start))
         self._sums = Float(np.concatenate(sums)) if sums else Float(1)
-        # Unevaluated arithmetic would drag its inputs into kernels.
+        # Unevaluated arithmetic would make its inputs a part of kernels.
         dr.make_opaque(self._sums)
         self.steps = max(least_steps, max((len(part) for part in sums), default=1).bit_length())
 
     def sample(self, first: UInt32, count: UInt32, total: Float, sample: Float) -> tuple[UInt32, Float]:
-        """Choose a face by area; the sample's remainder is uniform again, as in Mitsuba.
+        """Choose a face with a probability proportional to its area, and stretch the sample for use within it.
 
         Args:
             first: where the mesh's part of the table begins.
@@ -43,7 +43,7 @@ class AreaTable:
             sample: uniform in [0, 1).
 
         Returns:
-            The face within the mesh, and the stretched sample.
+            The number of the face in the mesh, and the stretched sample, uniform in [0, 1) again as in Mitsuba.
         """
         wanted = sample * total
         # The number of faces whose sum lies below, by halving steps; a face without area is never chosen.

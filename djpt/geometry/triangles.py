@@ -1,4 +1,4 @@
-"""All triangles of a scene in one BVH, and what their records say about a hit."""
+"""All triangles of a scene in one BVH: ray queries, and the surface points of hits."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 __all__ = ["Triangles"]
 
 FAR = 8
-"""In units of the triangles' extent; there rounding is at most 2^-21 of that."""
+"""Origins further away, in units of the triangles' extent, are moved near; at FAR, rounding is 2^-21 of the extent."""
 
 
 class Triangles:
-    """Ray queries against the meshes of a scene. Faces are named by their record in the BVH."""
+    """Ray queries against the meshes of a scene. A face is identified by its record in the BVH."""
 
     def __init__(self, meshes: MeshSet, shapes: Sequence[int], forest: Forest) -> None:
-        """`shapes`: the scene's numbers of the meshes, then of the analytic shapes that `forest` holds."""
+        """`shapes` are the scene's indices of the meshes, then of the analytic shapes that `forest` holds."""
         self.meshes, self.forest = meshes, forest
         self._shapes = list(shapes)
         self._shape_of_mesh = Numbers(self._shapes)
@@ -50,7 +50,7 @@ class Triangles:
         self._far = False
 
     def move(self, meshes: Sequence[Mesh]) -> None:
-        """Some meshes have new vertices or faces, or instances have moved."""
+        """Follow an edit: `meshes` have new vertices or faces, or instances have moved."""
         if meshes:
             self.meshes.refresh()
         self._first_face = Numbers(self.meshes.first_face)
@@ -70,20 +70,20 @@ class Triangles:
     # ---- ray queries -----------------------------------------------------------------
 
     def enter(self, ray: Ray3f) -> tuple[Point3f, Float | None]:
-        """The origin as seen from the centre, moved near the triangles if rays start far away; and how far."""
+        """The origin as seen from the centre, moved near if rays start far away; and the distance moved, or None."""
         return enter(self.records, ray) if self._far else (ray.o - self.records.center, None)
 
     @property
     def emit(self) -> bool:
-        """Is any shape here a light?"""
+        """Whether any of these shapes is a light."""
         return self.forest.emits
 
     def search(self, ray: Ray3f, through_lights: Bool | None) -> Found:
-        """The first hit with 0 < t < maxt. Lanes with `through_lights` ignore meshes that emit."""
+        """The first hit with 0 < t < maxt. Where `through_lights`, shapes that emit are ignored."""
         return search(self.records, ray, False, through_lights=through_lights if self.emit else None)
 
     def occluded(self, ray: Ray3f, active: Bool | bool) -> Bool:
-        """Is there a hit with 0 < t < maxt?"""
+        """Whether there is a hit with 0 < t < maxt."""
         return search(self.records, ray, True, active).record != NONE
 
     # ---- what a record says --------------------------------------------------------------
@@ -93,15 +93,15 @@ class Triangles:
         return dr.gather(UInt32, self.records.words, record * WORDS + 12, record != NONE) & NUMBER
 
     def shape_of(self, record: UInt32) -> UInt32:
-        """The index of its shape in the scene."""
+        """The index in the scene of the shape that a record belongs to."""
         return self._shape_of_mesh.at(self.mesh_of(record))
 
     def per_mesh(self, of_shape: Sequence[int]) -> Numbers:
-        """A table of numbers by shape as one by mesh."""
+        """Turn a table of numbers by shape into one by mesh."""
         return Numbers([of_shape[shape] for shape in self._shapes])
 
     def primitive_index(self, record: UInt32, p: Point3f) -> UInt32:
-        """The number of a triangle in its mesh, or of that which an analytic shape would be made of at `p`."""
+        """The number of a triangle in its mesh; on analytic shapes Mitsuba's number of the primitive at `p`."""
         face = dr.gather(UInt32, self.records.words, record * WORDS + 13, record != NONE)
         mesh = self.mesh_of(record)
         index: UInt32 = face - self._first_face.at(mesh)
@@ -117,15 +117,15 @@ class Triangles:
         active = active & (record != NONE)
         words = self.records.words
         kind, number = (dr.gather(UInt32, words, record * WORDS + k, active) for k in (12, 13))
-        # Records of nodes and of other shapes have something else there.
+        # In records of nodes and of other shapes this word isn't a face.
         face = dr.select(active & ((kind & (LEAF | PORTAL)) == LEAF), number, 0)
         return self.meshes.attribute(name, face, uv.x, uv.y)
 
     def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
         """The point where a ray hits a triangle; `t` counts from `near.origin`.
 
-        Unless `full`, uv and the lengths of dp/du and dp/dv aren't needed: that takes half a record,
-        and no corners.
+        Unless `full`, uv and the lengths of dp/du and dp/dv are left out: half a record then is enough,
+        without the corners.
         """
         if self.records.kinds:
             solid = self._solid(near, d, t, record)
@@ -164,18 +164,18 @@ class Triangles:
         side, mirrored = float_in(words[14]), orientation(words)
         shading = placed.sh_frame.n * side
         placed.sh_frame = Frame3f(placed.sh_frame.s, dr.cross(shading, placed.sh_frame.s), shading)
-        # As in Mitsuba, reflections turn the geometric normal of what is flat there, and no other.
+        # As in Mitsuba, reflections turn the geometric normal of shapes that are flat there, and no other.
         flat = words[13] < FLAT_KINDS
         placed.n = placed.n * dr.select(flat, side * mirrored, side)
         placed.p = dr.fma(d, t, near.origin) + self.records.center
         return placed
 
     def _by_corners(self, origin: Point3f, d: Vector3f, record: UInt32) -> Surface:
-        """The point with all that belongs to it, as seen from the centre of the triangle's tree."""
+        """The full surface point, relative to the centre of the triangle's tree."""
         words = load(self.records.words, record)
         corners = triangle_corners(words)
         hit = intersect_triangle(RayPlane(origin, d), *corners)
-        # The empty record stands for a miss: any face will do, but one that exists.
+        # The empty record stands for a miss: any face that exists will do.
         face = dr.select(words[12] >= LEAF, words[13], 0)
         return self.meshes.surface(face, corners, hit.b1, hit.b2)
 
@@ -204,9 +204,9 @@ def orientation(words: list[UInt32]) -> Float:
 
 
 def to_world(words: list[UInt32], surface: Surface) -> Surface:
-    """A surface point of a group in the space of an instance, whose record is given; all but `p`."""
+    """Map a surface point from the space of a group to the world, by the record of an instance; `p` is kept."""
     rows = rows_of(words)
-    # The columns of the inverse: the way back into the world.
+    # The columns of the inverse, which maps back into the world.
     adjugate = [dr.cross(rows[1], rows[2]), dr.cross(rows[2], rows[0]), dr.cross(rows[0], rows[1])]
     inv = dr.rcp(dr.dot(rows[0], adjugate[0]))
 

@@ -1,4 +1,4 @@
-"""The unrolled set: every shape's intersection in a row, without loops or memory traffic.
+"""The unrolled set: the tests of all its shapes one after the other, without loops or memory traffic.
 
 For scenes of a few analytic shapes nothing is faster: all values sit in registers, and
 shapes that share axes share projections. Three things are decided on the host, from the
@@ -42,7 +42,7 @@ class Unrolled:
     ):
         """`others` are shapes of the scene that aren't in this set, `lights` the shapes that emit.
 
-        `points` are finite light positions; `open_sky`: light from infinity.
+        `points` are finite light positions; `open_sky` is true if there is light from infinity.
         """
         self.shapes, self._others = tuple(shapes), tuple(others)
         self._lights, self._points, self._open_sky = lights, points, open_sky
@@ -50,14 +50,14 @@ class Unrolled:
         self.occludes = [False] * len(shapes)
         for shape in shapes:
             shape.place(self.pool)
-        # What lights sample of shapes that stand in the BVH.
+        # Lights sample shapes that stand in the BVH, too: those need their values as well.
         for shape in others:
             shape.place(AxisPool())
         self._number_faces()
         self._find_occluders()
 
     def move(self, shape: Shape) -> None:
-        """A shape's parameters have changed."""
+        """Follow an edit of a shape's parameters."""
         if shape not in self.shapes:
             shape.place(AxisPool())
             self._find_occluders()
@@ -71,7 +71,7 @@ class Unrolled:
         self._find_occluders()
 
     def move_points(self, points: Sequence[Point3f]) -> None:
-        """The finite light positions have changed."""
+        """Follow an edit of the finite light positions."""
         self._points = points
         self._find_occluders()
 
@@ -122,10 +122,10 @@ class Unrolled:
         self._tangents = Directions([face.tangent if face else None for face in self._frames])
 
     def _find_occluders(self) -> None:
-        """Shapes that may stand between a surface point and a light.
+        """Find the shapes that may stand between a surface point and a light.
 
-        A flat shape can't if everything, lights included, lies on one side of its plane; nor can
-        the only light block the light that itself sends out.
+        A flat shape can't if everything, lights included, lies on one side of its plane. The only light
+        can't block its own light either.
         """
         low, high = self.bounding_box()
         tolerance = 1e-5 * float(np.max(high - low, initial=0.0))
@@ -171,11 +171,11 @@ class Unrolled:
         return self._shape_of.at(number)
 
     def local_face(self, number: UInt32) -> UInt32:
-        """The face within its shape."""
+        """The number of a face within its shape."""
         return self._local_face.at(number)
 
     def per_face(self, of_shape: Sequence[int]) -> Numbers:
-        """A table of numbers by shape as one by face number: leads there in one step."""
+        """Turn a table of numbers by shape into one by face number, for a single lookup."""
         return Numbers([of_shape[shape] for shape in self.face_shape])
 
     def faces_of(self, shapes: Sequence[int]) -> list[int]:
@@ -183,7 +183,7 @@ class Unrolled:
         return [n for s in shapes for n in self.face_number[s]]
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
-        """Is anything hit with 0 < t < maxt?"""
+        """Whether anything is hit with 0 < t < maxt."""
         return self._any(ray, [True] * len(self.shapes)) & active
 
     def blocked(self, ray: Ray3f) -> Bool:
@@ -206,7 +206,7 @@ class Unrolled:
 
 
 class Directions:
-    """Signed axes by face number; faces without one may get any."""
+    """Signed axes by face number; for faces without an axis any direction."""
 
     def __init__(self, signed: Sequence[SignedAxis | None]) -> None:
         present = [x for x in signed if x is not None]
@@ -222,5 +222,5 @@ class Directions:
 
 
 def _host_point(p: Point3f) -> np.ndarray:
-    # Component by component: a vector is converted by a kernel, which takes its time for each of many lights.
+    # Component by component: converting a whole vector runs a kernel, too slow for many lights.
     return np.array([x[0] for x in p], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""From spectra to linear sRGB, by the CIE 1931 standard observer."""
+"""Colours of spectra in linear sRGB, by the CIE 1931 standard observer."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ SHORTEST, LONGEST = 360.0, 830.0
 """The visible range in nm, in which spectra are integrated."""
 
 _STEPS = 1000
-"""Equidistant wavelengths that are summed up; Mitsuba's number, so that colours agree to all digits."""
+"""The number of equidistant wavelengths in sums; Mitsuba's number, so that colours agree to all digits."""
 
 _D65_SCALE = 1 / 98.9974167
-"""From the tabulated D65 to Mitsuba's, under which a constant spectrum of 1 gets a luminance of 0.9989."""
+"""Factor from the tabulated D65 to Mitsuba's, under which a constant spectrum of 1 has a luminance of 0.9989."""
 
 XYZ_TO_RGB = np.array(
     [
@@ -25,11 +25,11 @@ XYZ_TO_RGB = np.array(
         [0.055648, -0.204043, 1.057311],
     ]
 )
-"""ITU-R BT.709 primaries, white point D65."""
+"""The matrix from XYZ to linear RGB: ITU-R BT.709 primaries, white point D65."""
 
 
 def spectrum_to_rgb(wavelengths: Sequence[float], values: Sequence[float], under_d65: bool) -> NDArray[np.float64]:
-    """The colour of a spectrum: linear sRGB, (3,) float64, not negative. Arguments as those of `spectrum_to_xyz`."""
+    """The colour of a spectrum in linear sRGB, (3,) float64, not negative; see `spectrum_to_xyz` for arguments."""
     return np.maximum(XYZ_TO_RGB @ spectrum_to_xyz(wavelengths, values, under_d65), 0.0)
 
 
@@ -40,7 +40,7 @@ def spectrum_to_xyz(wavelengths: Sequence[float], values: Sequence[float], under
 
     Args:
         wavelengths: in nm, increasing. The spectrum is linear between them and 0 outside.
-        values: as many.
+        values: one per wavelength.
         under_d65: D is daylight, for what reflects (a constant spectrum is white). Otherwise D = 1, for
             what emits.
     """

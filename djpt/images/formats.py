@@ -1,8 +1,8 @@
-"""How pixels become bytes: one encoder and one decoder per file format.
+"""The file formats of images: one encoder and one decoder each.
 
 Encoders take an array of shape (H, W, C) and a path that they may overwrite; decoders
-return such an array. They know nothing of djpt's types and errors: `djpt.images.image` checks what
-goes in, keeps writes atomic and turns whatever is raised here into a `FileError`.
+return such an array. They don't use djpt's types and errors: `djpt.images.image` checks the input,
+makes writes atomic and turns all exceptions raised here into a `FileError`.
 
 The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The display formats
 (`png`, `jpg`) carry 8-bit sRGB, without dithering, so that equal images give equal bytes.
@@ -27,15 +27,15 @@ Bytes = npt.NDArray[np.uint8]
 
 
 class Labels(NamedTuple):
-    """What a file says about its pixels."""
+    """Names and metadata that a file stores beside its pixels."""
 
     channels: Sequence[str] | None
-    """Names of the channels; None: the usual ones."""
+    """The names of the channels; None: the usual ones."""
     metadata: Mapping[str, str]
 
 
 class Format(NamedTuple):
-    """A file format: which channel counts it holds (empty = any), how to write and to read it."""
+    """A file format: the numbers of channels that it can hold (empty = any), its encoder and its decoder."""
 
     channels: tuple[int, ...]
     encode: Callable[[Path, Pixels, Labels], None]
@@ -46,7 +46,7 @@ class Format(NamedTuple):
 
 
 def to_srgb8(linear: Pixels) -> Bytes:
-    """Linear values to 8-bit sRGB (IEC 61966-2-1): clipped to [0, 1], encoded, rounded to nearest.
+    """Convert linear values to 8-bit sRGB (IEC 61966-2-1): clipped to [0, 1], encoded, rounded to nearest.
 
     Shape (H, W, C), any C. The last of 2 or 4 channels is alpha, which stays linear. NaN becomes 0.
     """
@@ -58,7 +58,7 @@ def to_srgb8(linear: Pixels) -> Bytes:
 
 
 def from_srgb8(encoded: Bytes) -> Pixels:
-    """The inverse of `to_srgb8` on its own output: `to_srgb8(from_srgb8(b)) == b`."""
+    """Convert 8-bit sRGB to linear values, such that `to_srgb8(from_srgb8(b)) == b`."""
     x = encoded.astype(np.float64) / 255.0
     linear = np.where(x <= 0.04045, x / 12.92, np.power((x + 0.055) / 1.055, 2.4))
     if encoded.shape[2] in (2, 4):
@@ -70,7 +70,7 @@ def from_srgb8(encoded: Bytes) -> Pixels:
 
 _EXR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
-# OpenEXR sorts channels by name; this header attribute of ours remembers their order.
+# OpenEXR sorts channels by name; this header attribute of djpt stores their order.
 _EXR_ORDER = "channelOrder"
 
 
@@ -107,7 +107,7 @@ def _read_exr(path: Path) -> Pixels:
         planes = {name: channel.pixels for name, channel in file.channels().items()}
         order = str(file.header().get(_EXR_ORDER, "")).split(",")
     if sorted(order) != sorted(planes):
-        # Somebody else's file: colour first, in the usual order, then the rest by name.
+        # A file of another program: colour first, in the usual order, then the rest by name.
         usual = ("R", "G", "B", "Y", "A")
         order = [name for name in usual if name in planes] + sorted(set(planes) - set(usual))
     if len({plane.shape for plane in planes.values()}) != 1:
@@ -119,7 +119,7 @@ def _read_exr(path: Path) -> Pixels:
 
 
 def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
-    """Radiance RGBE (Ward, *Real Pixels*, Graphics Gems II), flat scanlines.
+    """Write Radiance RGBE (Ward, *Real Pixels*, Graphics Gems II), flat scanlines.
 
     Three 8-bit mantissas share one exponent: relative error 2^-8 of the largest channel.
     Mantissas are rounded (not truncated) for readers that compute `m * 2^(e - 136)`, which
@@ -194,7 +194,7 @@ def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
 
 
 def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
-    """Portable float map: bottom row first; a negative scale says little endian."""
+    """Write a portable float map: bottom row first; a negative scale means little endian."""
     height, width, count = image.shape
     header = f"{'PF' if count == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
     path.write_bytes(header.encode("ascii") + np.ascontiguousarray(image[::-1], "<f4").tobytes())
@@ -270,7 +270,7 @@ def _write_png(path: Path, image: Pixels, labels: Labels) -> None:
 
 
 def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
-    """JPEG has no alpha; rendered images are premultiplied, so dropping it means black behind."""
+    """Write a JPEG, which has no alpha; images are premultiplied, so without it the background is black."""
     pixels = _as_bytes(image)
     pixels = pixels[..., : 1 if pixels.shape[2] < 3 else 3]
     _picture(pixels).save(path, format="JPEG", quality=95, subsampling=0)
@@ -309,11 +309,11 @@ FORMATS = {
 DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg"})
 
 METADATA = {".exr": _exr_metadata, ".png": _png_metadata}
-"""The formats that carry metadata, with what reads them."""
+"""The formats that carry metadata, and the function that reads them."""
 
 RESERVED = frozenset(
     f"{_EXR_ORDER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
     "maxSamplesPerPixel multiView name pixelAspectRatio preview screenWindowCenter screenWindowWidth tiles type "
     "version view zipCompressionLevel".split()
 )
-"""Header attributes of EXR that have a meaning of their own."""
+"""Header attributes of EXR with a meaning of their own, which metadata can't use."""

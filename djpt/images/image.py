@@ -43,7 +43,7 @@ METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
 
 class Image:
-    """A view of an image that shows itself: `Image(djpt.render(scene))` as the last line of a cell.
+    """A view of an image that notebooks display: `Image(djpt.render(scene))` as the last line of a cell.
 
     `tensor`: a `TensorXf`, a NumPy array or an `Image`, of shape (H, W) or (H, W, C). Floating
     point values are linear; `uint8` values are already sRGB. Nothing is clipped until it is shown.
@@ -70,12 +70,12 @@ class Image:
         return self._pixels
 
     def srgb(self) -> npt.NDArray[np.uint8]:
-        """What is seen: (H, W, C) bytes of sRGB; see `djpt.images.formats.to_srgb8`."""
+        """The pixels as they are displayed: (H, W, C) bytes of sRGB; see `djpt.images.formats.to_srgb8`."""
         shown = self._pixels if self._pixels.shape[2] <= 4 else self._pixels[..., :3]
         return shown if shown.dtype == np.uint8 else to_srgb8(shown)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        """For `numpy.asarray(image)` and `matplotlib.pyplot.imshow(image)`."""
+        """The pixels, for `numpy.asarray(image)` and `matplotlib.pyplot.imshow(image)`."""
         pixels = self._pixels if dtype is None else self._pixels.astype(dtype, copy=False)
         return pixels.copy() if copy else pixels
 
@@ -103,7 +103,7 @@ def write(
     * `png`, `jpg`, `jpeg` (1 to 4 channels): 8-bit sRGB: clipped to [0, 1] and rounded, never
       dithered, so equal images give equal bytes. `jpg` drops alpha.
     * `channels`: names for the channels of an `exr`, such as those of an `aov` integrator.
-      Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take what stands before the last dot
+      Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take the part before the last dot
       for a layer: `albedo.R`, `albedo.G` and `albedo.B` are the layer `albedo`.
     * `metadata`: names and values that the header of an `exr` or `png` carries, as text, for `read_metadata` and for
       other programs. Names have up to 31 letters, digits and ``_ . : -``; values are strings, numbers or booleans.
@@ -151,8 +151,8 @@ def write(
 def read(path: str | os.PathLike[str]) -> TensorXf:
     """Read an image as a tensor of shape (H, W, C) with linear values.
 
-    exr, hdr, pfm and npy as they are; png and jpg are decoded from sRGB (alpha is linear). What `write`
-    wrote comes back: bit for bit from exr, pfm and npy, to the nearest representable value
+    exr, hdr, pfm and npy are read as they are; png and jpg are decoded from sRGB (alpha is linear). Images that
+    `write` wrote are read back bit for bit from exr, pfm and npy, and to the nearest representable value
     from the others. Raises `FileError` if the file is missing, damaged or of an unknown format.
     """
     from djpt.types import TensorXf
@@ -161,7 +161,7 @@ def read(path: str | os.PathLike[str]) -> TensorXf:
 
 
 def read_pixels(path: str | os.PathLike[str]) -> npt.NDArray[np.float32]:
-    """`read()` for NumPy: float32 (H, W, C). Needs no Dr.Jit backend."""
+    """Read an image as a NumPy array, float32 (H, W, C), as `read` does. Needs no Dr.Jit backend."""
     source = Path(path)
     form = _format(source, "read")
     with _reading(source):
@@ -169,9 +169,9 @@ def read_pixels(path: str | os.PathLike[str]) -> npt.NDArray[np.float32]:
 
 
 def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
-    """What the header of an `exr` or `png` says about the image: names and texts, as given to `write`.
+    """Read the metadata of an `exr` or `png`: names and texts, as given to `write`.
 
-    Of files that other programs wrote, the attributes of type string or the text chunks. Raises `FileError`
+    From files of other programs, the attributes of type string or the text chunks are read. Raises `FileError`
     as `read` does, and for formats without metadata.
     """
     source = Path(path)
@@ -185,7 +185,7 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _reading(source: Path) -> Iterator[None]:
-    """Whatever goes wrong while a file is read becomes a `FileError`."""
+    """Turn any exception that is raised while a file is read into a `FileError`."""
     try:
         if source.is_dir():
             raise IsADirectoryError("it is a folder")
@@ -223,10 +223,10 @@ def _format(path: Path, verb: str) -> Format:
 
 
 def _pixels(image: Any, name: str) -> npt.NDArray[Any]:
-    """Any accepted image as a NumPy array (H, W, C) of float32 or uint8."""
+    """Convert an image of any accepted kind to a NumPy array (H, W, C) of float32 or uint8."""
     try:
         pixels = image.numpy() if hasattr(image, "numpy") else np.asarray(image)
-    except (TypeError, ValueError):  # a ragged list, for one
+    except (TypeError, ValueError):  # for example a ragged list
         pixels = np.asarray(None)
     if pixels.dtype.kind not in "fiub":
         raise FileError(f"{name}: an image must be a TensorXf or a NumPy array, found {type(image).__name__}")
@@ -238,7 +238,7 @@ def _pixels(image: Any, name: str) -> npt.NDArray[Any]:
 
 
 def _texts(target: Path, metadata: Mapping[str, Any]) -> dict[str, str]:
-    """Metadata as text, checked."""
+    """Check metadata and convert their values to text."""
     if metadata and target.suffix.lower() not in METADATA:
         raise FileError(f"can't write '{target}': only exr and png carry metadata")
     texts = {}
@@ -257,7 +257,7 @@ def _either(numbers: Sequence[int]) -> str:
 
 
 def _reason(error: BaseException) -> str:
-    """One line that says what went wrong, without the path that the message begins with anyway."""
+    """The reason of an error in one line, without the path, which the message has already."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     if isinstance(error, MemoryError):

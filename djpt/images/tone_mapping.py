@@ -1,4 +1,4 @@
-"""Tone mapping: from scene radiance of any range to what a display can show.
+"""Tone mapping: the conversion of radiance of any range to the range of a display.
 
     shown = djpt.tonemap(image, "agx", exposure=1.5)
     djpt.write("out.png", shown)
@@ -26,7 +26,7 @@ __all__ = ["OPERATORS", "balance_matrix", "log_average", "tonemap"]
 Pixels = npt.NDArray[np.float64]
 
 MIDDLE_GREY = 0.18
-"""What `exposure="auto"` makes of the average luminance."""
+"""The value to which `exposure="auto"` maps the average luminance."""
 
 LARGEST = float(np.finfo(np.float32).max)
 
@@ -61,7 +61,7 @@ def tonemap(
 
     Returns:
         Values in [0, 1], of the shape and kind of `image`. Every operator is monotone in the exposure, maps 0 to 0 and
-        keeps grey grey. NaN and what is negative are taken for 0, infinity for the largest number.
+        keeps grey grey. NaN and negative values are taken for 0, infinity for the largest number.
 
     Raises:
         RenderError: An unknown operator, or arguments out of range.
@@ -94,7 +94,7 @@ def tonemap(
 
 
 def like(image: Any, pixels: npt.NDArray[np.float32]) -> Any:
-    """`pixels` as the kind of array that `image` is."""
+    """Convert `pixels` to the type of array that `image` has."""
     if isinstance(image, Image):
         return Image(pixels)
     pixels = pixels.reshape(image.shape) if hasattr(image, "shape") else pixels
@@ -105,7 +105,7 @@ def like(image: Any, pixels: npt.NDArray[np.float32]) -> Any:
 
 
 def stops(exposure: float | str, light: Pixels) -> float:
-    """The exposure as a number."""
+    """The exposure as a number of stops; ``"auto"`` is computed from the pixels `light`."""
     if exposure == "auto":
         average = log_average(light)
         return math.log2(MIDDLE_GREY / average) if average > 0 else 0.0
@@ -121,7 +121,7 @@ def stops(exposure: float | str, light: Pixels) -> float:
 def log_average(light: Pixels) -> float:
     """The logarithmic average exp(mean(log(L + d))) - d of the luminance, d a thousandth of its mean.
 
-    The offset d keeps black backgrounds from deciding alone. Pixels of infinite light don't count.
+    The offset d limits the weight of black backgrounds. Pixels of infinite light don't count.
     """
     luminance = light @ np.array(LUMINANCE) / sum(LUMINANCE) if light.shape[2] == 3 else light[..., 0]
     luminance = luminance[luminance < LARGEST / 2]
@@ -132,7 +132,7 @@ def log_average(light: Pixels) -> float:
 # ---- white balance --------------------------------------------------------------------------
 
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-"""From XYZ to sharpened cone responses (K. M. Lam, 1985)."""
+"""The matrix from XYZ to sharpened cone responses (K. M. Lam, 1985)."""
 
 
 def balance_matrix(white: float | Sequence[float]) -> Pixels:
@@ -156,7 +156,7 @@ def balance_matrix(white: float | Sequence[float]) -> Pixels:
             f"negative, found {white!r}"
         )
     ours = from_rgb @ np.ones(3)
-    # Cone responses to whatever is a mixture of sRGB's primaries, or a black body, are positive.
+    # Cone responses to mixtures of sRGB's primaries, and to black bodies, are positive.
     source, target = BRADFORD @ xyz, BRADFORD @ (ours / ours[1])
     return XYZ_TO_RGB @ np.linalg.inv(BRADFORD) @ np.diag(target / source) @ BRADFORD @ from_rgb
 
@@ -165,26 +165,26 @@ def balance_matrix(white: float | Sequence[float]) -> Pixels:
 
 
 def clipped(rgb: Pixels, white: float) -> Pixels:
-    """Light above 1 is lost."""
+    """The operator `srgb`: leaves light as it is; values above 1 are clipped later."""
     return rgb
 
 
 def reinhard(rgb: Pixels, white: float) -> Pixels:
-    """By luminance, as a factor for all channels."""
+    """The operator `reinhard`: luminance L becomes L (1 + L / white^2) / (1 + L), as a factor for all channels."""
     luminance = (rgb @ np.array(LUMINANCE) / sum(LUMINANCE))[..., None]
     return rgb * ((1 + luminance / white**2) / (1 + luminance))
 
 
 ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]])
-"""From linear sRGB to the fit's primaries: to ACEScg, with the desaturation of the reference transform."""
+"""The matrix from linear sRGB to the fit's primaries: to ACEScg, with the reference transform's desaturation."""
 
 ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07603]])
-"""And back from those of the output transform."""
+"""The matrix from the primaries of the output transform back to linear sRGB."""
 
 
 def aces(rgb: Pixels, white: float) -> Pixels:
-    """A rational function per channel between two matrices whose rows sum to 1."""
-    x = np.minimum(rgb @ ACES_IN.T, 1e9)  # where it has long been flat
+    """The operator `aces`: a rational function per channel between two matrices whose rows sum to 1."""
+    x = np.minimum(rgb @ ACES_IN.T, 1e9)  # the curve is flat there
     y = (x * (x + 0.0245786) - 0.000090537) / (x * (0.983729 * x + 0.4329510) + 0.238081)
     return np.maximum(y, 0.0) @ ACES_OUT.T
 
@@ -199,13 +199,13 @@ AGX_IN = np.array(
 AGX_IN /= AGX_IN.sum(axis=1, keepdims=True)  # published with rows that sum to 1 within 1.4e-4: grey must stay grey
 AGX_OUT = np.linalg.inv(AGX_IN)
 AGX_STOPS = (-12.47393, 4.026069)
-"""The range of log2 of light that becomes 0 to 1."""
+"""The range of log2 of light that is mapped to 0 to 1."""
 AGX_CURVE = (15.5, -40.14, 31.96, -6.868, 0.4298, 0.1191, -0.00232)
-"""Coefficients of the contrast curve, highest power first."""
+"""The coefficients of the contrast curve, highest power first."""
 
 
 def agx(rgb: Pixels, white: float) -> Pixels:
-    """A curve in log2 of light, whose result is encoded with a gamma of 2.2."""
+    """The operator `agx`: a curve of log2 of light, whose result is encoded with a gamma of 2.2."""
     low, high = AGX_STOPS
     x = np.clip((np.log2(np.maximum(rgb @ AGX_IN.T, 2.0**low)) - low) / (high - low), 0.0, 1.0)
     encoded = np.maximum(np.polyval(AGX_CURVE, x), 0.0) @ AGX_OUT.T
@@ -218,4 +218,4 @@ OPERATORS: dict[str, Callable[[Pixels, float], Pixels]] = {
     "reinhard": reinhard,
     "srgb": clipped,
 }
-"""Name -> operator."""
+"""The operators by name."""

@@ -1,4 +1,4 @@
-"""The LLVM library behind Dr.Jit's CPU backend: finding one, and fetching one.
+"""The LLVM library behind Dr.Jit's CPU backend: its search and its installation.
 
 `finder` chooses among the libraries of this machine; ``python -m djpt.llvm`` (`installer`)
 puts a private copy into the Python environment where there is none. Nothing here imports

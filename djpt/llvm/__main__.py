@@ -1,4 +1,4 @@
-"""``python -m djpt.llvm``: see `djpt.llvm.installer`."""
+"""The command ``python -m djpt.llvm``: see `djpt.llvm.installer`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Choose a libLLVM that Dr.Jit can use, before Dr.Jit is imported.
+"""The choice of a libLLVM that Dr.Jit can use, made before Dr.Jit is imported.
 
-Dr.Jit's own search takes the newest-looking library without asking what it can do: LLVM 15
+Dr.Jit's own search takes the newest-looking library without testing it: LLVM 15
 and 16 load, then abort the process at the first float minimum, because on x86-64 they
 can't select ``llvm.minimum``. Dr.Jit reads ``DRJIT_LIBLLVM_PATH`` once, when it is first
 imported. So djpt makes its own choice, sets that variable, and, where nothing fits, sets
@@ -33,13 +33,13 @@ __all__ = [
 ]
 
 MINIMUM = 17
-"""The oldest usable major version: 14 is refused by Dr.Jit, 15 and 16 abort."""
+"""The oldest usable major version: Dr.Jit refuses 14, and 15 and 16 abort."""
 
 NEWEST_TESTED = 22
-"""Newer versions are tried after the tested ones."""
+"""The newest version that was tested; newer ones are tried after the tested ones."""
 
 PATH_VARIABLE = "DRJIT_LIBLLVM_PATH"
-"""Dr.Jit's variable: the library to open. Respected if the user sets it (and it is usable)."""
+"""Dr.Jit's variable: the library to open. Used if the user has set it and the library is usable."""
 
 SEARCH_VARIABLE = "DJPT_LLVM_DIRS"
 """djpt's variable: folders to search **instead of** the usual ones, separated as in ``PATH``."""
@@ -47,7 +47,7 @@ SEARCH_VARIABLE = "DJPT_LLVM_DIRS"
 _NOTHING_USABLE = "no-usable-libLLVM-found-by-djpt"
 
 _MARK = "DJPT_LLVM_CHOSEN"
-"""Repeats what djpt wrote to `PATH_VARIABLE`: a child process can tell it from the user's wish and search anew."""
+"""Repeats the value that djpt gave `PATH_VARIABLE`, so that a child process doesn't take it for the user's."""
 
 _LIBRARY_NAME = re.compile(r"(libLLVM(-\d+)?[-.\w]*\.(so[.\d]*|dylib)|LLVM-C\.dll)$")
 _VERSION_IN_NAME = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+)|[/\\]llvm[@/\\-](\d+)")
@@ -62,7 +62,7 @@ print(numbers[0].value)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A library that was looked at. `problem` is empty if it is usable; `version` 0 means unknown."""
+    """A library that was examined. `problem` is empty if it is usable; `version` 0 means unknown."""
 
     path: str
     version: int
@@ -75,11 +75,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Search:
-    """What was found, and what was chosen.
+    """The libraries that were found, and the choice.
 
     Attributes:
         chosen: the library that Dr.Jit will open, or None.
-        rejected: what was looked at before the choice was made, best first.
+        rejected: libraries that were examined before the choice was made, best first.
         spare: libraries that were not needed and not opened, best first.
         from_user: `DRJIT_LIBLLVM_PATH` was set by the user, so nothing else was considered.
         folders: the folders of `DJPT_LLVM_DIRS`, if it is set.
@@ -94,7 +94,7 @@ class Search:
     too_late: bool = False
 
     def explain(self) -> str:
-        """The text for the user if nothing is usable: what is needed, how to get it, what was seen."""
+        """The text for the user if nothing is usable: what is needed, how to get it, what was found."""
         lines = []
         if self.from_user:
             lines.append(f"{PATH_VARIABLE} is set to a library that the CPU backend of Dr.Jit can't use:")
@@ -118,7 +118,7 @@ class Search:
 
 
 def _remedies() -> list[str]:
-    """The commands that install a usable LLVM on this platform, one a line."""
+    """The commands that install a usable LLVM on this platform, one per line."""
     if sys.platform == "darwin":
         table = [("brew install llvm", "Homebrew"), ("conda install -c conda-forge libllvm19", "conda")]
         names = "libLLVM.dylib"
@@ -140,7 +140,7 @@ def _remedies() -> list[str]:
 
 
 def private_folders() -> list[str]:
-    """Where `python -m djpt.llvm` puts a private copy: the Python environment, else the user's data folder."""
+    """The folders for the copy of `python -m djpt.llvm`: in the Python environment, else in the user's data folder."""
     data = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
     return [os.path.join(sys.prefix, "llvm"), os.path.join(data, "djpt", "llvm")]
 
@@ -162,7 +162,7 @@ def _patterns() -> list[str]:
 
 
 def _from_ldconfig() -> list[str]:
-    """LLVM libraries in the cache of the dynamic loader (Linux)."""
+    """The LLVM libraries in the cache of the dynamic loader (Linux)."""
     for tool in ("/sbin/ldconfig", "/usr/sbin/ldconfig"):
         if os.path.exists(tool):
             try:
@@ -179,7 +179,7 @@ def _version_in_name(path: str) -> int:
 
 
 def _version(path: str) -> int:
-    """Major version by the file's name, else by asking the library in a throw-away process; 0 is unknown."""
+    """The major version by the file's name, else by a call of the library in another process; 0 is unknown."""
     version = _version_in_name(path)
     if version:
         return version
@@ -193,7 +193,7 @@ def _version(path: str) -> int:
 
 
 def _judged(path: str, version: int) -> Candidate:
-    """A candidate that has not been opened: its version may rule it out."""
+    """Make a candidate without opening the library; its version alone may rule it out."""
     return Candidate(path, version, f"too old, {MINIMUM} is needed" if 0 < version < MINIMUM else "")
 
 
@@ -226,11 +226,11 @@ def _examine(candidate: Candidate) -> Candidate:
         library.LLVMGetVersion(*map(ctypes.byref, numbers))
     except AttributeError:  # new in LLVM 16
         return Candidate(candidate.path, 0, f"not LLVM, or older than {MINIMUM}")
-    return _judged(candidate.path, numbers[0].value)  # the truth: a file's name can lie
+    return _judged(candidate.path, numbers[0].value)  # the library's own version: a file's name can be wrong
 
 
 def _open(path: str) -> tuple[ctypes.CDLL | None, str]:
-    """Open a library; one of a private folder after its neighbours, which nothing else would find."""
+    """Open a library; in a private folder open its neighbours first, which nothing else would find."""
     folder = os.path.dirname(path)
     private = folder in {os.path.realpath(f) for f in private_folders()}
     waiting = [f for f in glob.glob(f"{glob.escape(folder)}/lib*.so*") if private and "LLVM" not in f]
@@ -255,7 +255,7 @@ def _opens(path: str) -> bool:
 
 
 def _open_private_libatomic() -> None:
-    """Dr.Jit's wheel needs libatomic.so.1, which bare systems lack; a copy that is open already satisfies it."""
+    """Open a private libatomic.so.1: Dr.Jit's wheel needs one, and uses a copy that is open already."""
     for folder in private_folders():
         path = os.path.join(folder, "libatomic.so.1")
         if os.path.exists(path) and _opens(path):
@@ -291,7 +291,7 @@ def prepare() -> Search:
 
     Takes effect only before the first ``import drjit`` or ``import mitsuba`` of the
     process. A variable that the user has set is left alone, even if it is useless: child
-    processes must come to the same conclusion. Never raises: whoever needs the CPU
+    processes must come to the same result. Never raises: code that needs the CPU
     backend reads `Search.chosen`.
     """
     found = replace(search(), too_late="drjit" in sys.modules)

@@ -1,4 +1,4 @@
-"""Put a private libLLVM into this Python environment, without root: ``python -m djpt.llvm``.
+"""The installation of a private libLLVM in this Python environment, without root: ``python -m djpt.llvm``.
 
 For Linux on x86-64 where the system has no usable LLVM (a bare image, Ubuntu 22.04). PyPI
 has no package of libLLVM, but one wheel bundles AlmaLinux' build of LLVM 17 with all of its
@@ -31,7 +31,7 @@ WHEEL = "lavavu-osmesa==1.9.10"
 WHEEL_SHA256 = "9c39696ae876dbbcaf2bfce52533a8bd59dd891d3f97925944e1a5c9ff82bf37"
 WHEEL_TAGS = ("--platform=manylinux_2_28_x86_64", "--python-version=3.12", "--implementation=cp", "--abi=cp312")
 KEPT = ("libffi-", "libtinfo-", "libLLVM-")
-"""Files that are kept of the wheel, in the order of writing: the library comes last, when it can be opened."""
+"""The files of the wheel that are kept, in the order of writing: the library last, when it can be opened."""
 
 _TRY_BACKEND = """
 import sys
@@ -72,7 +72,7 @@ def _run(command: Sequence[str], what: str) -> None:
 
 
 def _put(source: Path, target: Path) -> None:
-    """Copy a file to its place in one step, so that an interrupted installation leaves no half library."""
+    """Copy a file to its place in one step, so that an interrupted installation leaves no incomplete library."""
     partial = target.with_name(f".{target.name}.partial")
     shutil.copyfile(source, partial)
     partial.chmod(0o755)
@@ -93,7 +93,7 @@ def install_llvm() -> Path:
         raise BackendError(f"there is no private LLVM for {sys.platform} on {platform.machine()}")
     folder = _private_folder()
     print(f"djpt: fetching a private LLVM 17 into {folder} (84 MB download, 121 MB there)", flush=True)
-    # Beside the target: /tmp may be small, and it may be on another disk.
+    # Beside the target, since /tmp may be small, or on another disk.
     with tempfile.TemporaryDirectory(dir=folder) as name:
         temporary = Path(name)
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
@@ -112,7 +112,7 @@ def install_llvm() -> Path:
 
 
 def libatomic_missing() -> bool:
-    """Whether Dr.Jit would fail to import for want of libatomic.so.1 (its Linux wheels link it)."""
+    """Whether Dr.Jit can't be imported because libatomic.so.1 is missing (its Linux wheels link it)."""
     if sys.platform != "linux":
         return False
     for name in ["libatomic.so.1", *(os.path.join(folder, "libatomic.so.1") for folder in private_folders())]:
@@ -140,7 +140,7 @@ def install_libatomic() -> Path:
         temporary = Path(name)
         for part in ("lists/partial", "cache/archives/partial", "root"):
             (temporary / part).mkdir(parents=True)
-        # A user's apt-get may not write to the system's lists; root's would drop its rights and then not read ours.
+        # A user's apt-get can't write to the system's lists; root's drops its rights and then can't read ours.
         options = [
             f"Dir::State::Lists={name}/lists",
             f"Dir::Cache={name}/cache",
@@ -160,7 +160,7 @@ def install_libatomic() -> Path:
 
 
 def _check() -> str:
-    """Use the backend in a fresh process, the only way to see what a user will see. Returns the problem or ''."""
+    """Test the backend in a new process, as a user will run it; return the problem, or an empty string."""
     done = subprocess.run([sys.executable, "-c", _TRY_BACKEND], capture_output=True, text=True, check=False)
     if done.returncode == 0:
         return ""
@@ -168,7 +168,7 @@ def _check() -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """``python -m djpt.llvm [--if-needed]``: returns 0 if djpt can run on the CPU afterwards, else 3."""
+    """Run ``python -m djpt.llvm [--if-needed]``: return 0 if djpt can run on the CPU afterwards, else 3."""
     parser = argparse.ArgumentParser(
         prog="python -m djpt.llvm",
         description="Put a private libLLVM (and libatomic, where it is missing) into this Python environment.",

@@ -1,18 +1,11 @@
-"""Reconstruction filters: one file each, one registration line each."""
+"""Reconstruction filters, one per file. The file registers its filter; one line here imports it."""
 
-from djpt.description.registry import register_rfilter
-from djpt.rfilters.base import ReconstructionFilter
-from djpt.rfilters.box import Box
-from djpt.rfilters.cubic import CatmullRom, Mitchell
-from djpt.rfilters.gaussian import Gaussian
-from djpt.rfilters.lanczos import Lanczos
-from djpt.rfilters.tent import Tent
+from djpt.rfilters.base import ReconstructionFilter as ReconstructionFilter
+from djpt.rfilters.box import Box as Box
+from djpt.rfilters.cubic import CatmullRom as CatmullRom
+from djpt.rfilters.cubic import Mitchell as Mitchell
+from djpt.rfilters.gaussian import Gaussian as Gaussian
+from djpt.rfilters.lanczos import Lanczos as Lanczos
+from djpt.rfilters.tent import Tent as Tent
 
-__all__ = ["Box", "CatmullRom", "Gaussian", "Lanczos", "Mitchell", "ReconstructionFilter", "Tent"]
-
-register_rfilter("box", Box)
-register_rfilter("tent", Tent)
-register_rfilter("gaussian", Gaussian)
-register_rfilter("mitchell", Mitchell)
-register_rfilter("catmullrom", CatmullRom)
-register_rfilter("lanczos", Lanczos)
+__all__ = [name for name, value in globals().items() if isinstance(value, type)]

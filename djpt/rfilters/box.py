@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.types import Float
 
@@ -24,3 +25,6 @@ class Box(ReconstructionFilter):
 
     def eval(self, x: Float) -> Float:
         return dr.select(dr.abs(x) <= 0.5, Float(1), 0)
+
+
+register_rfilter("box", Box)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.types import Float
 
@@ -42,3 +43,7 @@ class CatmullRom(Mitchell):
     def __init__(self, props: Properties) -> None:
         ReconstructionFilter.__init__(self, props)
         self.b, self.c = 0.0, 0.5
+
+
+register_rfilter("mitchell", Mitchell)
+register_rfilter("catmullrom", CatmullRom)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.types import Float
 
@@ -65,3 +66,6 @@ def estrin(x: Float, coefficients: Sequence[Float]) -> Float:
     if len(coefficients) % 2:
         paired.append(coefficients[-1])
     return estrin(dr.square(x), paired)
+
+
+register_rfilter("gaussian", Gaussian)

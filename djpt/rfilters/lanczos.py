@@ -7,6 +7,7 @@ import math
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.types import Float
 
@@ -32,3 +33,6 @@ class Lanczos(ReconstructionFilter):
         value = dr.sin(a) * dr.sin(b) * dr.rcp(a * b)
         # At the centre the quotient is 0/0 and its limit 1.
         return dr.select(x < 1e-4, Float(1), dr.select(x < self.radius, value, 0))
+
+
+register_rfilter("lanczos", Lanczos)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.types import Float
 
@@ -26,3 +27,6 @@ class Tent(ReconstructionFilter):
     def eval(self, x: Float) -> Float:
         w = 1 - dr.abs(x) * (1 / self.radius)
         return dr.select(w > 0, w, 0)
+
+
+register_rfilter("tent", Tent)

@@ -1,29 +1,13 @@
-"""Samplers: one file each, one registration line each."""
+"""Samplers, one per file. The file registers its sampler; one line here imports it."""
 
-from djpt.description.registry import register_sampler
-from djpt.samplers.base import SampleIndex, Sampler, SampleStream
-from djpt.samplers.independent import Independent
-from djpt.samplers.ldsampler import LDSampler
-from djpt.samplers.multijitter import Multijitter
-from djpt.samplers.orthogonal import Orthogonal
-from djpt.samplers.sobol import Sobol
-from djpt.samplers.stratified import Stratified
+from djpt.samplers.base import SampleIndex as SampleIndex
+from djpt.samplers.base import Sampler as Sampler
+from djpt.samplers.base import SampleStream as SampleStream
+from djpt.samplers.independent import Independent as Independent
+from djpt.samplers.ldsampler import LDSampler as LDSampler
+from djpt.samplers.multijitter import Multijitter as Multijitter
+from djpt.samplers.orthogonal import Orthogonal as Orthogonal
+from djpt.samplers.sobol import Sobol as Sobol
+from djpt.samplers.stratified import Stratified as Stratified
 
-__all__ = [
-    "Independent",
-    "LDSampler",
-    "Multijitter",
-    "Orthogonal",
-    "SampleIndex",
-    "SampleStream",
-    "Sampler",
-    "Sobol",
-    "Stratified",
-]
-
-register_sampler("independent", Independent)
-register_sampler("ldsampler", LDSampler)
-register_sampler("multijitter", Multijitter)
-register_sampler("orthogonal", Orthogonal)
-register_sampler("sobol", Sobol)
-register_sampler("stratified", Stratified)
+__all__ = [name for name, value in globals().items() if isinstance(value, type)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex, Sampler
 from djpt.samplers.hashing import sample_tea_32
 from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
@@ -59,3 +60,6 @@ def copy_of(rng: PCG32) -> PCG32:
     copy = PCG32()
     copy.state, copy.inc = UInt64(rng.state), UInt64(rng.inc)
     return copy
+
+
+register_sampler("independent", Independent)

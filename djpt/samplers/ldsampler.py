@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 
+from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.jittered import PointSets, below_one
@@ -85,3 +86,6 @@ def radical_inverse(index: UInt32, scramble: UInt32) -> Float:
 def sobol_2(index: UInt32, scramble: UInt32) -> Float:
     """The second coordinate of Sobol's sequence: Pascal's triangle modulo 2 times the bits of `index`."""
     return below_one(Float(dr.brev(pascal(index)) ^ scramble) * 2**-32)
+
+
+register_sampler("ldsampler", LDSampler)

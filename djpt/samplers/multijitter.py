@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
+from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
 from djpt.samplers.permutation import permute_kensler, quotient
@@ -61,3 +62,6 @@ class Multijitter(JitteredSampler):
         rows = UInt32(dr.sqrt(Float64(index.spp)))
         columns = quotient(index.spp, rows)
         return MultijitterStream(self.generator(seed, index), samples.key, UInt32(0), samples.k, rows, columns)
+
+
+register_sampler("multijitter", Multijitter)

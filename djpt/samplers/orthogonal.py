@@ -9,6 +9,7 @@ from functools import cache
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
 from djpt.samplers.permutation import permute_kensler, quotient, remainder
@@ -100,3 +101,6 @@ class Orthogonal(JitteredSampler):
         n = UInt32(dr.sqrt(Float64(index.spp)))
         made = OrthogonalStream if self.strength == 2 else bush_stream(self.strength)
         return made(self.generator(seed, index), samples.key, UInt32(0), samples.k, n)
+
+
+register_sampler("orthogonal", Orthogonal)

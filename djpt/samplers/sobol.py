@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import drjit as dr
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex, Sampler
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.permutation import quotient
@@ -150,3 +151,6 @@ def spread_bits(x: UInt32) -> UInt32:
 def fraction(x: UInt32) -> Float:
     """The number in [0, 1) of reversed bits, of which a float holds 24."""
     return Float(dr.brev(x) >> 8) * 2**-24
+
+
+register_sampler("sobol", Sobol)

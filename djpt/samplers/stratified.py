@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
+from djpt.description.registry import register_sampler
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
 from djpt.samplers.permutation import permute_kensler, quotient
@@ -53,3 +54,6 @@ class Stratified(JitteredSampler):
         samples = self.point_set(seed, index)
         n = UInt32(dr.sqrt(Float64(index.spp)))
         return StratifiedStream(self.generator(seed, index), samples.key, UInt32(0), samples.k, n)
+
+
+register_sampler("stratified", Stratified)

@@ -1,30 +1,12 @@
-"""Sensors: one file each, one registration line each."""
+"""Sensors, one per file. The file registers its sensor; one line here imports it."""
 
-from djpt.description.registry import register_sensor
-from djpt.sensors.base import Sensor
-from djpt.sensors.batch import Batch
-from djpt.sensors.distant import Distant
-from djpt.sensors.irradiancemeter import IrradianceMeter
-from djpt.sensors.orthographic import Orthographic
-from djpt.sensors.perspective import Perspective
-from djpt.sensors.radiancemeter import RadianceMeter
-from djpt.sensors.thinlens import ThinLens
+from djpt.sensors.base import Sensor as Sensor
+from djpt.sensors.batch import Batch as Batch
+from djpt.sensors.distant import Distant as Distant
+from djpt.sensors.irradiancemeter import IrradianceMeter as IrradianceMeter
+from djpt.sensors.orthographic import Orthographic as Orthographic
+from djpt.sensors.perspective import Perspective as Perspective
+from djpt.sensors.radiancemeter import RadianceMeter as RadianceMeter
+from djpt.sensors.thinlens import ThinLens as ThinLens
 
-__all__ = [
-    "Batch",
-    "Distant",
-    "IrradianceMeter",
-    "Orthographic",
-    "Perspective",
-    "RadianceMeter",
-    "Sensor",
-    "ThinLens",
-]
-
-register_sensor("batch", Batch)
-register_sensor("distant", Distant)
-register_sensor("irradiancemeter", IrradianceMeter)
-register_sensor("orthographic", Orthographic)
-register_sensor("perspective", Perspective)
-register_sensor("radiancemeter", RadianceMeter)
-register_sensor("thinlens", ThinLens)
+__all__ = [name for name, value in globals().items() if isinstance(value, type)]

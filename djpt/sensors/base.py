@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_number
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.description.registry import lookup
-from djpt.errors import ParameterError, SceneError
+from djpt.description.registry import lookup, registered
+from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.records import DirectionSample3f, Ray3f
 from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.types import Bool, Float, Point2f, Point3f
+from djpt.types import Bool, Float, Point2f, Point3f, Vector3f
 
 __all__ = ["Sensor"]
 
@@ -125,8 +125,35 @@ class Sensor(Plugin):
         `ds.uv` is the film position in the crop window that shows the point, `ds.p` where its camera ray starts. The
         importance is the area of the crop window (which is 1) that an area across `ds.d` at `ref` covers, per unit
         of the latter; 0 where the point isn't seen. Visibility isn't considered.
+
+        Raises:
+            RenderError: light can't be traced towards the sensor.
         """
-        raise NotImplementedError
+        raise self.unreachable()
+
+    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+        """(pdf, distance): the density of the direction `d` of a camera ray, and where rays come together behind it.
+
+        pdf is per unit solid angle, for film positions that are uniform over the crop window. distance is that from
+        the centre of projection to the ray's origin (on the near plane, say). At distance t from the origin the
+        density per unit area across the ray, which is the importance of `sample_direction`, is thus
+
+            pdf / (t + distance)^2.
+
+        Parallel rays come together at infinity: their distance is inf, and their pdf is per unit area across them.
+
+        `d`, of unit length, must be the direction of a ray of `sample_ray`. Whether it lies in the crop window isn't
+        tested: filters look beyond it.
+
+        Raises:
+            RenderError: light can't be traced towards the sensor.
+        """
+        raise self.unreachable()
+
+    def unreachable(self) -> RenderError:
+        """The error of sensors that light can't be traced towards."""
+        possible = (name for name, sensor in registered("sensor").items() if getattr(sensor, "can_be_reached", False))
+        return RenderError(f"{self.id}: light can't be traced towards this sensor; possible: {', '.join(possible)}")
 
 
 ONE_PIXEL = {"width": 1, "height": 1}

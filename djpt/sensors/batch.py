@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.kernels import maximum, minimum
@@ -157,3 +158,6 @@ class Batch(Sensor):
 def unit(sensor: Sensor) -> str:
     """What a sensor measures, for a message."""
     return "radiance" if sensor.weight == 1 else "irradiance"
+
+
+register_sensor("batch", Batch)

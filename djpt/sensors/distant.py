@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.kernels import as_vector
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
@@ -100,3 +101,6 @@ class Distant(Sensor):
             offset = square_to_uniform_disk_concentric(aperture_sample)
             o = dr.fma(self.side_x, offset.x, dr.fma(self.side_y, offset.y, o))
         return Ray3f(o, self.direction, Float(dr.inf))
+
+
+register_sensor("distant", Distant)

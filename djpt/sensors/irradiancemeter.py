@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.frame import Frame3f
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.sensors.base import Sensor
@@ -55,3 +56,6 @@ class IrradianceMeter(Sensor):
         ps = self.shape.sample_position(film_position)
         d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(aperture_sample))
         return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d, Float(dr.inf))
+
+
+register_sensor("irradiancemeter", IrradianceMeter)

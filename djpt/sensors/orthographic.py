@@ -10,12 +10,13 @@ import numpy as np
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
 from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f, Ray3f
 from djpt.sensors.projective import Projective
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Orthographic"]
 
@@ -92,3 +93,10 @@ class Orthographic(Projective):
             emitter_index=UInt32(0),
         )
         return ds, dr.select(seen, self.inv_area, 0)
+
+    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+        """1 / (area of the crop window), per unit area across the rays, and inf: they are parallel."""
+        return self.inv_area, Float(dr.inf)
+
+
+register_sensor("orthographic", Orthographic)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_number
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.records import Ray3f
 from djpt.sensors.projective import Central
 from djpt.types import Bool, Float, Point2f
@@ -54,3 +55,6 @@ class Perspective(Central):
         length_squared = dr.squared_norm(d)
         inv_length = dr.rsqrt(length_squared)
         return Ray3f(dr.fma(d, self.near, self.origin), d * inv_length, self.depth * (length_squared * inv_length))
+
+
+register_sensor("perspective", Perspective)

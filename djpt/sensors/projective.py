@@ -184,6 +184,14 @@ class Central(Projective):
         )
         return ds, dr.select(seen, importance, 0)
 
+    def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
+        """The density 1 / (A cos^3), A being the crop window's area on the plane at distance 1; and near / cos.
+
+        With a lens both hold for every point of it, which is then the centre of projection.
+        """
+        inv_cos = dr.rcp(dr.dot(d, self.axis))
+        return self.inv_area * (inv_cos * dr.square(inv_cos)), self.near * inv_cos
+
 
 def horizontal_fov(props: Properties, aspect: float) -> float:
     """The field of view along x in degrees, from `fov` and `fov_axis` or from `focal_length`.

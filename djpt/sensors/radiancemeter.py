@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
 from djpt.kernels import as_vector
 from djpt.records import RAY_EPSILON, Ray3f
@@ -48,3 +49,6 @@ class RadianceMeter(Sensor):
 
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         return Ray3f(self.origin, self.direction, Float(float("inf")))
+
+
+register_sensor("radiancemeter", RadianceMeter)

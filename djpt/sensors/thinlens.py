@@ -10,6 +10,7 @@ import drjit as dr
 from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_sensor
 from djpt.errors import ParameterError
 from djpt.kernels import as_float, as_vector
 from djpt.records import Ray3f
@@ -81,3 +82,6 @@ class ThinLens(Central):
         inv_length = dr.rsqrt(length_squared)
         o = dr.fma(d, self.near, self.origin + a)
         return Ray3f(o, d * inv_length, self.depth * (length_squared * inv_length))
+
+
+register_sensor("thinlens", ThinLens)

@@ -1,62 +1,25 @@
-"""Shapes: one file each, one registration line each."""
+"""Shapes, one per file. The file registers its shape; one line here imports it."""
 
-from djpt.description.registry import register_shape
-from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.cone import Cone
-from djpt.shapes.cube import Cube
-from djpt.shapes.cuboid import Cuboid
-from djpt.shapes.cylinder import Cylinder
-from djpt.shapes.disk import Disk
-from djpt.shapes.implicit import Implicit, Metaballs, Torus
-from djpt.shapes.instance import Instance
-from djpt.shapes.mesh import Mesh
-from djpt.shapes.obj import Obj
-from djpt.shapes.plane import Plane
-from djpt.shapes.ply import Ply
-from djpt.shapes.rectangle import Rectangle
-from djpt.shapes.sdfgrid import SDFGrid
-from djpt.shapes.serialized import Serialized
-from djpt.shapes.shapegroup import ShapeGroup
-from djpt.shapes.sphere import Sphere
+from djpt.shapes.base import Face as Face
+from djpt.shapes.base import Hit as Hit
+from djpt.shapes.base import Shape as Shape
+from djpt.shapes.cone import Cone as Cone
+from djpt.shapes.cube import Cube as Cube
+from djpt.shapes.cuboid import Cuboid as Cuboid
+from djpt.shapes.cylinder import Cylinder as Cylinder
+from djpt.shapes.disk import Disk as Disk
+from djpt.shapes.implicit import Implicit as Implicit
+from djpt.shapes.implicit import Metaballs as Metaballs
+from djpt.shapes.implicit import Torus as Torus
+from djpt.shapes.instance import Instance as Instance
+from djpt.shapes.mesh import Mesh as Mesh
+from djpt.shapes.obj import Obj as Obj
+from djpt.shapes.plane import Plane as Plane
+from djpt.shapes.ply import Ply as Ply
+from djpt.shapes.rectangle import Rectangle as Rectangle
+from djpt.shapes.sdfgrid import SDFGrid as SDFGrid
+from djpt.shapes.serialized import Serialized as Serialized
+from djpt.shapes.shapegroup import ShapeGroup as ShapeGroup
+from djpt.shapes.sphere import Sphere as Sphere
 
-__all__ = [
-    "Cone",
-    "Cube",
-    "Cuboid",
-    "Cylinder",
-    "Disk",
-    "Face",
-    "Hit",
-    "Implicit",
-    "Instance",
-    "Mesh",
-    "Metaballs",
-    "Obj",
-    "Plane",
-    "Ply",
-    "Rectangle",
-    "SDFGrid",
-    "Serialized",
-    "Shape",
-    "ShapeGroup",
-    "Sphere",
-    "Torus",
-]
-
-register_shape("rectangle", Rectangle)
-register_shape("cube", Cube)
-register_shape("sphere", Sphere)
-register_shape("disk", Disk)
-register_shape("cylinder", Cylinder)
-register_shape("cone", Cone)
-register_shape("plane", Plane)
-register_shape("cuboid", Cuboid)
-register_shape("implicit", Implicit)
-register_shape("torus", Torus)
-register_shape("metaballs", Metaballs)
-register_shape("sdfgrid", SDFGrid)
-register_shape("obj", Obj)
-register_shape("ply", Ply)
-register_shape("serialized", Serialized)
-register_shape("shapegroup", ShapeGroup)
-register_shape("instance", Instance)
+__all__ = [name for name, value in globals().items() if isinstance(value, type)]

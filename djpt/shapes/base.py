@@ -28,15 +28,15 @@ class Face:
     """A flat face: its normals and the direction of dp/du, along axes of the scene's pool."""
 
     normal: SignedAxis
-    """The geometric normal, dp/du x dp/dv; a mirroring transform turns it round."""
+    """The geometric normal, dp/du x dp/dv, which a mirroring transform reverses."""
     shading: SignedAxis
-    """The shading normal, the local normal transformed: it stays on the outer side."""
+    """The shading normal: the local normal transformed, which stays on the outer side."""
     tangent: SignedAxis
 
 
 @dataclass
 class Hit:
-    """A shape's answer to one ray: where `hit` is false, the rest means nothing."""
+    """The intersection of a ray with a shape; where `hit` is false, the other fields are unspecified."""
 
     hit: Bool
     t: Float
@@ -54,17 +54,19 @@ class Shape(Plugin):
 
     kind: ClassVar[str] = "shape"
     face_count: ClassVar[int] = 1
-    """How many faces `intersect` tells apart."""
+    """The number of faces that `intersect` tells apart."""
     closed: ClassVar[bool] = False
-    """Whether shapes of this class have an inside, which paths leave through the surface only: see `is_closed`."""
+    """Whether shapes of this class enclose a volume: see `is_closed`."""
     has_area: ClassVar[bool] = True
-    """Is its area known, so that points can be drawn uniformly? Else `sample_direction` draws directions instead."""
+    """Whether the area is known, so that points can be sampled uniformly; else only directions are."""
     has_parameterization: ClassVar[bool] = False
-    """Is every (u, v) of the unit square one point, so that `eval_parameterization` exists?"""
+    """Whether each (u, v) of the unit square belongs to one point, so that `eval_parameterization` exists."""
+    least_cosine: ClassVar[float] = 0.0
+    """The least cosine between a ray and the normal at its hit that counts: see `cosine`."""
     canonical: ClassVar[str | None] = None
-    """Its name in `djpt.geometry.canonical`, if `to_world` maps one of the shapes there to it."""
+    """The name in `djpt.geometry.canonical` of the shape that `to_world` maps to this one; None if there is none."""
     of_triangles: ClassVar[bool] = False
-    """Is it a mesh, whose triangles stand in the scene's BVH?"""
+    """Whether the shape is a mesh, whose triangles stand in the scene's BVH."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -102,7 +104,7 @@ class Shape(Plugin):
     # ---- on the host: where the shape is -----------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        """Compute the values that kernels read, and find the axes; again after each edit."""
+        """Compute the values that kernels read, and find the axes; called again after each edit."""
         raise NotImplementedError
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
@@ -128,63 +130,74 @@ class Shape(Plugin):
         raise NotImplementedError
 
     def occludes(self, ray: ProjectedRay, numbers: Sequence[int]) -> Bool:
-        """Is there any intersection with 0 < t < maxt?"""
+        """Whether there is any intersection with 0 < t < maxt."""
         return self.intersect(ray, ray.ray.maxt, numbers).hit
 
     # ---- in kernels, once per class ----------------------------------------------
 
     def normal_at(self, p: Point3f) -> Vector3f:
-        """Curved shapes: the unit normal at a surface point."""
+        """The unit normal at a surface point; for curved shapes."""
         raise NotImplementedError
 
     def tangent_at(self, p: Point3f) -> Vector3f:
-        """Curved shapes: the unit direction of dp/du at a surface point, across the normal."""
+        """The unit direction of dp/du at a surface point, perpendicular to the normal; for curved shapes."""
         raise NotImplementedError
 
     def frame_at(self, p: Point3f) -> tuple[Vector3f, Frame3f]:
-        """Curved shapes: the geometric normal and the shading frame at a surface point."""
+        """The geometric normal and the shading frame at a surface point; for curved shapes."""
         n, s = self.normal_at(p), self.tangent_at(p)
         return n, Frame3f(s, dr.cross(n, s), n)
 
     def surface_area(self) -> Float:
-        """Total area in world space."""
+        """The total area in world space."""
         raise NotImplementedError
 
     def sample_position(self, sample: Point2f) -> PositionSample3f:
-        """A point uniform in area: pdf = 1 / area."""
+        """Sample a point uniformly by area: pdf = 1 / area."""
         raise NotImplementedError
 
     def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
-        """The point at (u, v) of the unit square, if the shape `has_parameterization`.
+        """The point with the texture coordinates (u, v) in the unit square, if the shape `has_parameterization`.
 
-        `pdf` is the density per unit area that points have whose uv are uniform: 1 / norm(dp/du x dp/dv), or 0
+        `pdf` is the density per unit area of points whose uv are uniform: 1 / norm(dp/du x dp/dv), or 0
         where that is infinite.
         """
         raise NotImplementedError
 
     def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
-        """A point of the shape as seen from `ref`; by default from `sample_position`.
+        """Sample a point of the shape as seen from `ref`; by default with `sample_position`.
 
         pdf = dist^2 / (area abs(cos)), the area density converted to solid angle at `ref`.
         """
         return towards(self.sample_position(sample), self.surface_area(), ref)
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
-        """Density with which `sample_direction` gives `ds`."""
-        pdf = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.surface_area())
+        """The density of `sample_direction` at `ds`, per unit solid angle at `ref`."""
+        pdf = dr.square(ds.dist) * dr.rcp(self.cosine(ds) * self.surface_area())
         return dr.select(dr.isfinite(pdf), pdf, 0)
 
+    def cosine(self, ds: DirectionSample3f) -> Float:
+        """abs(cos) at the hit `ds` of a ray, for densities by area; at least `least_cosine`.
+
+        A ray that grazes a curved surface solves a quadratic whose discriminant, R^2 cos^2, is a difference of numbers
+        near R^2: float32 gives 0 or at least 2^-24 R^2. In the first case the cosine of the hit is a rounding error,
+        which may be thousands of times too small, and so the density as many times too large. Hence the bound 2^-12
+        for surfaces that solve one.
+        """
+        cos = dr.abs(dr.dot(ds.d, ds.n))
+        return dr.maximum(cos, self.least_cosine) if self.least_cosine else cos
+
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
-        """Texture coordinates and dp/du, dp/dv at a point of the surface."""
+        """The texture coordinates and dp/du, dp/dv at a point of the surface."""
         raise NotImplementedError
 
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
-        """The number that Mitsuba gives to the primitive under a point; 0 for single-primitive shapes."""
+        """Mitsuba's number of the primitive at a point; 0 for shapes of a single primitive."""
         return UInt32(0)
 
 
 def towards(ps: PositionSample3f, inverse_pdf: Float, ref: Point3f) -> DirectionSample3f:
-    """A point sampled on a surface as seen from `ref`; `inverse_pdf` is 1 / (density per unit area).
+    """Turn a point sampled on a surface into a direction sample at `ref`; `inverse_pdf` is 1 / (density per unit area).
 
     pdf = dist^2 / (inverse_pdf abs(cos)), per unit solid angle at `ref`.
     """

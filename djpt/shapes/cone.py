@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float
 from djpt.records import PositionSample3f
@@ -63,7 +64,7 @@ class Cone(Revolution):
         self.cos, self.sin = as_float(length / slant), as_float(radius / slant)
         self.side = as_float(-1.0 if self.flip_normals else 1.0)
         self.area = as_float(math.pi * radius * slant)
-        # Along the pool's axis, which may run the other way.
+        # Measured along the pool's axis, which may point the other way.
         axis = self._axes[0].axis
         self.apex_place = as_float(float(apex.dot(axis.direction)))
         self.half_length = as_float(0.5 * length)
@@ -80,7 +81,7 @@ class Cone(Revolution):
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
-        """Roots of z^2 - cos^2 |p|^2 = 0 with p from the apex, seen from the point q of the ray closest to the apex.
+        """Solve z^2 - cos^2 |p|^2 = 0 with p relative to the apex, from the point q of the ray closest to the apex.
 
         There q . d = 0, so with m = q x d the discriminant is cos^2 (sin^2 |m|^2 - m_z^2), which doesn't cancel far
         from the cone, and of the two roots the one without cancellation gives the other: their product is known.
@@ -106,14 +107,14 @@ class Cone(Revolution):
         return Hit((discriminant >= 0) & inside & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
     def _moment_along(self, q: Vector3f | Point2f, d: Vector3f | Point2f) -> Float:
-        """(q x d) . axis."""
+        """The component (q x d) . axis of the moment."""
         if len(q) == 2:
             return dr.fma(q[0], d[1], -q[1] * d[0])
         assert self._axes is not None
         return dr.dot(dr.cross(Vector3f(*q), Vector3f(*d)), self._axes[0].axis.vector)
 
     def _within(self, z: Float) -> Bool:
-        """Is the place `z` along the pool's axis on the cone, not on its mirror image or beyond the rim?"""
+        """Whether `z` along the pool's axis is on the cone: not on its mirror image, not beyond the rim."""
         return dr.abs(z - self.middle) <= self.half_length
 
     def normal_at(self, p: Point3f) -> Vector3f:
@@ -123,7 +124,7 @@ class Cone(Revolution):
         return self._tilted(outward)
 
     def _tilted(self, outward: Vector3f) -> Vector3f:
-        """The normal where `outward` points away from the axis."""
+        """The normal at points where `outward` is the unit vector away from the axis."""
         return (outward * self.cos - self.axis_z * self.sin) * self.side
 
     def surface_area(self) -> Float:
@@ -146,3 +147,6 @@ class Cone(Revolution):
         outward = dr.select(length > 0, across * dr.rsqrt(length), self.axis_x)
         dv = (self.axis_z + outward * self.slope) * self.length
         return Point2f(self.turn(across), z * dr.rcp(self.length)), 2 * math.pi * self.around(across), dv
+
+
+register_shape("cone", Cone)

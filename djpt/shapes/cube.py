@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.dispatch.lookup import choose
 from djpt.errors import ParameterError
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
@@ -79,7 +80,7 @@ class Cube(Shape):
 
     @property
     def faces_parameter(self) -> UInt32:
-        """Vertex indices of the 12 triangles."""
+        """The vertex indices of the 12 triangles."""
         quads = np.arange(24).reshape(6, 4)
         return UInt32(np.concatenate([quads[:, [0, 1, 2]], quads[:, [3, 0, 2]]], 1).astype(np.uint32).ravel())
 
@@ -102,7 +103,7 @@ class Cube(Shape):
         solution = np.linalg.lstsq(source, target, rcond=None)[0]
         matrix = np.eye(4)
         matrix[:3] = solution.T
-        # Vertices are float32: where only their rounding shows, keep the exact edges.
+        # Vertices are float32: edges that differ from before by their rounding only stay exact.
         before = self.to_world.matrix[:3, :3]
         if np.abs(matrix[:3, :3] - before).max() < 1e-6 * np.abs(before).max():
             matrix[:3, :3] = before
@@ -185,7 +186,7 @@ class Cube(Shape):
             rising = t_low < t_high
             enter.append(dr.select(rising, t_low, t_high))
             leave.append(dr.select(rising, t_high, t_low))
-            # Does the ray run towards the + face of this local axis?
+            # Whether the ray runs towards the + face of this local axis.
             forward.append((inv_d < 0) if signed.negative else (inv_d >= 0))
         near = maximum(maximum(enter[0], enter[1]), enter[2])
         far = minimum(minimum(leave[0], leave[1]), leave[2])
@@ -231,7 +232,7 @@ class Cube(Shape):
         return PositionSample3f(p, self._outward(face), Point2f(u, v), dr.rcp(total))
 
     def _face_vectors(self, face: UInt32) -> tuple[Vector3f, Vector3f, Vector3f]:
-        """From the centre to the face's centre, and half of dp/du and dp/dv."""
+        """The vector from the centre to the face's centre, and half of dp/du and dp/dv."""
         edges = (self.edge_x, self.edge_y, self.edge_z)
         picked = []
         for column in range(3):
@@ -255,3 +256,6 @@ class Cube(Shape):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles per face, cut along the diagonal u + v = 1.
         return 2 * face + dr.select(uv.x + uv.y < 1, UInt32(1), UInt32(0))
+
+
+register_shape("cube", Cube)

@@ -8,6 +8,7 @@ import numpy as np
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
 from djpt.shapes.cube import Cube
 from djpt.types import Point3f
@@ -33,7 +34,7 @@ class Cuboid(Cube):
         self._compose()
 
     def _compose(self) -> None:
-        """`to_world` from the parameters: that of the cube [-1, 1]^3."""
+        """Set the transform that takes the cube [-1, 1]^3 to this box, from the parameters."""
         low, high = (np.array(corner, np.float64).ravel() for corner in (self.min, self.max))
         if not (low < high).all():
             found = f"{high.tolist()} and {low.tolist()}"
@@ -48,3 +49,6 @@ class Cuboid(Cube):
         callback.put("min", self.min, moves)
         callback.put("max", self.max, moves)
         callback.put("to_world", self._placed, moves, attribute="_placed")
+
+
+register_shape("cuboid", Cuboid)

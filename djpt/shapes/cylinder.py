@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float
@@ -56,7 +57,7 @@ class Cylinder(Revolution):
         self._axes = pool.find(directions[2:], self._axes)
         self._host = (matrix[:3, 3], matrix[:3, 2], radius)
 
-        # The origin of coordinates in kernels: halfway along the axis, where rounding hurts least.
+        # The origin of coordinates in kernels: halfway along the axis, where rounding errors are smallest.
         center = matrix[:3, 3] + 0.5 * matrix[:3, 2]
         self.set_frame(center, directions)
         self.radius, self.length = as_float(radius), as_float(length)
@@ -80,7 +81,7 @@ class Cylinder(Revolution):
         inv_length_squared = dr.rcp(dr.squared_norm(d))
         middle = -dr.dot(o, d) * inv_length_squared
         closest = dr.fma(d, middle, o)
-        # Not a number for rays along the axis: no comparison holds then.
+        # NaN for rays along the axis, so that no comparison is true for them.
         discriminant = (self.radius_squared - dr.squared_norm(closest)) * inv_length_squared
         reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
         near, far = middle - reach, middle + reach
@@ -108,3 +109,6 @@ class Cylinder(Revolution):
         across, z = self.across(p)
         uv = Point2f(self.turn(across), dr.fma(z, dr.rcp(self.length), 0.5))
         return uv, 2 * math.pi * self.around(across), self.axis_z * self.length
+
+
+register_shape("cylinder", Cylinder)

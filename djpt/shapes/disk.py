@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
@@ -27,7 +28,7 @@ class Disk(Shape):
     """A disk or an ellipse with uv = (r, phi / 2 pi) in local polar coordinates.
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
-    It shines and shades on the side of the transformed +z axis; dp/du points away from the centre.
+    The front, where light is emitted, is the side of the transformed +z axis; dp/du points away from the centre.
     """
 
     has_parameterization = True
@@ -53,7 +54,7 @@ class Disk(Shape):
 
         radius = float(np.linalg.norm(u))
         circle = abs(np.linalg.norm(v) / radius - 1) < 1e-6 and abs(u.dot(v)) < 1e-6 * radius**2
-        # Once an ellipse, always treated as one: an edit to and fro compiles one kernel.
+        # Once an ellipse, always treated as one: edits forth and back compile one kernel.
         self._round &= bool(circle)
         directions = (normal,) if self._round else (normal, dual_u, dual_v)
         previous = self._axes if self._axes is not None and len(self._axes) == len(directions) else None
@@ -89,10 +90,10 @@ class Disk(Shape):
         return Hit(self._covers(ray, t) & (t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
     def _covers(self, ray: ProjectedRay, t: Float) -> Bool:
-        """Is the point of the plane at `t` on the disk?"""
+        """Whether the point at `t`, which is on the disk's plane, is on the disk."""
         assert self._axes is not None
         if self._round:
-            # The component along a coordinate axis is known to be 0; else all three are cheaper than two projections.
+            # Along a coordinate axis the component is 0; otherwise three components are cheaper than two projections.
             skipped = self._axes[0].axis.coordinate
             local = [dr.fma(ray.ray.d[k], t, ray.ray.o[k] - self.center[k]) for k in range(3) if k != skipped]
             return dr.squared_norm(Point2f(*local) if len(local) == 2 else Vector3f(*local)) <= self.radius_squared
@@ -110,7 +111,7 @@ class Disk(Shape):
         return dr.normalize(self.edge_u * x + self.edge_v * y)
 
     def _polar(self, p: Point3f) -> tuple[Float, Float, Float]:
-        """cos(phi), sin(phi) and r of a point."""
+        """The local polar coordinates of a point: cos(phi), sin(phi) and r."""
         local = p - self.center
         x, y = dr.dot(self.dual_u, local), dr.dot(self.dual_v, local)
         r_squared = dr.fma(x, x, dr.square(y))
@@ -140,6 +141,9 @@ class Disk(Shape):
 
 
 def polar_uv(x: Float, y: Float, r: Float) -> Point2f:
-    """(r, phi / 2 pi), with phi in [0, 2 pi)."""
+    """The texture coordinates (r, phi / 2 pi), with phi in [0, 2 pi)."""
     phi = dr.atan2(y, x) * (1 / (2 * math.pi))
     return Point2f(r, dr.select(phi < 0, phi + 1, phi))
+
+
+register_shape("disk", Disk)

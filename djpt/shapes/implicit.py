@@ -10,6 +10,7 @@ import numpy as np
 from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import DjptError, ParameterError
 from djpt.geometry.axes import AxisPool
 from djpt.kernels import as_float, as_vector
@@ -27,15 +28,15 @@ class Implicit(LevelSet):
 
     Parameters: `function` (takes a `Point3f` in local coordinates, returns a `Float`; written with Dr.Jit's
     operations), `min` and `max` (corners of a box around the surface, local; default (-1, -1, -1) and (1, 1, 1)),
-    `lipschitz` (a bound of the length of its gradient in the box: 1 for a distance; default 0: unknown), `steps` (the
-    diagonal of the box by the shortest step; default 4096, or 512 without `lipschitz`), `to_world` (affine),
-    `flip_normals`.
+    `lipschitz` (a bound of the length of the function's gradient in the box: 1 for a distance; default 0: unknown),
+    `steps` (the diagonal of the box divided by the shortest step; default 4096, or 512 without `lipschitz`),
+    `to_world` (affine), `flip_normals`.
 
     With a bound, rays take steps of abs(f) / `lipschitz` and find every part of the surface that is thicker than a
     step. Without one they take `steps` equal steps: slower. Normals are the gradient, by automatic
     differentiation. Python numbers in the function are constants of the kernel.
-    uv = (phi / 2 pi, theta / pi) as seen from the middle of the box. The surface counts as closed: it is if it doesn't
-    reach the box.
+    uv = (phi / 2 pi, theta / pi) as seen from the middle of the box. The surface counts as closed, so it should not
+    reach the sides of the box.
     """
 
     values = dict.fromkeys(PLACE, HIDDEN)
@@ -54,7 +55,7 @@ class Implicit(LevelSet):
         self._try(props)
 
     def _try(self, props: Properties) -> None:
-        """Call the function once, so that its mistakes show here and not in the middle of a kernel."""
+        """Call the function once, so that its errors are reported here and not while a kernel is traced."""
         if not callable(self.function):
             raise props.error("function", f"must be a function of a Point3f, found {describe(self.function)}")
         p = Point3f([0.1, 0.2], [0.3, -0.1], [0.2, 0.5])
@@ -103,7 +104,7 @@ class Torus(LevelSet):
 
     def place(self, pool: AxisPool) -> None:
         major, minor = self._radii()
-        # Rounding must not cut the surface.
+        # A margin, so that rounding of the box doesn't cut the surface.
         high = 1.0001 * np.array([major + minor, major + minor, minor])
         self.box, self.reach = (-high, high), float(high[0])
         super().place(pool)
@@ -140,7 +141,7 @@ class Metaballs(LevelSet):
         self.level = as_float(props.float("level", 0.3, low=0.0, high=1.0, low_open=True, high_open=True))
         names = [f"{what}_{i}" for i in range(self.count) for what in ("at", "inverse")]
         self.values: dict[str, ParamFlags] = dict.fromkeys((*PLACE, "level", *names), HIDDEN)  # type: ignore[misc]
-        # Each term's gradient is at most 6 (4/5)^2 / sqrt(5) / r long.
+        # The length of each term's gradient is at most 6 (4/5)^2 / sqrt(5) / r.
         self.slope = float((1.7174 / balls[:, 3]).sum())
         self.box = ((balls[:, :3] - balls[:, 3:]).min(axis=0), (balls[:, :3] + balls[:, 3:]).max(axis=0))
 
@@ -158,3 +159,8 @@ class Metaballs(LevelSet):
             rest = 1 - dr.squared_norm(p - at) * inverse
             total = total - dr.select(rest > 0, dr.square(rest) * rest, 0)
         return total
+
+
+register_shape("implicit", Implicit)
+register_shape("torus", Torus)
+register_shape("metaballs", Metaballs)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
@@ -45,7 +46,7 @@ class Instance(Shape):
             raise SceneError(f"{props.node}: {error}") from None
 
     def _check_shapes(self, to_world: ScalarTransform4f) -> None:
-        """Can all shapes of the group be placed so? Those with a formula of their own become copies."""
+        """Raise `ParameterError` if one of the group's analytic shapes can't be copied with the transform."""
         for shape in self.group.shapes:
             if not shape.of_triangles:
                 shape.check_parameter("to_world", to_world @ shape.to_world)
@@ -56,11 +57,11 @@ class Instance(Shape):
         return value
 
     def traverse(self, callback: TraversalCallback) -> None:
-        # As in Mitsuba: the group's parameters belong to the group, which stands in the scene.
+        # As in Mitsuba, the group's parameters belong to the group, which is a node of the scene.
         callback.put("to_world", self.to_world)
 
     def place(self, pool: AxisPool) -> None:
-        """Nothing is derived here: what kernels read of an instance belongs to the scene's geometry."""
+        """Do nothing: what kernels read of an instance belongs to the scene's geometry."""
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         matrix = self.to_world.matrix
@@ -70,3 +71,6 @@ class Instance(Shape):
         low, high = self.group.interval(local / length)
         shift = float(matrix[:3, 3] @ direction)
         return low * length + shift, high * length + shift
+
+
+register_shape("instance", Instance)

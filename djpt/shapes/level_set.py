@@ -1,4 +1,4 @@
-"""Surfaces given by a function: what implicit surfaces and distance grids share."""
+"""Surfaces given by a function: the base of implicit surfaces and distance grids."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 __all__ = ["PLACE", "LevelSet", "gradient"]
 
 PLACE = ("center", "dual_x", "dual_y", "dual_z", "low", "high", "ball_center", "ball_radius", "inverse_slope", "least")
-"""The values that `LevelSet.place` sets: subclasses name them in `values`."""
+"""The values that `LevelSet.place` sets; subclasses list them in `values`."""
 
 
 class LevelSet(Shape):
     """The points of a box where `field` is 0; negative inside. Local coordinates, mapped by `to_world` (affine).
 
-    Nothing of the surface is seen outside of the box. As a light it is sampled by directions, uniformly in the cone
-    about the box's bounding sphere (or in all directions from within); the first hit that way shines. Directions
-    that miss, or meet the surface from inside, bring nothing; the density, 1 / solid angle of the cone, is exact.
+    The surface ends at the box. As a light it is sampled by directions, uniformly in the cone about the box's
+    bounding sphere (or in all directions from within it); light comes from the first hit along the direction.
+    Directions that miss, or hit the surface from inside, bring none. The density is 1 / solid angle of the cone.
     """
 
     has_area = False
     closed = True
     box: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """Where to look for the surface, in local coordinates."""
+    """The box that holds the surface, in local coordinates: its smallest and largest corner."""
     reach = np.inf
-    """Nothing of the surface is further from the middle of the box, in local coordinates."""
+    """Radius of a sphere about the middle of the box that holds the surface, in local coordinates."""
     slope = 0.0
     """A bound of the length of the gradient of `field` in the box; 0 if none is known."""
     steps = 4096
-    """The diagonal of the box by the shortest step. Chords shorter than a step may be missed, so that a curve of
-    radius r may seem flatter by step^2 / (8 r)."""
+    """The diagonal of the box divided by the shortest step. Chords shorter than a step may be missed, so that a
+    curve of radius r may look flatter by step^2 / (8 r)."""
 
     center: Vector3f
     dual_x: Vector3f
@@ -59,7 +59,7 @@ class LevelSet(Shape):
         super().__init__(props)
 
     def field(self, p: Point3f) -> Float:
-        """The function, at a local point; continuous, and differentiable near the surface."""
+        """The function at a local point; it must be continuous, and differentiable near the surface."""
         raise NotImplementedError
 
     # ---- on the host ---------------------------------------------------------------
@@ -91,11 +91,11 @@ class LevelSet(Shape):
     # ---- in kernels ----------------------------------------------------------------
 
     def to_local(self, v: Vector3f) -> Vector3f:
-        """A world vector in local coordinates."""
+        """Map a world vector to local coordinates."""
         return Vector3f(dr.dot(self.dual_x, v), dr.dot(self.dual_y, v), dr.dot(self.dual_z, v))
 
     def normal_to_world(self, v: Vector3f) -> Vector3f:
-        """A local gradient in the world, of no particular length."""
+        """Map a local gradient to world space; its length is unspecified."""
         return self.dual_x * v.x + self.dual_y * v.y + self.dual_z * v.z
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
@@ -115,7 +115,7 @@ class LevelSet(Shape):
         def along(t: Float) -> Float:
             return self.field(Point3f(dr.fma(d, t, o)))
 
-        # Lanes that have left the scene bring rays that start nowhere: no box ends their search.
+        # Lanes that have left the scene have rays without a finite origin, whose search would have no end.
         somewhere = dr.isfinite(o.x + o.y + o.z) & dr.isfinite(end) & (start < end)
         with dr.suspend_grad():
             return first_zero(along, start, end, self.inverse_slope * inv_length, self.least * inv_length, somewhere)
@@ -131,7 +131,7 @@ class LevelSet(Shape):
         return dr.select(length > 0, s * dr.rsqrt(length), coordinate_system(n)[0])
 
     def local_point(self, p: Point3f) -> Point3f:
-        """A world point in local coordinates."""
+        """Map a world point to local coordinates."""
         return Point3f(self.to_local(p - self.center))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
@@ -151,7 +151,7 @@ class LevelSet(Shape):
         cos, sin = dr.select(rim > 0, local.x * inv_rim, 1), local.y * inv_rim
         du = 2 * math.pi * Vector3f(-local.y, local.x, 0)
         dv = math.pi * Vector3f(local.z * cos, local.z * sin, -rim)
-        # The distance from the centre changes as well: slide along `local` back onto the plane.
+        # The distance from the centre changes as well: move along `local` back onto the tangent plane.
         across = dr.dot(local, n)
         inv = dr.select(dr.abs(across) > 1e-6 * dr.norm(local), dr.rcp(across), 0)
         return du - local * (dr.dot(du, n) * inv), dv - local * (dr.dot(dv, n) * inv)
@@ -174,13 +174,13 @@ class LevelSet(Shape):
         cos, sin = 1 - drop, dr.safe_sqrt(drop * (2 - drop))
         sin_phi, cos_phi = dr.sincos(2 * math.pi * sample.y)
         d = Frame3f.from_normal(axis).to_world(Vector3f(cos_phi * sin, sin_phi * sin, cos))
-        # The reference point may lie on this very surface.
+        # The reference point may lie on this surface itself.
         a = dr.abs(ref)
         step = dr.fma(maximum(maximum(a.x, a.y), a.z), RAY_EPSILON, RAY_EPSILON)
         zero = self.search(Ray3f(dr.fma(d, step, ref), d, Float(dr.inf)), Float(dr.inf))
         dist = dr.select(zero.found, zero.t + step, self.ball_radius + dr.norm(self.ball_center - ref))
         p = dr.fma(d, dist, ref)
-        # Turned away from `ref`: nothing shines from there.
+        # Without a hit the normal is turned away from `ref`, so that no light comes from there.
         n = dr.select(zero.found, self.normal_at(p), d)
         weight = 2 * math.pi * opening
         return DirectionSample3f(p, n, self.uv(p), d, dist, dr.rcp(weight), weight, Bool(False), UInt32(0))
@@ -191,7 +191,7 @@ class LevelSet(Shape):
 
 
 def gradient(f: Callable[[Point3f], Float], p: Point3f) -> Vector3f:
-    """The gradient of `f` at some points by automatic differentiation, itself not differentiable."""
+    """The gradient of `f` at some points by automatic differentiation; the result is detached."""
     with dr.resume_grad():
         q = Point3f(dr.detach(p))
         dr.enable_grad(q)

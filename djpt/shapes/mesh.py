@@ -40,7 +40,7 @@ class Mesh(Shape):
     """Triangles that share vertices.
 
     Args:
-        name: what messages and `traverse` call it, unless the scene does.
+        name: the mesh's name in messages and `traverse`, unless the scene gives one.
         vertex_positions: (V, 3) numbers.
         faces: (F, 3) indices of vertices, counter-clockwise seen from the side of the normal.
         vertex_normals: (V, 3), need not have unit length; without them triangles are shaded flat.
@@ -87,7 +87,7 @@ class Mesh(Shape):
             own.check_all_used()
 
     def adopt(self, data: MeshData, props: Properties, compute_normals: bool, source: str = "") -> None:
-        """Become the mesh of some data in object space; `source` names the file in messages."""
+        """Take over a mesh's data, in object space; `source` names the file in messages."""
         Shape.__init__(self, props)
         face_normals = props.boolean("face_normals", False)
         where = f"{props.node}: {source}" if source else props.node
@@ -103,7 +103,7 @@ class Mesh(Shape):
             key: (value, "vertex" if key.startswith("vertex_") else "face") for key, value in data.attributes.items()
         }
         self.set: MeshSet | None = None
-        """The scene's meshes, this one among them; given by `MeshSet`."""
+        """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
         self.first_face = self.first_area = dr.opaque(UInt32, 0)
         for key in self.attributes:
             if hasattr(self, key) or key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
@@ -112,7 +112,7 @@ class Mesh(Shape):
         self._measure()
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
-        """Become part of a set, with faces from the number `first_face` on."""
+        """Join a set, in which the mesh's faces are numbered from `first_face` on."""
         self.set, self.first_face = meshes, dr.opaque(UInt32, first_face)
 
     # ---- parameters --------------------------------------------------------------------
@@ -126,7 +126,7 @@ class Mesh(Shape):
             callback.put(name, getattr(self, name), ParamFlags.Differentiable)
 
     def _expose(self) -> None:
-        """Make the parameters that `traverse` shows, flat, from the host's arrays."""
+        """Make the flat parameters that `traverse` reports from the host's arrays."""
         self.faces_parameter = own_copy(self.indices)
         self.vertex_positions = own_floats(self.positions)
         self.vertex_normals = Float() if self.normals is None else own_floats(self.normals)
@@ -135,7 +135,7 @@ class Mesh(Shape):
             setattr(self, name, own_floats(value))
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
-        """Take over edited parameters; as in Mitsuba, moved vertices make the vertex normals anew.
+        """Take over edited parameters; as in Mitsuba, vertex normals are computed anew when vertices have moved.
 
         Raises:
             ParameterError: sizes that don't fit, an index out of range; nothing has changed then.
@@ -161,7 +161,7 @@ class Mesh(Shape):
             value = self._vertex_data(name, old.shape[1], count, changed)
             attributes[name] = (np.zeros((count, old.shape[1]), np.float32) if value is None else value, kind)
 
-        # Taking a change back must give the old normals again, also those that came with the mesh.
+        # When an edit is undone the old normals must return, also those that the mesh was made with.
         moved = resized or not np.array_equal(positions, self.positions)
         self.positions, self.indices, self.texcoords, self.attributes = positions, indices, texcoords, attributes
         self.normals = None if normals is None else unit(normals)
@@ -173,14 +173,14 @@ class Mesh(Shape):
         self._measure()
 
     def _read(self, name: str, width: int, attribute: str | None = None) -> NDArray[Any]:
-        """A parameter as rows on the host."""
+        """Read a parameter as rows on the host."""
         flat = np.array(dr.detach(getattr(self, attribute or name)))
         if flat.size % width:
             raise ParameterError(f"{self.id}.{name}: {flat.size} numbers don't make rows of {width}")
         return flat.reshape(-1, width)
 
     def _vertex_data(self, name: str, width: int, count: int, changed: set[str]) -> NDArray[np.float32] | None:
-        """Rows that belong to the vertices (or faces); zeros if only their number has changed."""
+        """Read rows that belong to the vertices (or faces); zeros if only the number of these has changed."""
         value = self._read(name, width)
         if not len(value):
             return None
@@ -198,7 +198,7 @@ class Mesh(Shape):
         self._measure()
 
     def _measure(self) -> None:
-        """The numbers that kernels read, and the extent."""
+        """Compute the numbers that kernels read, and the extent."""
         self._areas = face_areas(self.positions, self.indices)
         self.area = as_float(float(self._areas.sum()))
         self.own_faces = dr.opaque(UInt32, len(self.indices))
@@ -232,7 +232,7 @@ class Mesh(Shape):
         return self.area
 
     def sample_position(self, sample: Point2f) -> PositionSample3f:
-        # As in Mitsuba: y chooses the triangle by its area and is stretched for use within it.
+        # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.
         assert self.set is not None
         assert self.set.areas is not None
         index, y = self.set.areas.sample(self.first_area, self.own_faces, self.area, sample.y)
@@ -242,7 +242,7 @@ class Mesh(Shape):
 
 
 def properties(name: str, props: Mapping[str, Any] | None) -> Properties:
-    """The keys of a mesh that is made in Python; nested dicts become plugins."""
+    """The properties of a mesh that is made in Python; nested dicts become plugins."""
     from djpt.description.loader import load_dict
 
     if props is not None and not isinstance(props, Mapping):
@@ -256,7 +256,7 @@ def properties(name: str, props: Mapping[str, Any] | None) -> Properties:
 
 
 def rows(node: str, name: str, value: Any, width: int | None, count: int | None = None) -> NDArray[np.float32]:
-    """Numbers in rows, (N, `width`) float32; flat arrays (also of Dr.Jit) are cut into rows."""
+    """Convert numbers to rows, (N, `width`) float32; flat arrays (also of Dr.Jit) are cut into rows."""
     found = numbers(node, name, value)
     if found.ndim == 1 and (width or count):
         width = width or found.size // max(count or 1, 1)
@@ -269,7 +269,7 @@ def rows(node: str, name: str, value: Any, width: int | None, count: int | None 
 
 
 def index_rows(node: str, value: Any) -> NDArray[np.uint32]:
-    """Vertex indices, (F, 3) uint32."""
+    """Convert vertex indices to (F, 3) uint32."""
     found = numbers(node, "faces", value)
     found = found.reshape(-1, 3) if found.ndim == 1 and found.size % 3 == 0 else found
     if found.ndim != 2 or found.shape[1] != 3:
@@ -280,7 +280,7 @@ def index_rows(node: str, value: Any) -> NDArray[np.uint32]:
 
 
 def numbers(node: str, name: str, value: Any) -> NDArray[Any]:
-    """An array of numbers; NaN is allowed here, since cleaning treats it."""
+    """Convert to an array of numbers; NaN is allowed, since cleaning deals with it."""
     try:
         found = np.array(dr.detach(value) if dr.is_array_v(value) else value)
     except Exception:

@@ -1,4 +1,4 @@
-"""What shapes that read a mesh from a file have in common."""
+"""The base of shapes that read a mesh from a file."""
 
 from __future__ import annotations
 

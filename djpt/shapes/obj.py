@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.shapes.mesh_file import MeshFile
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.obj import read_obj
@@ -17,3 +18,6 @@ class Obj(MeshFile):
 
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:
         return read_obj(data, where)
+
+
+register_shape("obj", Obj)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.frame import Frame3f
 from djpt.geometry.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
@@ -25,11 +26,11 @@ HIDDEN = ParamFlags.NonDifferentiable
 
 
 class Plane(Shape):
-    """All points with local z = 0, without end; uv are the local x and y.
+    """All points with local z = 0, without a border; uv are the local x and y.
 
-    Parameters: `to_world` (affine, default identity), `flip_normals` (default false). It shines and shades on the
-    side of the transformed +z axis. As a light it is sampled uniformly over the hemisphere of directions that meet
-    it, with the density 1 / (2 pi); it has no finite area.
+    Parameters: `to_world` (affine, default identity), `flip_normals` (default false). The front, where light is
+    emitted, is the side of the transformed +z axis. As a light it is sampled uniformly over the hemisphere of
+    directions that hit it, with the density 1 / (2 pi); its area is infinite.
     """
 
     has_area = False
@@ -100,3 +101,6 @@ class Plane(Shape):
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         return self._uv(p), Vector3f(self.edge_u), Vector3f(self.edge_v)
+
+
+register_shape("plane", Plane)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.shapes.mesh_file import MeshFile
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.ply import read_ply
@@ -19,3 +20,6 @@ class Ply(MeshFile):
 
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:
         return read_ply(data, where)
+
+
+register_shape("ply", Ply)

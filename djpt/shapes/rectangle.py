@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
@@ -25,7 +26,7 @@ class Rectangle(Shape):
     """A parallelogram with uv = ((x + 1) / 2, (y + 1) / 2).
 
     Parameters: `to_world` (affine, default identity), `flip_normals` (default false).
-    It shines and shades on the side of the transformed +z axis.
+    The front, where the shading normal points and light is emitted, is the side of the transformed +z axis.
     """
 
     has_parameterization = True
@@ -107,3 +108,6 @@ class Rectangle(Shape):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles, cut along the diagonal u + v = 1.
         return dr.select(uv.x + uv.y > 1, UInt32(1), UInt32(0))
+
+
+register_shape("rectangle", Rectangle)

@@ -1,4 +1,4 @@
-"""What cylinders and cones share: an axis, and the angle around it."""
+"""The base of cylinders and cones: an axis, and the angle around it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ __all__ = ["Revolution", "along"]
 class Revolution(Shape):
     """A surface of revolution about the local z axis; `center` is a point of the axis.
 
-    `to_world` maps the unit shape about +z to the world; the subclass has `values` of the names below.
+    `to_world` maps the unit shape about +z to the world; subclasses declare the attributes below as `values`.
     """
 
+    least_cosine = 2**-12
     center: Vector3f
     axis_x: Vector3f
     axis_y: Vector3f
@@ -36,7 +37,7 @@ class Revolution(Shape):
         self._axes: tuple[SignedAxis, ...] | None = None
 
     def stretch(self, local: ScalarTransform4f, node: str) -> None:
-        """Put `local` under `to_world`, which the description gave."""
+        """Append `local` to the `to_world` of the description: it is applied first."""
         self.to_world = self.to_world @ local
         problem = self._problem(self.to_world.matrix)
         if problem:
@@ -59,14 +60,17 @@ class Revolution(Shape):
         return value
 
     def set_frame(self, center: NDArray[np.float64], directions: NDArray[np.float64]) -> None:
-        """The values by which kernels find local coordinates; `directions` are the rows x, y, z."""
+        """Set the values by which kernels find local coordinates; `directions` are the rows x, y, z."""
         self.center = as_vector(center)
         self.axis_x, self.axis_y, self.axis_z = (as_vector(d) for d in directions)
 
     # ---- in kernels ----------------------------------------------------------------
 
     def split(self, ray: ProjectedRay, middle: Float) -> tuple[Any, Any, Float, Float]:
-        """Origin and direction across the axis and along it, as seen from `center`; `middle` is its place along."""
+        """Split a ray into parts across and along the axis, relative to `center`, which is at `middle` along the axis.
+
+        Returns origin across, direction across, origin along, direction along.
+        """
         assert self._axes is not None
         axis = self._axes[0].axis
         o_z, d_z, _ = ray.onto(axis)
@@ -74,23 +78,23 @@ class Revolution(Shape):
         if axis.coordinate is None:
             o = dr.fma(axis.vector, -o_z, ray.ray.o - self.center)
             return o, dr.fma(axis.vector, -d_z, ray.ray.d), o_z, d_z
-        # The component along the axis is left out.
+        # Along a coordinate axis, the component across is 0 and is left out.
         across = [k for k in range(3) if k != axis.coordinate]
         flat = Point2f(*(ray.ray.o[k] - self.center[k] for k in across))
         return flat, Point2f(*(ray.ray.d[k] for k in across)), o_z, d_z
 
     def across(self, p: Point3f) -> tuple[Vector3f, Float]:
-        """From the axis to a point, at a right angle; and how far along the axis from `center`."""
+        """The vector from the axis to a point, perpendicular to it, and the point's place along it from `center`."""
         local = p - self.center
         z = dr.dot(local, self.axis_z)
         return dr.fma(self.axis_z, -z, local), z
 
     def around(self, across: Vector3f) -> Vector3f:
-        """The derivative of the position by phi."""
+        """The derivative of the position by phi, for a point at `across` from the axis."""
         return self.axis_y * dr.dot(across, self.axis_x) - self.axis_x * dr.dot(across, self.axis_y)
 
     def turn(self, across: Vector3f) -> Float:
-        """How far around, from 0 to 1: phi / 2 pi."""
+        """The angle around the axis as phi / 2 pi, from 0 to 1."""
         x, y = dr.dot(across, self.axis_x), dr.dot(across, self.axis_y)
         phi = dr.atan2(y, x) * (1 / (2 * math.pi))
         return dr.select(phi < 0, phi + 1, phi)
@@ -108,7 +112,7 @@ class Revolution(Shape):
 
 
 def along(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> ScalarTransform4f:
-    """The affine map of the axis (0, 0, 0) to (0, 0, 1) to that from `start` to `end`; across it, scale by `radius`.
+    """The affine map that takes the segment (0, 0, 0) (0, 0, 1) to `start` `end`, and scales by `radius` across it.
 
     x and y are Mitsuba's choice: Duff's frame, see `djpt.frame`, in double precision.
     """

@@ -1,4 +1,4 @@
-"""A surface in a grid of signed distances."""
+"""Surfaces given by signed distances on a grid."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from djpt.description.files import resolve
 from djpt.description.numeric import describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
 from djpt.frame import Frame3f, coordinate_system
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
@@ -25,7 +26,7 @@ __all__ = ["SDFGrid", "read_volume"]
 HIDDEN = ParamFlags.NonDifferentiable
 SERIAL = itertools.count()
 MOST_CELLS = 2**26
-"""Cells take 32 bytes each."""
+"""Most cells of a grid; each takes 32 bytes."""
 
 
 class SDFGrid(LevelSet):
@@ -34,15 +35,15 @@ class SDFGrid(LevelSet):
     Parameters: `grid` (array or tensor (Z, Y, X, 1), at least 2 samples along each axis; the outermost lie on the faces
     of the cube) or `filename` (Mitsuba's volume format with one channel), `normals` ("smooth", the default: blended
     over the eight cells around a grid point; "analytic": the gradient), `to_world` (affine), `flip_normals`.
-    As in Mitsuba there are no uv. Other than there it may shine, and grids needn't have equal sides (Mitsuba
-    3.9.1 loses most of the surface then).
+    As in Mitsuba there are no uv. Unlike there, the shape may be a light, and the grid may have unequal sides (with
+    which Mitsuba 3.9.1 loses most of the surface).
 
     Smooth normals: H. Hansson-Söderlund, A. Evans and T. Akenine-Möller, "Ray Tracing of Signed Distance Function
     Grids", JCGT 11(3), 2022.
     """
 
     values = dict.fromkeys(PLACE, HIDDEN)
-    # Every grid has kernel code of its own: `serial` differs.
+    # Every grid has kernel code of its own, since its `serial` differs.
     statics = ("flip_normals", "normals", "serial")
 
     def __init__(self, props: Properties) -> None:
@@ -77,7 +78,7 @@ class SDFGrid(LevelSet):
     # ---- on the host ---------------------------------------------------------------
 
     def _index(self, values: NDArray[np.float32]) -> None:
-        """All that is derived from the samples (Z, Y, X)."""
+        """Compute all that is derived from the samples, (Z, Y, X)."""
         corners = [values[k : k - 1 or None, j : j - 1 or None, i : i - 1 or None] for k, j, i in CORNERS]
         if corners[0].size > MOST_CELLS:
             raise ParameterError(f"has {corners[0].size} cells, {MOST_CELLS} are possible")
@@ -96,7 +97,7 @@ class SDFGrid(LevelSet):
         self.steps = int(256 * np.linalg.norm(counts)) + 1
 
         flat = np.stack(corners, axis=-1).astype(np.float32)
-        # An own, aligned buffer: packet gathers need it.
+        # Packet gathers need a buffer of its own, aligned.
         self.cells = Float(flat.ravel()) + dr.opaque(Float, 0)
         self.counts = [dr.opaque(Int32, int(n)) for n in counts]
         dr.eval(self.cells)
@@ -104,7 +105,7 @@ class SDFGrid(LevelSet):
     # ---- in kernels ----------------------------------------------------------------
 
     def _cell(self, p: Point3f) -> tuple[list[Int32], list[Float]]:
-        """The cell around a local point, and the place in it, from 0 to 1."""
+        """The cell around a local point, and the point's place in it, from 0 to 1."""
         index, place = [], []
         for k in range(3):
             scaled = p[k] * Float(self.counts[k])
@@ -127,7 +128,7 @@ class SDFGrid(LevelSet):
         return mix(mix(rows[0], rows[1], y), mix(rows[2], rows[3], y), z)
 
     def geometric_normal(self, p: Point3f) -> Vector3f:
-        """The direction of the gradient."""
+        """The unit normal in world space: the direction of the gradient, reversed by `flip_normals`."""
         n = dr.normalize(self.normal_to_world(gradient(self.field, self.local_point(p))))
         return -n if self.flip_normals else n
 
@@ -152,9 +153,10 @@ class SDFGrid(LevelSet):
         return Vector3f(0), Vector3f(0)
 
     def _smooth(self, p: Point3f) -> Vector3f:
-        """The gradients of the eight cells around the nearest grid point, made unit vectors and blended.
+        """The blended unit gradients of the eight cells around the nearest grid point.
 
-        Along an axis a cell's gradient is the difference over the cell, at the point's place along the others.
+        The component of a cell's gradient along an axis is the difference over the cell, interpolated at the point's
+        place along the other axes.
         """
         index, place = self._cell(p)
         f = self._corners(index)
@@ -187,16 +189,16 @@ class SDFGrid(LevelSet):
 
 
 CORNERS = tuple(itertools.product((0, 1), repeat=3))
-"""(z, y, x) of a cell's corners: x runs fastest."""
+"""The corners of a cell as (z, y, x); x runs fastest."""
 
 
 def mix(a: Float, b: Float, t: Float) -> Float:
-    """From `a` at t = 0 to `b` at t = 1, exactly."""
+    """Interpolate from `a` at t = 0 to `b` at t = 1, both reached exactly."""
     return dr.fma(b, t, dr.fma(-a, t, a))
 
 
 def difference(f: Sequence[Float], place: Sequence[Float], axis: int) -> Float:
-    """Across a cell along `axis`, interpolated along the others."""
+    """The difference of the corners' values along `axis`, interpolated along the other axes."""
     stride = 1 << axis
     edges = [f[i + stride] - f[i] for i in range(8) if not i & stride]
     b, c = (k for k in range(3) if k != axis)
@@ -204,7 +206,7 @@ def difference(f: Sequence[Float], place: Sequence[Float], axis: int) -> Float:
 
 
 def around(edges: NDArray[np.float64], axis: int) -> list[NDArray[np.float64]]:
-    """Of values on edges along `axis`, the four of each cell."""
+    """Gather the values of the four edges along `axis` of each cell, from an array of values on edges."""
     b, c = (k for k in range(3) if k != axis)
     result = []
     for i, j in itertools.product((0, 1), repeat=2):
@@ -215,7 +217,7 @@ def around(edges: NDArray[np.float64], axis: int) -> list[NDArray[np.float64]]:
 
 
 def samples(value: Any) -> NDArray[np.float32]:
-    """A grid as float32 (Z, Y, X); raises `ParameterError`."""
+    """Convert a grid to float32 (Z, Y, X); raise `ParameterError` if it can't be used."""
     try:
         array = np.array(value, dtype=np.float32)
     except (TypeError, ValueError):
@@ -230,7 +232,7 @@ def samples(value: Any) -> NDArray[np.float32]:
 
 
 def read_volume(path: Path) -> NDArray[np.float32]:
-    """One channel of a file in Mitsuba's volume format, (Z, Y, X).
+    """Read a file of one channel in Mitsuba's volume format, (Z, Y, X).
 
     Its header is `VOL`, a byte 3 (the version), five int32 (1 for float32; cells along x, y, z; channels) and six
     float32 (a bounding box, not used); the values follow, x fastest. Little endian.
@@ -247,3 +249,6 @@ def read_volume(path: Path) -> NDArray[np.float32]:
     if min(nx, ny, nz) < 1 or len(data) != 48 + 4 * nx * ny * nz:
         raise FileError(f"'{path}' has {len(data)} bytes; a volume of {nx} x {ny} x {nz} has {48 + 4 * nx * ny * nz}")
     return np.frombuffer(data, "<f4", offset=48).reshape(nz, ny, nx)
+
+
+register_shape("sdfgrid", SDFGrid)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.shapes.mesh_file import MeshFile
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.serialized import read_serialized
@@ -18,3 +19,6 @@ class Serialized(MeshFile):
 
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:
         return read_serialized(data, where, props.integer("shape_index", 0, low=0))
+
+
+register_shape("serialized", Serialized)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
@@ -17,7 +18,7 @@ __all__ = ["ShapeGroup"]
 
 
 class ShapeGroup(Shape):
-    """Shapes that are kept once and placed many times, each time by an `instance`.
+    """Shapes that are stored once and placed many times, each time by an `instance`.
 
     The nested shapes may have BSDFs but no emitters, and can't be instances or groups. A group itself is
     invisible.
@@ -57,3 +58,6 @@ class ShapeGroup(Shape):
         """The extent of the whole group in its own space."""
         intervals = [shape.interval(direction) for shape in self.shapes]
         return min(low for low, _ in intervals), max(high for _, high in intervals)
+
+
+register_shape("shapegroup", ShapeGroup)

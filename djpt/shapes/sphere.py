@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
@@ -36,6 +37,7 @@ class Sphere(Shape):
 
     closed = True
     has_parameterization = True
+    least_cosine = 2**-12
     canonical = "sphere"
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
@@ -91,8 +93,8 @@ class Sphere(Shape):
         middle = -dr.dot(o, d) * inv_length_squared
         closest = dr.fma(d, middle, o)
         reach = dr.sqrt((dr.square(self.radius) - dr.squared_norm(closest)) * inv_length_squared)
-        # Compared as whole numbers, less one, all floats that aren't hits are larger than any maxt: 0, negative ones,
-        # and the NaN of rays that pass by. One comparison then says everything. (The distance loses its last bit.)
+        # As whole numbers, less one, the bits of floats that aren't hits exceed those of any maxt: 0, negative ones,
+        # and the NaN of rays that pass by. So one comparison is enough. (The distance loses its last bit.)
         near, far = (UInt32(dr.reinterpret_array(UInt32, t)) - 1 for t in (middle - reach, middle + reach))
         t = UInt32(dr.minimum(near, far))
         hit = t < UInt32(dr.reinterpret_array(UInt32, maxt))
@@ -101,7 +103,7 @@ class Sphere(Shape):
     def occludes(self, ray: ProjectedRay, numbers: Sequence[int]) -> Bool:
         if not ray.unbounded:
             return super().occludes(ray, numbers)
-        # A ray without end meets the surface if it comes into the ball: no root is needed.
+        # A ray without an end meets the surface if it enters the ball: no square root is needed.
         o, d = ray.ray.o - self.center, ray.ray.d
         middle = -dr.dot(o, d) * dr.rcp(dr.squared_norm(d))
         closest = dr.fma(d, dr.select(middle > 0, middle, 0), o)
@@ -112,7 +114,7 @@ class Sphere(Shape):
         return -n if self.flip_normals else n
 
     def tangent_at(self, p: Point3f) -> Vector3f:
-        # At the poles dp/du vanishes: any tangent will do.
+        # At the poles dp/du is 0, and any tangent will do.
         local = p - self.center
         s = self.axis_y * dr.dot(self.axis_x, local) - self.axis_x * dr.dot(self.axis_y, local)
         length = dr.squared_norm(s)
@@ -136,7 +138,7 @@ class Sphere(Shape):
         return PositionSample3f(dr.fma(d, self.radius, self.center), -d if self.flip_normals else d, uv, pdf)
 
     def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
-        """Outside: uniform in the cone that the sphere subtends. Inside: uniform in area.
+        """Sample uniformly in the cone that the sphere subtends, or, from inside, uniformly by area.
 
         The cone is sampled by points on the visible cap, without intersecting a ray:
         "Sampling the visible sphere", A. Kalin (akalin.com/sampling-visible-sphere).
@@ -191,11 +193,11 @@ class Sphere(Shape):
         cos = dr.safe_sqrt(1 - sin_squared)
         outside = dist_squared > dr.square(self.radius * self._shrunk())
         in_cone = dr.rcp(2 * math.pi * sin_squared * dr.rcp(1 + cos))
-        in_area = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.area)
+        in_area = dr.square(ds.dist) * dr.rcp(self.cosine(ds) * self.area)
         return dr.select(outside, in_cone, dr.select(dr.isfinite(in_area), in_area, 0))
 
     def _shrunk(self) -> float:
-        # A point that was moved off the surface must count as on its own side.
+        # A point that was moved off the surface must count as outside, or with `flip_normals` as inside.
         return 1 + RAY_EPSILON if self.flip_normals else 1 - RAY_EPSILON
 
     def _to_local(self, d: Vector3f) -> Vector3f:
@@ -215,3 +217,6 @@ class Sphere(Shape):
         du = 2 * math.pi * (self.axis_y * local.x - self.axis_x * local.y)
         dv = math.pi * (self.axis_x * (local.z * cos_phi) + self.axis_y * (local.z * sin_phi) - self.axis_z * rim)
         return self._uv(unit), du, dv
+
+
+register_shape("sphere", Sphere)

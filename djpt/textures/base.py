@@ -28,7 +28,7 @@ class Texture(Plugin):
         raise NotImplementedError
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
-        """The scalar at `si`; the luminance of a coloured texture."""
+        """The scalar at `si`; of a colour what Mitsuba takes: the luminance of texels, the mean of an rgb."""
         raise NotImplementedError
 
     def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:

@@ -12,6 +12,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.distributions import DiscreteDistribution2D
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
@@ -225,3 +226,6 @@ def remainder(i: Float, n: Float) -> Float:
 def lerp(a: Any, b: Any, t: Float) -> Any:
     """From `a` to `b`."""
     return dr.fma(b - a, t, a)
+
+
+register_texture("bitmap", Bitmap)

@@ -8,6 +8,7 @@ import drjit as dr
 
 from djpt.description.allowed import Allowed
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.textures.uv import UVTexture
 from djpt.types import Bool, Color3f, Float, Vector2f
 
@@ -61,3 +62,6 @@ class Checkerboard(UVTexture):
     def restrict(self, allowed: Allowed, where: str) -> None:
         self.color0.restrict(allowed, where)
         self.color1.restrict(allowed, where)
+
+
+register_texture("checkerboard", Checkerboard)

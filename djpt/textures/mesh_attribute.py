@@ -12,6 +12,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.errors import SceneError
 from djpt.images.color import LUMINANCE
 from djpt.kernels import as_float
@@ -84,3 +85,6 @@ class MeshAttribute(Texture):
 
     def _value(self, si: Any, active: Bool | bool) -> Any:
         return si.scene.geometry.attribute(self.name, si.face, si.prim_uv, active) * self.scale
+
+
+register_texture("mesh_attribute", MeshAttribute)

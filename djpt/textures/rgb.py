@@ -13,8 +13,8 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.errors import DjptError, ParameterError, SceneError
-from djpt.images.color import LUMINANCE
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float
 
@@ -44,8 +44,8 @@ class ConstantTexture(Texture):
         return self.value
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
-        r, g, b = LUMINANCE
-        return self.value.x * r + self.value.y * g + self.value.z * b
+        """The mean of the three numbers, as in Mitsuba: bitmaps give the luminance."""
+        return self.mean()
 
     def as_property(self) -> Color3f:
         return Color3f(self.value)
@@ -84,3 +84,6 @@ class ConstantTexture(Texture):
     @staticmethod
     def _numbers(color: Color3f) -> NDArray[np.float64]:
         return as_array(dr.detach(color))
+
+
+register_texture("rgb", ConstantTexture)

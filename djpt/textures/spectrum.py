@@ -9,6 +9,7 @@ import numpy as np
 from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, describe
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.errors import SceneError
 from djpt.images.colorimetry import spectrum_to_rgb
 from djpt.textures.rgb import ConstantTexture
@@ -57,3 +58,6 @@ class SpectrumTexture(ConstantTexture):
         if self._pairs is not None and allowed.high is not None:
             self.value = Color3f(*np.minimum(self._numbers(self.value), allowed.high).tolist())
         super().restrict(allowed, where)
+
+
+register_texture("spectrum", SpectrumTexture)

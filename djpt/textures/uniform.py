@@ -11,6 +11,7 @@ from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, as_number, describe, is_readable
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float
 from djpt.textures.base import Texture
@@ -66,3 +67,6 @@ class UniformTexture(Texture):
             except SceneError as error:
                 raise ParameterError(str(error)) from None
         return number
+
+
+register_texture("uniform", UniformTexture)

@@ -24,8 +24,6 @@ def examples() -> dict[str, Any]:
     names: dict[str, Any] = {"__name__": "examples"}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL):
         exec(block, names)
-    djpt.register_bsdf("lommel_seeliger", names["LommelSeeliger"])
-    djpt.register_integrator("facing_ratio", names["FacingRatio"])
     return names
 
 

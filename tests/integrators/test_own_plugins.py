@@ -46,9 +46,8 @@ class Tinted(BSDF):
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         wo = square_to_cosine_hemisphere(sample2)
         pdf = wo.z / math.pi
-        lobe = UInt32(int(BSDFFlags.DiffuseReflection))
         weight = dr.select((si.wi.z > 0) & (pdf > 0), self.tint * self.base.eval(si, active), 0)
-        return BSDFSample3f(wo, pdf, Float(1), lobe, UInt32(0)), weight
+        return BSDFSample3f.of(wo, pdf, BSDFFlags.DiffuseReflection), weight
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         return self.tint * self.base.eval(si, active) * self.pdf(ctx, si, wo, active)
@@ -65,8 +64,7 @@ class Mirror(BSDF):
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         wo = Vector3f(-si.wi.x, -si.wi.y, si.wi.z)
-        lobe = UInt32(int(BSDFFlags.DeltaReflection))
-        return BSDFSample3f(wo, Float(1), Float(1), lobe, UInt32(0)), Color3f(1)
+        return BSDFSample3f.of(wo, 1, BSDFFlags.DeltaReflection), Color3f(1)
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         return Color3f(0)

@@ -16,7 +16,7 @@ import djpt
 from djpt.description import registry
 from djpt.frame import Frame3f
 from djpt.records import EmitterFlags, has_flag
-from djpt.types import Float, Point2f, Point3f, UInt32
+from djpt.types import Float, Point2f, Point3f, TensorXf, UInt32
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
@@ -101,6 +101,69 @@ class TestDirections:
         np.testing.assert_allclose(np.linalg.norm(np.array(ds.n), axis=0), 1, atol=1e-5)
         if np.isfinite(np.array(ds.dist)).all():
             np.testing.assert_allclose(np.array(ds.d) * np.array(ds.dist), np.array(ds.p), rtol=1e-4, atol=1e-4)
+
+
+def rim_of_a_sphere(rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """A light, directions (N, 3) from the origin that graze it or just miss it, and their densities by float64."""
+    centre, radius = np.array([-2, 3, 2.5]), 0.5
+    distance = np.linalg.norm(centre)
+    w = centre / distance
+    s = np.cross(w, [0, 0, 1])
+    s /= np.linalg.norm(s)
+    sin = radius / distance * (1 + rng.uniform(-1e-5, 1e-5, (COUNT, 1)))
+    phi = 2 * np.pi * rng.random((COUNT, 1))
+    d = np.sqrt(1 - sin**2) * w + sin * (np.cos(phi) * s + np.sin(phi) * np.cross(w, s))
+    d = d.astype(np.float32).astype(np.float64)
+    d /= np.linalg.norm(d, axis=1)[:, None]
+
+    middle = d @ centre
+    reach = np.sqrt(np.maximum(0, radius**2 - distance**2 + middle**2))
+    n = ((middle - reach)[:, None] * d - centre) / radius
+    # Uniform in uv.
+    area = 2 * np.pi**2 * radius**2 * np.sqrt(1 - n[:, 2] ** 2)
+    with np.errstate(divide="ignore"):
+        density = np.where(reach > 0, (middle - reach) ** 2 / (area * reach / radius), 0)
+    white = {"type": "bitmap", "data": TensorXf(np.ones((2, 2, 3), np.float32)), "raw": True}
+    shape = {"type": "sphere", "center": centre.tolist(), "radius": radius}
+    return {**shape, "emitter": {"type": "area", "radiance": white}}, d, density
+
+
+def rim_of_a_cylinder(rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """The same for a cylinder, whose points are drawn by area."""
+    p0, p1, radius = np.array([-2, 3, 2.5]), np.array([-1.5, 3, 2]), 0.4
+    axis = (p1 - p0) / np.linalg.norm(p1 - p0)
+    across = p0 - axis * p0.dot(axis)
+    far = np.linalg.norm(across)
+    x, y = across / far, np.cross(axis, across / far)
+    # The normals of planes through the origin that graze it along a line, and directions in these planes.
+    cos = radius / far * (1 + rng.uniform(-1e-5, 1e-5, (COUNT, 1)))
+    n = cos * x + np.sqrt(1 - cos**2) * y
+    q = p0 + (p1 - p0) * rng.uniform(0.2, 0.8, (COUNT, 1))
+    d = q - n * (q * n).sum(axis=1, keepdims=True)
+    d = (d / np.linalg.norm(d, axis=1)[:, None]).astype(np.float32).astype(np.float64)
+    d /= np.linalg.norm(d, axis=1)[:, None]
+
+    flat = d - axis * (d @ axis)[:, None]
+    squared = (flat**2).sum(axis=1)
+    middle = flat @ across / squared
+    reach = np.sqrt(np.maximum(0, radius**2 - far**2 + middle**2 * squared))
+    dist = middle - reach / np.sqrt(squared)
+    area = 2 * np.pi * radius * np.linalg.norm(p1 - p0)
+    with np.errstate(divide="ignore"):
+        density = np.where(reach > 0, dist**2 / (area * np.sqrt(squared) * reach / radius), 0)
+    shape = {"type": "cylinder", "p0": p0.tolist(), "p1": p1.tolist(), "radius": radius}
+    return {**shape, "emitter": {"type": "area"}}, d, density
+
+
+@pytest.mark.parametrize("rim", [rim_of_a_sphere, rim_of_a_cylinder])
+def test_densities_where_rays_graze_a_curved_light(rim: Any) -> None:
+    """Rounding decides which of these rays hit, and where: so the mean of the densities counts, not each of them."""
+    light, d, exact = rim(np.random.default_rng(3))
+    scene = lit(light=light)
+    at, radiance, _ = looked_at(scene, djpt.Vector3f(*d.T.astype(np.float32)))
+    found = np.array(dr.select(dr.max(radiance) > 0, scene.pdf_emitter_direction(reference(), at), 0), np.float64)
+    # A few rays meet the surface from behind, by rounding.
+    assert found.mean() == pytest.approx(exact.mean(), rel=0.05)
 
 
 @pytest.mark.parametrize("name", NAMES)

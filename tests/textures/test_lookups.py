@@ -207,6 +207,12 @@ def test_scalars_of_a_checkerboard_have_its_colours_exchanged() -> None:
     np.testing.assert_array_equal(np.array(texture.eval_1_grad(quarter)), 0)
 
 
+def test_scalars_of_colours_are_mitsubas(mi: Any) -> None:
+    rgb = {"type": "rgb", "value": [0.9, 0.3, 0.1]}
+    expected = mi.load_dict(rgb).eval_1(dr.zeros(mi.SurfaceInteraction3f, 1))[0]
+    np.testing.assert_allclose(djpt.load_dict(rgb).eval_1(None)[0], expected, rtol=1e-6)
+
+
 # What a BSDF reads as a scalar.
 SCALARS = {
     "roughness": lambda texture: {"type": "roughconductor", "alpha": texture},

@@ -1,9 +1,9 @@
-"""Comparing algorithms: what each can show, and how fast its error falls.
+"""The comparison of algorithms: which light each shows, and how fast its error falls.
 
 * `steps`: the integrators of the ladder, from ray casting to path tracing, and what each leaves out.
 * `measure`: time, RMSE, bias and error floor of each against a reference.
-* `page`: what was found, as one HTML file; `curves` and `pictures` are its parts.
-* `strips`: pictures of the bounces, and of growing numbers of samples.
+* `page`: the results as one HTML file; `curves` and `pictures` are its parts.
+* `strips`: pictures of the bounces, and of increasing numbers of samples.
 
     from djpt.validation.ladder.measure import measure
     from djpt.validation.ladder.page import html

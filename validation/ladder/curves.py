@@ -1,4 +1,4 @@
-"""Curves of errors, as SVG on doubly logarithmic axes."""
+"""Curves of errors, drawn as SVG on doubly logarithmic axes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEFT, RIGHT, TOP, BOTTOM = 44, 344, 12, 340
 """The box of the axes, in units of the picture."""
 
 LINE = 13
-"""Height of a label."""
+"""The height of a label, in units of the picture."""
 
 GAP = 0.06
 """Space around the data, as a share of the box."""
@@ -22,20 +22,20 @@ GAP = 0.06
 
 @dataclass(frozen=True)
 class Curve:
-    """Points (x, y) of one colour; those that aren't positive are left out."""
+    """A curve through points (x, y); those that aren't positive are left out."""
 
     title: str
     number: int
-    """Of its colour."""
+    """The number of the curve's colour."""
     points: tuple[tuple[float, float], ...]
     notes: tuple[str, ...]
-    """What to say of each point."""
+    """A note for each point, shown when the pointer is over it."""
     floor: float = 0.0
-    """Where it will end; 0: nowhere."""
+    """The y that the curve approaches; 0: none."""
 
 
 class Axis:
-    """From numbers to places, logarithmically."""
+    """A logarithmic axis, which maps numbers to places in the picture."""
 
     def __init__(self, values: Sequence[float], begin: float, end: float) -> None:
         low, high = math.log10(min(values)), math.log10(max(values))
@@ -45,12 +45,12 @@ class Axis:
         self.low, self.high, self.begin, self.end = low - margin, high + margin, begin, end
 
     def place(self, value: float) -> float:
-        """Where `value` is."""
+        """The place of `value`."""
         share = (math.log10(value) - self.low) / (self.high - self.low)
         return self.begin + share * (self.end - self.begin)
 
     def ticks(self) -> list[float]:
-        """Powers of ten; 2 and 5 times them as well where few fit."""
+        """The numbers to be marked: powers of ten, and 2 and 5 times these if the axis is short."""
         steps = (1, 2, 5) if self.high - self.low < 2.2 else (1,)
         decades = range(math.floor(self.low), math.ceil(self.high) + 1)
         found = [step * 10.0**decade for decade in decades for step in steps]
@@ -61,11 +61,11 @@ def chart(title: str, x_title: str, y_title: str, curves: Sequence[Curve], level
     """An SVG element: curves with their names at the right, and dotted lines of slope -1/2.
 
     Args:
-        title: What it shows, for those who can't see it.
-        x_title: What is to the right, with its unit.
-        y_title: What is up, with its unit.
-        curves: What to draw.
-        level: A dashed horizontal line, the noise of the reference; 0: none.
+        title: Description for people who can't see the picture.
+        x_title: Title of the horizontal axis, with its unit.
+        y_title: Title of the vertical axis, with its unit.
+        curves: The curves, drawn in this order.
+        level: Height of a dashed horizontal line, the noise of the reference; 0: none.
     """
     drawn = [curve for curve in curves if positive(curve)]
     if not drawn:
@@ -86,12 +86,12 @@ def chart(title: str, x_title: str, y_title: str, curves: Sequence[Curve], level
 
 
 def positive(curve: Curve) -> list[tuple[float, float]]:
-    """The points that a logarithmic axis can show."""
+    """The points of a curve that logarithmic axes can show."""
     return [(x, y) for x, y in curve.points if x > 0 and y > 0]
 
 
 def grid(x: Axis, y: Axis) -> list[str]:
-    """Lines and numbers."""
+    """Draw the lines and numbers of both axes."""
     parts = []
     for value in x.ticks():
         at = x.place(value)
@@ -105,7 +105,7 @@ def grid(x: Axis, y: Axis) -> list[str]:
 
 
 def slopes(x: Axis, y: Axis) -> list[str]:
-    """Dotted lines y = c x^(-1/2), a decade apart, clipped to the box."""
+    """Draw dotted lines y = c x^(-1/2), a decade apart, clipped to the box."""
     parts = []
     first, last = math.floor(y.low + x.low / 2), math.ceil(y.high + x.high / 2)
     for log_c in range(first, last + 1):
@@ -119,7 +119,7 @@ def slopes(x: Axis, y: Axis) -> list[str]:
 
 
 def axis_titles(x_title: str, y_title: str) -> list[str]:
-    """What the axes mean."""
+    """Draw the titles of the axes."""
     middle = (TOP + BOTTOM) / 2
     return [
         f'<text x="{(LEFT + RIGHT) / 2}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_title)}</text>',
@@ -128,7 +128,7 @@ def axis_titles(x_title: str, y_title: str) -> list[str]:
 
 
 def line(curve: Curve, x: Axis, y: Axis, label: float) -> str:
-    """A curve, its points, its floor and its name at the height `label`."""
+    """Draw a curve, its points, its floor and its name at the height `label`."""
     kept = positive(curve)
     notes = [note for (px, py), note in zip(curve.points, curve.notes, strict=True) if px > 0 and py > 0]
     places = [(x.place(px), y.place(py)) for px, py in kept]
@@ -144,9 +144,9 @@ def line(curve: Curve, x: Axis, y: Axis, label: float) -> str:
 
 
 def spread(heights: Sequence[float]) -> list[float]:
-    """Heights of labels that don't overlap, as near to the wanted ones as that allows, from top to bottom."""
+    """Move the heights of labels apart so that they don't overlap, by as little as possible."""
     order = sorted(range(len(heights)), key=lambda i: heights[i])
-    # Groups that touch share their middle.
+    # Labels that would overlap form a group around the mean of their heights.
     groups: list[list[int]] = []
 
     def middle(group: list[int]) -> float:
@@ -170,7 +170,7 @@ def spread(heights: Sequence[float]) -> list[float]:
 
 
 def plain(value: float) -> str:
-    """A number as people write it: 0.02, 5, 1 k, 20 M; powers of ten where that gets too long."""
+    """Format a number as people write it: 0.02, 5, 1 k, 20 M; as a power of ten where that is too long."""
     if not value > 0:
         return "0"
     if 0.99e-3 < value < 1e3:

@@ -4,7 +4,7 @@ Each image is compared with a reference r, the mean of independent batches, whos
 and taken out of the numbers. With <.> the mean over pixels and channels, and var r the variance of that mean:
 
     RMSE^2  = <(a - r)^2> - <var r>          of the image a,
-    floor^2 = <(a - r)(b - r)> - <var r>     of two independent images a and b: what no number of samples removes,
+    floor^2 = <(a - r)(b - r)> - <var r>     of two independent images a and b: the error that samples don't remove,
     bias    = <a> - <r>                      with its standard error, from all images of the integrator.
 """
 
@@ -42,15 +42,15 @@ BATCHES = 16
 """Independent images that the reference is the mean of."""
 
 NEIGHBOURS = 4
-"""Pixels that usual filters make depend on each other."""
+"""The number of neighbouring pixels that usual filters make depend on each other."""
 
 REFERENCE_SHARE = 0.5
-"""Time of one batch of the reference, as a share of that of an integrator."""
+"""Time of one batch of the reference, as a share of the time of an integrator."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One image: its samples per pixel, the time that it took (without compiling), its error."""
+    """One image of an integrator: samples per pixel, time without compilation, error."""
 
     spp: int
     seconds: float
@@ -59,43 +59,43 @@ class Point:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was found out about a step."""
+    """The results of a step."""
 
     step: Step
     missing: str
-    """What it can't show of this scene."""
+    """The light of this scene that the step can't show; empty: none."""
     points: tuple[Point, ...]
-    """By growing numbers of samples; the last one is that of `image`."""
+    """The images by increasing numbers of samples; the last one is `image`."""
     image: Pixels
     bias: float
     bias_error: float
-    """The standard error of `bias`; NaN if there is one point only."""
+    """The standard error of `bias`; NaN if there is only one point."""
     floor: float
-    """The error that more samples don't remove; 0 if none can be told from noise."""
+    """The error that more samples don't remove; 0 if it can't be told from noise."""
     compile_seconds: float
-    """Time that the backend took to compile the kernels; 0 if they lay in the cache on disk."""
+    """Time that the backend took to compile the kernels; 0 if they were in the cache on disk."""
     samples: int
-    """Samples per pixel of the last point times pixels."""
+    """The number of samples of the last image: samples per pixel times pixels."""
     notes: tuple[str, ...]
-    """What `render` warned of."""
+    """The warnings of `render`."""
 
     @property
     def last(self) -> Point:
-        """The image that took all the time."""
+        """The point of the last image, which took all of the given time."""
         return self.points[-1]
 
     @property
     def speed(self) -> float:
-        """Samples per second."""
+        """The number of samples per second."""
         return self.samples / self.last.seconds
 
     @property
     def at_floor(self) -> bool:
-        """Is most of the error of the last image there to stay?"""
+        """Whether more samples won't remove most of the last image's error."""
         return self.floor > 0.5 * self.last.rmse
 
     def seconds_to(self, rmse: float) -> float:
-        """Time to an error of `rmse`, by error = sqrt(floor^2 + c / time); infinite if it is below the floor."""
+        """The time to an error of `rmse`, by error = sqrt(floor^2 + c / time); infinite if it is below the floor."""
         floor = self.floor if self.at_floor else 0.0
         if rmse <= floor:
             return math.inf
@@ -116,12 +116,12 @@ class Reference:
 
     title: str
     missing: str
-    """What it can't show of this scene: images that do seem to have an error."""
+    """The light of this scene that the reference can't show; images that show it seem to have an error."""
     image: Pixels
     variance: float
-    """Of `image`, mean over pixels and channels."""
+    """The variance of `image`, mean over pixels and channels."""
     mean_error: float
-    """The standard error of the mean over pixels and channels."""
+    """The standard error of the image's mean over pixels and channels."""
     spp: int
     seconds: float
     compile_seconds: float
@@ -129,17 +129,17 @@ class Reference:
 
     @property
     def noise(self) -> float:
-        """The RMSE that its own noise causes."""
+        """The RMSE of the reference itself, by its noise."""
         return math.sqrt(self.variance)
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """What `measure` found."""
+    """The results of `measure`."""
 
     name: str
     seconds: float | None
-    """Time per integrator, or None if `spp` was given."""
+    """Time per integrator in seconds, or None if `spp` was given."""
     spp: int | None
     reference: Reference
     measured: tuple[Measured, ...]
@@ -174,7 +174,7 @@ def measure(
             or 16 times `spp`), rounded up to 16 equal parts.
         width: Pixels, instead of the scene's; the image keeps its shape.
         seed: Changes all seeds.
-        name: Of the scene, instead of its own.
+        name: Name of the scene, instead of its own.
         progress: Called with (integrators done, integrators in all); the reference is one more.
 
     Raises:
@@ -209,22 +209,22 @@ def measure(
 
 @dataclass(frozen=True)
 class Budget:
-    """How long, or how often, to sample."""
+    """The limit of an integrator's samples: by time, or by number."""
 
     seconds: float
     spp: int | None
     most: int
-    """Samples per pixel that one render takes at most."""
+    """Most samples per pixel of one render."""
 
     def counts(self, took: Callable[[], float]) -> Iterator[int]:
-        """1, 2, 4, .. samples per pixel, and at last as many as fit; `took` tells the time of the last count."""
+        """The samples per pixel to take: 1, 2, 4, .. and at last as many as fit; `took` gives the time of the last."""
         limit = min(self.spp or self.most, self.most)
         spp = 1
         while True:
             yield spp
             share = 2.0 if self.spp else self.seconds / took()
             following = min(int(spp * min(share, 2.0)), limit)
-            # Less than that isn't worth another image.
+            # A smaller increase isn't worth another image.
             if following <= spp or (following < 1.2 * spp and not self.spp):
                 return
             spp = following
@@ -232,7 +232,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Render:
-    """One image, what it took, and what was warned of."""
+    """One image, with the time that it took and the warnings."""
 
     image: Pixels
     seconds: float
@@ -241,7 +241,7 @@ class Render:
 
 
 def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed: Iterator[int]) -> Measured:
-    """All images of one integrator, compared with the reference."""
+    """Render all images of one integrator, and compare them with the reference."""
     integrator = load_dict(step.description(scene))
     sampler = scene.sensors()[0].sampler
     first = rendered(scene, integrator, 1, next(seed))
@@ -256,7 +256,7 @@ def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed
         before, image = image, shot.image
         points.append(Point(spp, shot.seconds, shared_error(image, image, goal)))
         means.append(float(image.mean()))
-    # Images of n samples per pixel have means of variance v / n: all of them together tell v.
+    # The mean of an image of n samples per pixel has the variance v / n: v is estimated from all images together.
     several, weights = len(points) > 1, np.array([point.spp for point in points], float)
     mean = float(np.average(means, weights=weights))
     v = float(weights @ np.square(np.array(means) - mean)) / (len(points) - 1) if several else math.nan
@@ -275,7 +275,7 @@ def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed
 
 
 def rendered(scene: Scene, integrator: Any, spp: int, seed: int) -> Render:
-    """Render, and tell compiling from computing."""
+    """Render an image, and measure compilation and computation apart."""
     with warnings.catch_warnings(record=True) as caught, dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         warnings.simplefilter("always")
         dr.kernel_history_clear()
@@ -288,18 +288,18 @@ def rendered(scene: Scene, integrator: Any, spp: int, seed: int) -> Render:
 
 
 def colors(image: Pixels) -> Pixels:
-    """Without alpha."""
+    """Drop the alpha channel."""
     return image[..., : {2: 1, 4: 3}.get(image.shape[2], image.shape[2])]
 
 
 def shared_error(a: Pixels, b: Pixels, goal: Reference) -> float:
-    """sqrt(<(a - r)(b - r)> - <var r>), or 0 if that isn't positive."""
+    """The error sqrt(<(a - r)(b - r)> - <var r>) that two images share, or 0 if the square isn't positive."""
     (a, r), (b, r) = pair(a, goal.image), pair(b, goal.image)
     return math.sqrt(max(float(np.mean((a - r) * (b - r))) - goal.variance, 0.0))
 
 
 def error_floor(a: Pixels, b: Pixels, spp: tuple[int, int], goal: Reference) -> float:
-    """`shared_error` of two independent images of `spp` samples per pixel, or 0 if noise alone could be the cause.
+    """The `shared_error` of two independent images of `spp` samples per pixel, or 0 if noise alone could be the cause.
 
     Without a floor the products of their errors have the variance v_a v_b, where v_a + v_b is that of a - b, and
     v_a / v_b = n_b / n_a. Of normal deviates with variance v the fourth moment is 3 v^2.
@@ -317,7 +317,7 @@ def error_floor(a: Pixels, b: Pixels, spp: tuple[int, int], goal: Reference) -> 
 def reference_image(
     kind: str, description: dict[str, Any], scene: Scene, budget: Budget, spp: int | None, seed: int
 ) -> Reference:
-    """The mean of `BATCHES` images of `path`."""
+    """Render the reference: the mean of `BATCHES` images of `path`."""
     step = next(step for step in STEPS if step.title == "path")
     integrator = step.description(scene)
     random = seeds(seed, 0)
@@ -366,7 +366,7 @@ def reference_image(
 
 
 def most_spp(scene: Scene) -> int:
-    """Samples per pixel that one render can take."""
+    """The number of samples per pixel that one render can take."""
     if not scene.sensors():
         raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
     film = scene.sensors()[0].film
@@ -375,6 +375,6 @@ def most_spp(scene: Scene) -> int:
 
 
 def seeds(seed: int, stream: int) -> Iterator[int]:
-    """Seeds that no other stream has, but by chance."""
+    """An endless sequence of seeds, other than those of other streams but by chance."""
     for number in np.random.SeedSequence([seed, stream]).generate_state(256):
         yield int(number)

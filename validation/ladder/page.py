@@ -1,4 +1,4 @@
-"""What `measure` found, as one HTML file that needs nothing else: pictures, curves, numbers."""
+"""The results of `measure` as one HTML file that needs no other: pictures, curves, numbers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from djpt.variants import variant
 __all__ = ["html"]
 
 GOLDEN_ANGLE = 137.5
-"""Between the hues of neighbours, in degrees."""
+"""The angle between the hues of neighbouring curves, in degrees."""
 
 
 def html(ladder: Ladder) -> str:
-    """The page."""
+    """Write the page of a ladder, as text."""
     name = escape(ladder.name)
     hues = "".join(
         f".color{i} {{ --hue: {(250 + GOLDEN_ANGLE * i) % 360:.1f}; }}\n" for i in range(len(ladder.measured))
@@ -45,7 +45,7 @@ def html(ladder: Ladder) -> str:
 
 
 def beside(name: str) -> str:
-    """The text of a file in this folder."""
+    """Read a file in this folder."""
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
@@ -61,7 +61,7 @@ DIALOG = """<dialog id="compare" aria-label="Comparison of two pictures">
 
 
 def heading(ladder: Ladder) -> str:
-    """What was compared."""
+    """Write the heading: scene, size and limit of the comparison."""
     width, height = ladder.size
     each = f"{plain(ladder.seconds)} s each" if ladder.seconds else f"{ladder.spp} samples per pixel each"
     return (
@@ -75,7 +75,7 @@ def heading(ladder: Ladder) -> str:
 
 
 def pictures(ladder: Ladder) -> str:
-    """All images, the reference first."""
+    """Write the section of all images, the reference first."""
     reference, name = ladder.reference, escape(ladder.name)
     cards = [
         "<figure>"
@@ -102,17 +102,17 @@ def pictures(ladder: Ladder) -> str:
 
 
 def leaves_out(missing: str) -> str:
-    """What an image doesn't show."""
+    """Write the note on the light that an image doesn't show."""
     return f'<span class="missing">Leaves out {escape(missing)}.</span>' if missing else ""
 
 
 def remarks(notes: tuple[str, ...]) -> str:
-    """What the renderer warned of."""
+    """Write the renderer's warnings."""
     return "".join(f'<span class="missing">{escape(note)}.</span>' for note in notes)
 
 
 def maps(ladder: Ladder) -> str:
-    """Where the errors are."""
+    """Write the section of error maps."""
     errors = [pixel_errors(found.image, ladder.reference.image) for found in ladder.measured]
     if not errors:
         return ""
@@ -138,7 +138,7 @@ def maps(ladder: Ladder) -> str:
 
 
 def charts(ladder: Ladder) -> str:
-    """The error over time and over samples."""
+    """Write the section of curves: the error over time and over samples."""
     if not ladder.measured:
         return ""
     over_time = [curve(found, i, "seconds") for i, found in enumerate(ladder.measured)]
@@ -154,7 +154,7 @@ def charts(ladder: Ladder) -> str:
 
 
 def curve(found: Measured, number: int, over: str) -> Curve:
-    """One integrator; `over` is a field of its points."""
+    """The curve of one integrator; `over` is the field of its points that is drawn along x."""
     title = found.step.title
     return Curve(
         title=title,
@@ -182,7 +182,7 @@ COLUMNS = (
 
 
 def table(ladder: Ladder) -> str:
-    """All numbers."""
+    """Write the table of all numbers."""
     path = next((found.last.rmse for found in ladder.measured if found.step.title == "path"), 0.0)
     head = "".join(f'<th scope="col">{name}<small>{unit or "&nbsp;"}</small></th>' for name, unit in COLUMNS)
     rows = "\n".join(row(found, i, path) for i, found in enumerate(ladder.measured))
@@ -196,7 +196,7 @@ def table(ladder: Ladder) -> str:
 
 
 def row(found: Measured, number: int, path_rmse: float) -> str:
-    """The numbers of one integrator."""
+    """Write the row of one integrator."""
     last = found.last
     to_path = found.seconds_to(path_rmse) if path_rmse > 0 else math.nan
     biased = abs(found.bias) > 4 * found.bias_error
@@ -216,7 +216,7 @@ def row(found: Measured, number: int, path_rmse: float) -> str:
 
 
 def decimals(value: float) -> str:
-    """Three digits, never fewer than the first; 0 stands for less than can be told from the reference's noise."""
+    """Format an error with three digits; 0 is an error that can't be told from the reference's noise."""
     if not value > 0:
         return "≈ 0"
     places = max(0, 2 - math.floor(math.log10(value)))
@@ -227,7 +227,7 @@ def decimals(value: float) -> str:
 
 
 def refused(ladder: Ladder) -> str:
-    """Which algorithms don't suit the scene."""
+    """Write the list of algorithms that don't suit the scene."""
     if not ladder.refused:
         return ""
     items = "\n".join(f"<dt>{escape(no.step.title)}</dt><dd>{escape(no.reason)}</dd>" for no in ladder.refused)
@@ -235,7 +235,7 @@ def refused(ladder: Ladder) -> str:
 
 
 def method(ladder: Ladder) -> str:
-    """How the numbers came about."""
+    """Write the notes on how the numbers were measured."""
     goal = ladder.reference
     threads = os.cpu_count() or 1
     return (

@@ -1,4 +1,4 @@
-"""Images as parts of a page: PNG inside of an address, and maps of errors."""
+"""Images as parts of a page: PNG in `data:` addresses, and maps of errors."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ LMS_TO_RGB = np.array(
         [-0.0041960863, -0.7034186147, 1.7076147010],
     ]
 )
-"""From Oklab to linear sRGB, with a cube between the two: B. Ottosson, "A perceptual color space for image processing",
-2020."""
+"""The two matrices from Oklab to linear sRGB, with a cube between them: B. Ottosson, "A perceptual color space for
+image processing", 2020."""
 
 
 def oklab_to_srgb(lightness: Pixels, chroma: Pixels, hue: Pixels) -> Bytes:
-    """Oklab in polar coordinates, hue in radians, as bytes of sRGB, (.., 3)."""
+    """Convert Oklab in polar coordinates, hue in radians, to bytes of sRGB, (.., 3)."""
     lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
     linear = (lab @ OKLAB_TO_LMS.T) ** 3 @ LMS_TO_RGB.T
     return to_srgb8(np.asarray(linear[None], np.float32))[0]
 
 
 def error_colors(count: int = 256) -> Bytes:
-    """Black, violet, red, orange, pale yellow, (count, 3): the lightness of Oklab grows evenly from 0.1 to 0.97."""
+    """A scale of black, violet, red, orange, pale yellow, (count, 3), with Oklab's lightness rising evenly."""
     t = np.linspace(0.0, 1.0, count)
     hue = np.radians(-75 + 180 * t)
     return oklab_to_srgb(0.1 + 0.87 * t, 0.02 + 0.15 * np.sin(np.pi * t), hue)
@@ -51,25 +51,25 @@ ERROR_COLORS = error_colors()
 
 
 def shown(image: Pixels) -> Bytes:
-    """Linear light as bytes of sRGB, (H, W, 1 or 3)."""
+    """Convert linear light to bytes of sRGB, (H, W, 1 or 3)."""
     return Image(image.astype(np.float32)).srgb()
 
 
 def address(pixels: Bytes) -> str:
-    """Bytes of sRGB as a PNG in a `data:` address."""
+    """Encode bytes of sRGB as a PNG in a `data:` address."""
     stream = io.BytesIO()
     encode_png(stream, pixels)
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
 def pixel_errors(image: Any, reference: Any) -> Pixels:
-    """The root mean square over channels of image - reference, (H, W)."""
+    """The root mean square of image - reference over channels, (H, W)."""
     difference = np.asarray(image, np.float64) - np.asarray(reference, np.float64)
     return np.asarray(np.sqrt(np.mean(np.square(difference), axis=2)))
 
 
 def error_range(errors: list[Pixels]) -> tuple[int, int]:
-    """Powers of ten that enclose the errors of several images, but for a few pixels; four decades at most."""
+    """The powers of ten that enclose the errors of several images, but for a few pixels; four decades at most."""
     largest = max(float(np.quantile(error, 0.99)) for error in errors)
     smallest = min(float(np.quantile(error, 0.10)) for error in errors)
     high = math.ceil(math.log10(largest)) if largest > 0 else 0
@@ -78,6 +78,6 @@ def error_range(errors: list[Pixels]) -> tuple[int, int]:
 
 
 def error_map(errors: Pixels, low: int, high: int) -> Bytes:
-    """Errors in colours, (H, W, 3): 10^low and less black, 10^high and more pale yellow, logarithmically between."""
+    """Draw errors in colours, (H, W, 3): black up to 10^low, pale yellow from 10^high, logarithmic in between."""
     t = (np.log10(np.maximum(errors, 10.0**low)) - low) / (high - low)
     return ERROR_COLORS[np.rint(np.clip(t, 0, 1) * (len(ERROR_COLORS) - 1)).astype(int)]

@@ -1,4 +1,4 @@
-"""The steps of the ladder: which integrators estimate the light of a scene, and what each can't show."""
+"""The steps of the ladder: the integrators that estimate the light of a scene, and the light that each can't show."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ SHARED: dict[str, Any] = {"max_depth": -1, "rr_depth": 5, "hide_emitters": False
 
 
 def always(scene: Scene) -> bool:
-    """In any scene."""
+    """Whether the light matters in `scene`: true for any scene."""
     return True
 
 
 def has_points(scene: Scene) -> bool:
-    """Are there lights that no path meets by chance?"""
+    """Whether a scene has lights that no path meets by chance, such as points."""
     return any(has_flag(emitter.flags(), EmitterFlags.Delta) for emitter in scene.emitters())
 
 
 def has_mirrors(scene: Scene) -> bool:
-    """Are there mirrors or smooth panes?"""
+    """Whether a scene has mirrors or smooth panes."""
     mirrors = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission
     return any(has_flag(bsdf.flags(), mirrors) for bsdf in scene.bsdfs.plugins)
 
 
 def has_caustics_of_points(scene: Scene) -> bool:
-    """Both of them."""
+    """Whether a scene has both: lights that no path meets by chance, and mirrors or smooth panes."""
     return has_points(scene) and has_mirrors(scene)
 
 
@@ -45,19 +45,19 @@ class Step:
     title: str
     type: str
     idea: str
-    """What it does, in one sentence."""
+    """The idea of the algorithm, in one sentence."""
     leaves_out: str
-    """What its images never show, however many samples are taken; empty: nothing."""
+    """The light that its images never show, at any number of samples; empty: none."""
     shares: tuple[str, ...]
-    """Which of `SHARED` it has."""
+    """The settings of `SHARED` that the integrator has."""
     matters: Callable[[Scene], bool] = always
-    """Which scenes have what it leaves out."""
+    """Whether a scene has the light that the step leaves out."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     deepest: int | None = None
-    """The most edges that its paths have here, where they could have more; None: as many as the scene asks for."""
+    """Most edges of its paths on the ladder, though longer ones are possible; None: as many as the scene asks for."""
 
     def description(self, scene: Scene) -> dict[str, Any]:
-        """The integrator as a dict, for `load_dict`: as deep as the scene's own integrator, if it may be."""
+        """The integrator as a dict, for `load_dict`; as deep as the scene's own integrator, or as `deepest` allows."""
         own = scene.integrator()
         shared = {key: getattr(own, key, SHARED[key]) for key in self.shares}
         if "max_depth" in shared:
@@ -65,13 +65,13 @@ class Step:
         return {"type": self.type, **shared, **self.settings}
 
     def depth(self, wanted: int) -> int:
-        """Edges of the longest path, if `wanted` are asked for; -1: unbounded."""
+        """The edges of the longest path if `wanted` are asked for; -1: unbounded."""
         if self.deepest is None:
             return wanted
         return self.deepest if wanted < 0 else min(wanted, self.deepest)
 
     def missing(self, scene: Scene) -> str:
-        """What its images of this scene don't show; empty: nothing."""
+        """The light of a scene that its images don't show; empty: none."""
         wanted = getattr(scene.integrator(), "max_depth", -1)
         short = f"paths of more than {self.deepest} edges" if self.depth(wanted) != wanted else ""
         other = self.leaves_out if self.matters(scene) else ""
@@ -163,7 +163,7 @@ STEPS: tuple[Step, ...] = (
         has_mirrors,
     ),
 )
-"""From the simplest to the most able."""
+"""The steps, from the simplest algorithm to the most capable one."""
 
 ELSEWHERE: dict[str, str] = {
     "prb": "`path` with other defaults",
@@ -171,4 +171,4 @@ ELSEWHERE: dict[str, str] = {
     "aov": "properties of surfaces, not light",
     "moment": "another integrator and its squares",
 }
-"""Integrators that aren't steps of their own, and why."""
+"""The integrators that aren't steps, with the reason."""

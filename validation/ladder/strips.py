@@ -30,7 +30,7 @@ __all__ = ["Panel", "bounces", "samples", "strip"]
 Bytes = npt.NDArray[np.uint8]
 
 FIRST = ("emitted", "scattered once", "scattered twice")
-"""What the first terms of the Neumann series are called."""
+"""The names of the first terms of the Neumann series."""
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,15 @@ def bounces(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[Panel]:
-    """The terms of L = E + K E + K^2 E + .. one by one, and their sum: light by how often it was scattered.
+    """Render the terms of L = E + K E + K^2 E + .. one by one, and their sum: light by how often it was scattered.
 
     Args:
         scene: A dict of Mitsuba's schema, a built-in name, or a scene file.
         max_depth: Edges of the longest path, which is the number of terms: 1 to 32.
         spp: Samples per pixel.
-        exposure: In stops, of all panels; ``"auto"``: what suits the sum.
+        exposure: In stops, of all panels; ``"auto"`` is computed from the sum.
         width: Pixels of a panel, instead of the scene's; the image keeps its shape.
-        seed: Of the image.
+        seed: Seed of the image.
         progress: Called with (samples done, samples in all).
     """
     loaded = load_dict(override(described(scene)[1], width=width))
@@ -76,7 +76,7 @@ def bounces(
 
 
 def term_title(k: int) -> str:
-    """The k-th term of the Neumann series."""
+    """The title of the k-th term of the Neumann series."""
     return ("E", "KE")[k] if k < 2 else f"K^{k}E"
 
 
@@ -91,17 +91,17 @@ def samples(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[Panel]:
-    """The same image with 1, 16, 64, 256, .. samples per pixel, and the RMSE of each.
+    """Render an image with 1, 16, 64, 256, .. samples per pixel, and measure the RMSE of each.
 
-    The RMSE is that of `repeats` images with seeds of their own, against a reference with yet others, whose noise is
-    known from its parts and taken out: see `djpt.validation.ladder.measure`.
+    The RMSE is the root mean square over `repeats` images with different seeds, against a reference with other seeds.
+    The reference's own noise is known from its parts and taken out: see `djpt.validation.ladder.measure`.
 
     Args:
         scene: A dict of Mitsuba's schema, a built-in name, or a scene file.
         most: Samples per pixel of the last panel.
-        integrator: By name, instead of the scene's.
+        integrator: Name of an integrator, instead of the scene's.
         reference_spp: Samples per pixel of the reference, in 16 equal parts (default: 4 times `most`).
-        repeats: Images that an RMSE is the mean of.
+        repeats: Images that an RMSE is averaged over.
         width: Pixels of a panel, instead of the scene's; the image keeps its shape.
         seed: Changes all seeds.
         progress: Called with (samples per pixel done, samples per pixel in all).
@@ -137,7 +137,7 @@ def samples(
 
 
 def shown(image: npt.NDArray[np.float64]) -> Bytes:
-    """Linear light as bytes of sRGB, (H, W, 3)."""
+    """Convert linear light to bytes of sRGB, (H, W, 3)."""
     return np.asarray(np.broadcast_to(Image(image.astype(np.float32)).srgb(), (*image.shape[:2], 3)))
 
 

@@ -1,4 +1,4 @@
-"""From nodes to the dict that `load_dict` takes: keys, references, places."""
+"""The conversion of nodes to the dict that `load_dict` takes: keys, references, places."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __all__ = ["Naming"]
 
 
 class Naming:
-    """Settles the keys of a whole file.
+    """The keys of all nodes of a file.
 
     The key of a node in a scene is its id, elsewhere its name in the object around it (``reflectance``); without
     one it is the tag: ``shape``, ``shape_1``. An id with dots, as exporters write them, can't be a key and
-    stands in the node.
+    becomes the ``id`` entry of the node.
 
     Args:
         ids: all nodes by id, and by alias.
@@ -27,11 +27,11 @@ class Naming:
     def __init__(self, ids: dict[str, Node]) -> None:
         self.ids = ids
         self.places: dict[str, str] = {}
-        """File and line by path."""
+        """File and line of each node and entry, by path."""
         registered()  # so that the kinds of djpt's plugins are known
 
     def dict_of(self, node: Node, path: str = "") -> dict[str, Any]:
-        """The node as a dict, and all that is nested in it. Raises `SceneError`."""
+        """Convert a node, with all that is nested in it, to a dict. Raises `SceneError`."""
         self._check_kind(node)
         self.places[path] = node.place
         result: dict[str, Any] = {"type": node.type}
@@ -50,7 +50,7 @@ class Naming:
         return result
 
     def _target(self, reference: Reference, entry: Entry) -> Node:
-        """What a reference refers to; an alias leads to the node itself."""
+        """The node that a reference refers to, directly or by an alias."""
         if reference.id not in self.ids:
             hint = near_miss(reference.id, self.ids) or "; no object has an id"
             raise SceneError(f"{entry.place}: <ref>: nothing has the id '{reference.id}'{hint}")
@@ -59,7 +59,7 @@ class Naming:
     def _keys(self, node: Node, at_top: bool) -> list[str]:
         """One key for each entry, in order."""
         keys = [self._own_key(entry, node.tag == "scene") for entry in node.entries]
-        # At the top, keys and ids share one space of names.
+        # At the top of a scene, keys and ids share one space of names.
         used = {"type", "id", *keys, *(self.ids if at_top else ())}
         counts: dict[str, int] = {}
         for i, entry in enumerate(node.entries):
@@ -85,7 +85,7 @@ class Naming:
 
     @staticmethod
     def _check_kind(node: Node) -> None:
-        """Does the tag fit the plugin?"""
+        """Raise `SceneError` if the tag doesn't fit the plugin."""
         expected = OBJECTS.get(node.tag, "texture")
         kind = kind_of(node.type) or home_of(node.type)
         if kind not in (None, expected):

@@ -1,4 +1,4 @@
-"""What a scene file says, before names and references are settled."""
+"""The nodes of a scene file, before names and references are resolved."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Entry:
 
 @dataclass(eq=False)
 class Node:
-    """An object of a scene file. `tag` says what it is (``bsdf``), `type` which plugin, `place` where it stands."""
+    """An object of a scene file: its `tag` (``bsdf``), its plugin's `type`, and its `place` (file and line)."""
 
     tag: str
     type: str
@@ -37,14 +37,14 @@ class Node:
     place: str
     entries: list[Entry] = field(default_factory=list)
     places: dict[str, str] = field(default_factory=dict)
-    """Where each name was given."""
+    """File and line of each named entry."""
 
     def find(self, name: str) -> Entry | None:
         """The entry of that name."""
         return next((entry for entry in self.entries if entry.name == name), None)
 
     def add(self, name: str, value: Any, element: Element) -> None:
-        """Append what `element` stands for; an empty `name` means none.
+        """Append an entry for `element`; an empty `name` means none.
 
         Raises:
             SceneError: the name can't be used, or is taken.

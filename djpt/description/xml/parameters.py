@@ -1,4 +1,4 @@
-"""``$name`` in a scene file: what it stands for, and whether it was used."""
+"""The parameters ``$name`` of a scene file: their values, and whether they are used."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Parameters:
     r"""The parameters of one call of `load_file`, shared by all files that it reads.
 
     A name is replaced wherever it follows a ``$``, also in the middle of a text; among several that
-    fit, the longest. ``\$`` is a plain dollar sign.
+    fit, the longest counts. ``\$`` is a plain dollar sign.
 
     Args:
-        given: the caller's values: strings, numbers, booleans, or several numbers.
+        given: the caller's values: strings, numbers, booleans, or sequences of numbers.
     """
 
     def __init__(self, given: Mapping[str, Any]) -> None:
@@ -42,7 +42,7 @@ class Parameters:
         self._by_length = sorted(self._values, key=len, reverse=True)
 
     def declare(self, name: str, value: str) -> None:
-        """A ``<default>``: counts unless there is a value already."""
+        """Declare a ``<default>``, which counts unless there is a value already."""
         self._known.add(name)
         if name not in self._values:
             self._values[name] = value
@@ -92,7 +92,7 @@ class Parameters:
 
 
 def _text(name: str, value: Any) -> str:
-    """A parameter's value as it would stand in the file."""
+    """Convert a parameter's value to the text that a file would have."""
     if not name:
         raise SceneError("a parameter needs a name")
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""From XML elements to nodes: parameters, includes, names, old versions."""
+"""The conversion of XML elements to nodes: parameters, includes, names, old versions."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ class _File:
     version: Version
     resolver: FileResolver
     real: tuple[str, ...]
-    """True paths of this file and of those that include it, outermost first."""
+    """Paths, without links, of this file and of those that include it, outermost first."""
 
     def resolve(self, name: str, element: Element) -> Path:
-        """A file named in this one."""
+        """Find a file that is named in this one."""
         try:
             return self.resolver.resolve(name)
         except FileError as error:
@@ -72,11 +72,11 @@ class Reader:
         self.ids: dict[str, Node] = {}
         """All nodes by id, and by alias."""
         self.directories: tuple[Path, ...] = ()
-        """Where the outermost file looks for others."""
+        """The directories in which the outermost file looks for others."""
         self._files = 0
 
     def read_file(self, path: Path, outer: _File | None = None) -> Node:
-        """The root object of a file, which `outer` includes."""
+        """Read the root object of a file; `outer` is the file that includes it."""
         self._files += 1
         real = os.path.realpath(path)
         stack = (*outer.real, real) if outer else (real,)
@@ -85,7 +85,7 @@ class Reader:
         return self._read(source.parse_file(path), str(path), resolver, stack)
 
     def read_string(self, text: str | bytes) -> Node:
-        """The root object of a text."""
+        """Read the root object of a text."""
         return self._read(source.parse(text, "<string>"), "<string>", FileResolver(), ())
 
     def _read(self, root: Element, name: str, resolver: FileResolver, stack: tuple[str, ...]) -> Node:
@@ -116,7 +116,7 @@ class Reader:
                 raise element.error(f"'{name}': {error}") from None
 
     def _object(self, element: Element, file: _File, parent: Node | None) -> Node:
-        """A node with all that is nested in it, registered by its id."""
+        """Make a node with all that is nested in it, and register it by its id."""
         if element.tag == "scene" and parent is not None:
             raise element.error("a scene can't be nested; to merge files use <include>")
         if element.tag == "scene":
@@ -139,7 +139,7 @@ class Reader:
         self.ids[name] = node
 
     def _child(self, element: Element, parent: Node, file: _File, is_root: bool) -> None:
-        """Add what an element stands for to the object around it."""
+        """Add the entry of an element to the object around it."""
         tag = element.tag
         is_object = tag in OBJECTS or (tag == "spectrum" and "type" in element.attributes)
         if tag in OPERATIONS or (is_old(file.version) and upgrade_tag(tag) in OPERATIONS):
@@ -171,7 +171,7 @@ class Reader:
 
     @staticmethod
     def _name(element: Element, file: _File) -> str:
-        """The name that an element has in the object around it, in today's form."""
+        """The name of an element in the object around it, in the form of the current version."""
         name = element.attributes.get("name", "")
         return upgrade_name(name) if is_old(file.version) else name
 
@@ -186,14 +186,14 @@ class Reader:
             return spectrum_file(element, file.resolve(element.attributes["filename"], element))
         value = VALUES[element.tag](element)
         if element.tag == "string" and element.attributes["name"] == "filename":
-            # Found here, where the file's directory is known: the dict then means the same everywhere.
+            # Made absolute here, where the file's directory is known: the dict then means the same everywhere.
             return str(file.resolve(value, element).absolute())
         return value
 
     # ---- tags with a meaning of their own ----------------------------------------------------
 
     def _include(self, element: Element, name: str, parent: Node, file: _File) -> None:
-        """A scene's contents stand in place of the tag; another object is nested as if it were written here."""
+        """Include a file: the contents of a scene replace the tag; any other object is nested in its place."""
         check_attributes(element, "filename", "name")
         path = file.resolve(element.attributes["filename"], element)
         real = os.path.realpath(path)
@@ -229,7 +229,7 @@ class Reader:
         self.parameters.declare(element.attributes["name"], element.attributes["value"])
 
     def _path(self, element: Element, file: _File, is_root: bool) -> None:
-        """A directory in which files are looked up from here on, before the others."""
+        """Add a directory in which files are looked up from here on, before the others."""
         check_attributes(element, "value")
         if not is_root:
             raise element.error("can only stand directly in the file's outermost object")

@@ -1,7 +1,7 @@
-"""From the text of an XML file to elements that know their line.
+"""The parser of XML text, whose elements know their line.
 
-What could make a parser read other files or grow without bounds (document types, entities, deep nesting)
-is refused.
+Features that could make a parser read other files or grow without bounds are refused: document types, entities,
+deep nesting.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_NESTING = 64
 
 @dataclass(eq=False)
 class Element:
-    """A tag, its attributes and what is nested in it. `place` is ``file:line``. Text is dropped, as in Mitsuba."""
+    """A tag, its attributes and nested elements. `place` is ``file:line``. Text is dropped, as in Mitsuba."""
 
     tag: str
     attributes: dict[str, str]
@@ -32,16 +32,16 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def error(self, problem: str) -> SceneError:
-        """The error to raise: ``box.xml:12: <float>: the problem``."""
+        """Make the error to raise: ``box.xml:12: <float>: the problem``."""
         return SceneError(f"{self.place}: <{self.tag}>: {problem}")
 
 
 def parse_file(path: Path) -> Element:
-    """The root element of a file.
+    """Parse a file into its root element.
 
     Raises:
         FileError: the file can't be read.
-        SceneError: it isn't well-formed XML, or holds what is refused.
+        SceneError: it isn't well-formed XML, or has a feature that is refused.
     """
     try:
         data = path.read_bytes()
@@ -51,7 +51,7 @@ def parse_file(path: Path) -> Element:
 
 
 def parse(text: str | bytes, name: str) -> Element:
-    """The root element of a text; `name` stands for the file in messages. Raises `SceneError`."""
+    """Parse a text into its root element; `name` is the file's name in messages. Raises `SceneError`."""
     builder = _Builder(name)
     parser = DefusedXMLParser(target=builder, forbid_dtd=True, forbid_entities=True, forbid_external=True)
     builder.expat = parser.parser
@@ -60,7 +60,7 @@ def parse(text: str | bytes, name: str) -> Element:
         root: Any = parser.close()
     except ParseError as error:
         line, column = error.position
-        # Python's message ends with the position, which stands in front here.
+        # Python's message ends with the position, which is in front here.
         problem = str(error).partition(": line ")[0]
         raise SceneError(f"{name}:{line}: not well-formed XML: {problem} (column {column + 1})") from None
     except DefusedXmlException:
@@ -74,7 +74,7 @@ def parse(text: str | bytes, name: str) -> Element:
 
 
 class _Builder:
-    """What the parser reports to."""
+    """The tree builder that the parser reports to."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -84,7 +84,7 @@ class _Builder:
 
     @property
     def place(self) -> str:
-        """Where the parser is."""
+        """File and line that the parser has reached."""
         return f"{self.name}:{self.expat.CurrentLineNumber}"
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -101,7 +101,7 @@ class _Builder:
         self.open.pop()
 
     def data(self, text: str) -> None:
-        """Text between tags means nothing."""
+        """Ignore text between tags."""
 
     def close(self) -> Element:
         assert self.root is not None  # else the parser has raised already

@@ -1,4 +1,4 @@
-"""``<transform>``: operations in the order of the file, each applied after those above it."""
+"""The tag ``<transform>``: operations in the order of the file, each applied after those above it."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ def _look_at(element: Element) -> ScalarTransform4f:
 
 
 def _perpendicular(origin: list[float], target: list[float]) -> list[float]:
-    """A direction across the direction of view.
+    """A direction perpendicular to the direction of view, for a ``<lookat>`` without `up`.
 
-    Mitsuba's choice: the first tangent of Duff et al., "Building an Orthonormal Basis, Revisited" (JCGT 2017).
+    As in Mitsuba, the first tangent of Duff et al., "Building an Orthonormal Basis, Revisited" (JCGT 2017).
     """
     x, y, z = np.subtract(target, origin)
     length = float(np.sqrt(x * x + y * y + z * z))
     if length == 0:
-        return [0.0, 1.0, 0.0]  # look_at says what is wrong
+        return [0.0, 1.0, 0.0]  # look_at raises the error
     x, y, z = x / length, y / length, z / length
     sign = float(np.copysign(1.0, z))
     a = -1 / (sign + z)
@@ -95,4 +95,4 @@ OPERATIONS: dict[str, Callable[[Element], ScalarTransform4f]] = {
     "lookat": _look_at,
     "matrix": _matrix,
 }
-"""The tags that can stand in a ``<transform>``."""
+"""The operations of a ``<transform>``, by tag."""

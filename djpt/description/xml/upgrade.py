@@ -1,4 +1,4 @@
-"""Names of Mitsuba 0.x in today's form: for files whose version is below 2.0.0.
+"""The upgrade of names of Mitsuba 0.x, for files whose version is below 2.0.0.
 
 The changes are Mitsuba 3's own: camelCase became snake_case, and a few parameters were renamed or merged.
 """
@@ -18,7 +18,7 @@ _UV = ("uoffset", "voffset", "uscale", "vscale")
 
 
 def parse_version(text: str) -> Version | None:
-    """``3.0.0`` as numbers, None if it isn't a version. Missing parts are 0."""
+    """Parse a version such as ``3.0.0``; None if it isn't one. Missing parts are 0."""
     if not re.fullmatch(r"\d{1,6}(\.\d{1,6}){0,2}", text.strip(), re.ASCII):
         return None
     parts = [int(part) for part in text.split(".")]
@@ -27,17 +27,17 @@ def parse_version(text: str) -> Version | None:
 
 
 def is_old(version: Version) -> bool:
-    """Does a file of that version use the old names?"""
+    """Whether files of this version use the old names."""
     return version < (2, 0, 0)
 
 
 def upgrade_tag(tag: str) -> str:
-    """The tag's name of today."""
+    """The current name of a tag."""
     return "lookat" if tag == "lookAt" else tag
 
 
 def upgrade_name(name: str) -> str:
-    """``toWorld`` -> ``to_world``, ``intIOR`` -> ``int_ior``."""
+    """The current form of a name: ``toWorld`` -> ``to_world``, ``intIOR`` -> ``int_ior``."""
     return re.sub(r"(?<=[a-z])([A-Z]+)", lambda found: "_" + found[1].lower(), name)
 
 
@@ -48,7 +48,7 @@ def upgrade_node(node: Node) -> None:
         reflectance.name = "reflectance"
     found = {entry.name: entry for entry in node.entries if entry.name in _UV}
     if not found or not all(isinstance(entry.value, (int, float)) for entry in found.values()):
-        return  # the loader says what is wrong with the others
+        return  # the loader reports what is wrong with other values
     offset = [found[name].value if name in found else 0.0 for name in ("uoffset", "voffset")]
     scale = [found[name].value if name in found else 1.0 for name in ("uscale", "vscale")]
     to_uv = ScalarTransform4f.scale([*scale, 1.0]).translate([*offset, 0.0])

@@ -32,7 +32,7 @@ def check_attributes(element: Element, required: str = "", optional: str = "") -
 
 
 def number(element: Element, text: str) -> float:
-    """A finite number."""
+    """Parse a finite number."""
     if not _FLOAT.fullmatch(text.strip()):
         raise element.error(f"must be a number, found '{text}'")
     value = float(text)
@@ -42,12 +42,12 @@ def number(element: Element, text: str) -> float:
 
 
 def numbers(element: Element, text: str) -> list[float]:
-    """Numbers that are separated by spaces or commas."""
+    """Parse numbers that are separated by spaces or commas."""
     return [number(element, part) for part in _SEPARATORS.split(text) if part]
 
 
 def vector(element: Element, default: float | None, extra: str = "") -> list[float]:
-    """``x``, ``y``, ``z`` or ``value`` with three numbers, or one for all.
+    """Parse the attributes ``x``, ``y``, ``z``, or ``value`` with three numbers or one for all.
 
     `default` stands for a missing component (None: all must be there); `extra` names further
     attributes, which are required.
@@ -66,7 +66,7 @@ def vector(element: Element, default: float | None, extra: str = "") -> list[flo
     return [default or 0.0 if text is None else number(element, text) for text in texts]
 
 
-# ---- one function per tag: what stands in the dict -----------------------------------------
+# ---- one function per tag: its entry in the dict -------------------------------------------
 
 
 def _integer(element: Element) -> int:
@@ -106,7 +106,7 @@ def _spectrum(element: Element) -> dict[str, Any]:
 
 
 def spectrum_file(element: Element, path: Path) -> dict[str, Any]:
-    """The spectrum in a text file: a wavelength in nm and a value per line, ``#`` for comments."""
+    """Read the spectrum in a text file: a wavelength in nm and a value per line, ``#`` for comments."""
     try:
         lines = path.read_text("utf-8").splitlines()
     except OSError as error:
@@ -139,7 +139,7 @@ def _vector(element: Element) -> list[float]:
 
 
 def _with_value(read: Callable[[Element], Any]) -> Callable[[Element], Any]:
-    """A tag that has a name and a value and nothing else."""
+    """Wrap the function of a tag that has a name and a value and nothing else."""
 
     def checked(element: Element) -> Any:
         check_attributes(element, "name value")
@@ -158,4 +158,4 @@ VALUES: dict[str, Callable[[Element], Any]] = {
     "point": _vector,
     "vector": _vector,
 }
-"""What each tag puts into the dict; raises `SceneError` with the element's place."""
+"""The function of each tag, which gives the entry in the dict; raises `SceneError` with the element's place."""

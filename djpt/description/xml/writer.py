@@ -1,4 +1,4 @@
-"""From dicts back to scene files."""
+"""The writer of scene files, from dicts."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _UNWRITABLE = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff
 
 
 def to_xml(description: Mapping[str, Any]) -> str:
-    """The text of the XML file that stands for a description.
+    """Convert a description to the text of an XML file.
 
     Loading it gives the same scene: numbers keep all digits. Keys at the top become ids.
 
     Raises:
-        SceneError: the description is wrong, or holds what a file can't: plugin objects, functions, pixels.
+        SceneError: the description is wrong, or holds values that a file can't: plugin objects, functions, pixels.
     """
     return _Writer(description, None).text()
 
@@ -85,7 +85,7 @@ class _Writer:
         return "\n".join([*self.lines, ""])
 
     def _ids(self) -> dict[str, str]:
-        """The ids of nodes, by path: their own, their key at the top of a scene, or one for references."""
+        """The ids of nodes, by path: their own, their key at the top of a scene, or one made for references."""
         ids: dict[str, str] = {}
         for path, node in self.loader.nodes.items():
             if not isinstance(node, Mapping) or node["type"] == "ref":
@@ -162,7 +162,7 @@ class _Writer:
             raise error if message.startswith(where) else SceneError(f"{where}: {message}") from None
 
     def _colour(self, name: str, node: Mapping[str, Any], depth: int) -> bool:
-        """Write a colour or a spectrum as the tag of that name; False if it is more than a value."""
+        """Write a colour or a spectrum as the tag of that name; false if it is more than a value."""
         if node["type"] not in ("rgb", "spectrum") or set(node) != {"type", "value"}:
             return False
         try:
@@ -208,7 +208,7 @@ class _Writer:
             raise SceneError(f"a scene file can't hold this array of shape {array.shape}: {describe(value)}")
 
     def _transform(self, name: str, transform: ScalarTransform4f, depth: int) -> None:
-        """Scaling and moving by name where that loses nothing, else the matrix."""
+        """Write a transform as scaling and translation where that is exact, else as a matrix."""
         matrix = transform.matrix
         scale, offset = np.diag(matrix)[:3], matrix[:3, 3]
         if not np.array_equal(matrix[:3, :3], np.diag(scale)):
@@ -229,13 +229,13 @@ class _Writer:
 
     @staticmethod
     def _text(text: str, where: str) -> str:
-        r"""A text as an attribute has it: a dollar sign is ``\$``."""
+        r"""Escape a text for an attribute: a dollar sign is ``\$``."""
         if found := _UNWRITABLE.search(text):
             raise SceneError(f"{where}: an XML file can't hold the character {found[0]!r} of {describe(text)}")
         return text.replace("$", r"\$")
 
     def _file_name(self, key: str, name: str) -> str:
-        """The name of a file as it must stand in the new file."""
+        """The name of a file relative to the new file's directory, if it lies there, else absolute."""
         if key != "filename" or self.folder is None:
             return name
         real = Path(os.path.abspath(name))
@@ -245,5 +245,5 @@ class _Writer:
 
 
 def _join(numbers: Any) -> str:
-    """Numbers with all of their digits."""
+    """Join numbers with all of their digits."""
     return " ".join(repr(float(x)) for x in np.ravel(numbers))

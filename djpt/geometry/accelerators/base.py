@@ -1,7 +1,7 @@
-"""What finds the triangles that rays hit: one interface, several structures to compare.
+"""The interface of acceleration structures, which find the triangles that rays hit, and what they share.
 
 Scenes are rendered with `djpt.geometry.bvh`; the others are there to teach and to test it. All of them
-see the same centred triangles and origins through `TriangleTable`, so that they agree bit by bit.
+use the same centred triangles and origins from `TriangleTable`, so that they agree bit by bit.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Statistics:
     references: int
     """How often primitives occur in leaves or cells."""
     depth: int
-    """Levels of nodes."""
+    """Levels of nodes in the tree."""
     sah_cost: float
-    """How many nodes and primitives a line through the structure's box meets on average; see `sah`."""
+    """How many nodes and primitives a line through the structure's box meets on average; see `sah_cost`."""
     bytes: int
     """Memory that kernels read."""
     build_seconds: float
@@ -49,16 +49,16 @@ class Statistics:
 
 
 class Accelerator(Protocol):
-    """Built from corners (F, 3, 3) float32: face, corner, axis."""
+    """The contract of acceleration structures, which are built from corners (F, 3, 3) float32: face, corner, axis."""
 
     def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
         """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
 
     def any_hit(self, ray: Ray3f) -> Bool:
-        """Is there a hit with 0 < t < maxt?"""
+        """Whether there is a hit with 0 < t < maxt."""
 
     def statistics(self) -> Statistics:
-        """Size and quality."""
+        """Measure the structure's size and quality."""
 
 
 @dataclass
@@ -67,11 +67,11 @@ class Found:
 
     t: Float
     face: UInt32
-    """NO_FACE for none."""
+    """The face that was hit, or NO_FACE."""
 
 
 class Approach:
-    """A ray as accelerators see it: from where it comes near the triangles, seen from their centre."""
+    """A ray as accelerators use it: it starts near the triangles, in coordinates around their centre."""
 
     def __init__(self, table: TriangleTable, ray: Ray3f) -> None:
         anchor: Any = table
@@ -87,7 +87,7 @@ class Approach:
         return found
 
     def through(self, low: Vector3f, high: Vector3f) -> tuple[Float, Float]:
-        """Where the ray enters and leaves a box."""
+        """The distances at which the ray enters and leaves a box."""
         a, b = (low - self.o) * self.inv, (high - self.o) * self.inv
         entry, leave = Float(0), self.maxt
         for axis in range(3):
@@ -96,14 +96,14 @@ class Approach:
         return wide(entry, self.lanes), wide(leave, self.lanes)
 
     def answer(self, found: Found) -> tuple[Float, UInt32]:
-        """The result of `Accelerator.closest`."""
+        """Turn the nearest hit into the result of `Accelerator.closest`."""
         hit = found.face != NO_FACE
         t: Float = dr.select(hit, found.t + self.entry, dr.inf)
         return t, dr.select(hit, found.face, 0)
 
 
 class TriangleTable:
-    """Triangles ready for kernels: 16 words each, corners as seen from the middle of all."""
+    """Triangles ready for kernels: 16 words each, corners relative to the middle of all."""
 
     def __init__(self, corners: NDArray[np.float32]) -> None:
         self.count = len(corners)
@@ -116,7 +116,7 @@ class TriangleTable:
         rows = aligned((self.count, 16))
         rows[:, :9] = centred.reshape(-1, 9).view(np.uint32)
         self.words = UInt32(rows.ravel())
-        # Kernels round where rays cross planes; boxes that are a little larger lose no hits by it.
+        # Kernels round the distances to planes; slightly larger boxes lose no hits by that.
         self.slack = np.float32(max(2e-6 * extent, 1e-30))
         self.low: NDArray[np.float32] = centred.min(axis=1) - self.slack
         self.high: NDArray[np.float32] = centred.max(axis=1) + self.slack

@@ -1,4 +1,4 @@
-"""Every ray against every triangle: what all other structures must agree with."""
+"""Tests of every ray against every triangle: the reference for all other structures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CHUNK = 1 << 20
 
 
 class BruteForce:
-    """No structure at all."""
+    """A plain list of triangles, without any structure."""
 
     def __init__(self, corners: NDArray[np.float32]) -> None:
         start = time.perf_counter()
@@ -32,7 +32,7 @@ class BruteForce:
         return approach.answer(self._search(approach, False))
 
     def any_hit(self, ray: Ray3f) -> Bool:
-        """Is there a hit with 0 < t < maxt?"""
+        """Whether there is a hit with 0 < t < maxt."""
         return self._search(Approach(self.table, ray), True).face != NO_FACE
 
     def _search(self, ray: Approach, any_hit: bool) -> Found:
@@ -47,7 +47,7 @@ class BruteForce:
         return result
 
     def statistics(self) -> Statistics:
-        """A line meets all triangles."""
+        """Measure the list; the SAH cost is the number of triangles, all of which are tested."""
         count = self.table.count
         return Statistics(count, 0, count, 0, float(count), 64 * count, self.seconds)
 
@@ -55,7 +55,7 @@ class BruteForce:
 def closest_in_double(
     corners: NDArray[np.float32], o: NDArray[np.float32], d: NDArray[np.float32], maxt: float = np.inf
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """The first hits of rays (R, 3) in double precision, by NumPy: distance, face, and how clear-cut it was.
+    """The first hits of rays (R, 3) in double precision, by NumPy: distance, face, and distance to an edge.
 
     T. Moeller and B. Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997. The last result
     is the smallest distance, in barycentric units, from any triangle's edge to the ray, over all

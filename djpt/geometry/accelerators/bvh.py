@@ -38,17 +38,17 @@ class Bvh:
         self._faces, self._nodes, self._cost = count, len(tree.child), sah_cost(tree)
 
     def closest(self, ray: Ray3f) -> tuple[Float, UInt32]:
-        """Distance (infinity on a miss) and face of the first hit."""
+        """Distance and face of the first hit with 0 < t < maxt; infinity and 0 on a miss."""
         found = search(self.records, ray, False)
         face = face_of(self.records, found.record)
         return dr.select(found.record != NONE, found.t, dr.inf), face
 
     def any_hit(self, ray: Ray3f) -> Bool:
-        """Is there a hit with 0 < t < maxt?"""
+        """Whether there is a hit with 0 < t < maxt."""
         return search(self.records, ray, True).record != NONE
 
     def statistics(self) -> Statistics:
-        """Size and quality."""
+        """Measure the tree's size and quality."""
         memory = 4 * dr.width(self.records.words)
         return Statistics(self._faces, self._nodes, self._faces, self.records.depth, self._cost, memory, self._seconds)
 

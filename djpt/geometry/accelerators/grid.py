@@ -22,10 +22,10 @@ from djpt.types import Bool, Float, UInt32
 __all__ = ["UniformGrid"]
 
 MAX_CELLS = 512
-"""Along one axis."""
+"""Most cells along one axis."""
 
 MAX_REFERENCES = 16
-"""Per triangle on average: large triangles in a fine grid would fill the memory."""
+"""Most references per triangle, on average: large triangles in a fine grid would fill the memory."""
 
 
 @dataclass
@@ -33,18 +33,18 @@ class Walk:
     """A ray in a cell: loop state."""
 
     cell: list[UInt32]
-    """Along x, y, z."""
+    """The cell's place along x, y, z."""
     item: UInt32
     end: UInt32
-    """The part of the cell's list that is still to be tested."""
+    """The end of the cell's list; entries from `item` to `end` are still to be tested."""
     leave: Float
-    """Where the ray leaves the cell."""
+    """The distance at which the ray leaves the cell."""
     found: Found
     active: Bool
 
 
 class UniformGrid:
-    """About `density` cells per triangle (Cleary and Wyvill, 1988, and others: a few)."""
+    """A grid of about `density` cells per triangle (J. Cleary and G. Wyvill, 1988, and others advise a few)."""
 
     def __init__(self, corners: NDArray[np.float32], density: float = 4.0) -> None:
         start = time.perf_counter()
@@ -79,7 +79,7 @@ class UniformGrid:
         return approach.answer(self._search(approach, False))
 
     def any_hit(self, ray: Ray3f) -> Bool:
-        """Is there a hit with 0 < t < maxt?"""
+        """Whether there is a hit with 0 < t < maxt."""
         return self._search(Approach(self.table, ray), True).face != NO_FACE
 
     # ---- the walk --------------------------------------------------------------------
@@ -100,7 +100,7 @@ class UniformGrid:
         return found
 
     def _arrive(self, ray: Approach, walk: Walk) -> Walk:
-        """Open the list of a new cell."""
+        """Begin the list of the cell that the walk has come to."""
         x, y, z = walk.cell
         index = (z * self._n[1] + y) * self._n[0] + x
         item = dr.gather(UInt32, self._first, index, walk.active)
@@ -110,7 +110,7 @@ class UniformGrid:
         return Walk(walk.cell, item, end, leave, walk.found, walk.active)
 
     def _exits(self, ray: Approach, cell: list[UInt32]) -> list[Float]:
-        """Where the ray crosses the far planes of a cell. Computed afresh for each: nothing accumulates."""
+        """Where the ray crosses the far planes of a cell; computed anew for each cell, so no errors add up."""
         result = []
         for a in range(3):
             plane: Any = dr.fma(Float(cell[a] + dr.select(ray.inv[a] > 0, UInt32(1), 0)), self._size[a], self._low[a])
@@ -144,7 +144,7 @@ class UniformGrid:
     # ---- size ------------------------------------------------------------------------
 
     def statistics(self) -> Statistics:
-        """Of the cells and lists. A line meets a cell with the ratio of their surfaces' areas."""
+        """Measure the grid; a line through its box meets a cell with the probability area(cell) / area(box)."""
         size = np.asarray(self._size.numpy()).ravel()
         faces = np.array([size[1] * size[2], size[2] * size[0], size[0] * size[1]])
         ratio = float(faces.sum() / (faces * (self.cells.prod() / self.cells)).sum())

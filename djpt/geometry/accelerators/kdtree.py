@@ -29,10 +29,10 @@ PLANES = 16
 """Intervals between candidate planes along an axis."""
 
 EMPTY_BONUS = 0.8
-"""Cutting off empty space pays later, more than the heuristic knows."""
+"""Factor of the cost of planes that cut off empty space, whose gain the heuristic underestimates."""
 
 MAX_REFERENCES = 12
-"""Per triangle on average."""
+"""Most references per triangle, on average."""
 
 SMALL = 3
 """Nodes with at most so many triangles are leaves."""
@@ -41,7 +41,7 @@ CHUNK = 1 << 15
 """Nodes whose planes are compared at a time: bounds temporary memory."""
 
 LEAF = 3
-"""In place of a node's axis."""
+"""Marks a leaf, in place of a node's axis."""
 
 
 @dataclass
@@ -50,10 +50,10 @@ class Nodes:
 
     low: NDArray[np.float32]
     high: NDArray[np.float32]
-    """(nodes, 3)."""
+    """The corners of the nodes' boxes, (nodes, 3)."""
     face: NDArray[np.int32]
     segment: NDArray[np.int32]
-    """Per reference its triangle and its node; sorted by node."""
+    """The node of each reference, whose triangle is in the array above; sorted by node."""
 
     def sizes(self) -> NDArray[np.int64]:
         """References per node."""
@@ -78,7 +78,7 @@ class KdTree:
     def _build(
         self, low: NDArray[np.float32], high: NDArray[np.float32]
     ) -> tuple[NDArray[np.uint32], NDArray[np.uint32], int, float]:
-        """Nodes (two words each), the leaves' triangles, levels, SAH cost."""
+        """Build the tree: its nodes (two words each), the leaves' triangles, the number of levels, the SAH cost."""
         count = self.table.count
         everything = np.arange(count, dtype=np.int32)
         level = Nodes(low[None], high[None], everything, np.zeros(count, np.int32))
@@ -120,7 +120,7 @@ class KdTree:
         return approach.answer(self._search(approach, False))
 
     def any_hit(self, ray: Ray3f) -> Bool:
-        """Is there a hit with 0 < t < maxt?"""
+        """Whether there is a hit with 0 < t < maxt."""
         return self._search(Approach(self.table, ray), True).face != NO_FACE
 
     def _search(self, ray: Approach, any_hit: bool) -> Found:
@@ -151,14 +151,14 @@ class KdTree:
         return words[0], words[1]
 
     def _descend(self, ray: Approach, begin: Float, leave: Float) -> tuple[UInt32, UInt32, Float]:
-        """From the root to the leaf at `begin`: its list, and where the ray leaves it."""
+        """Descend from the root to the leaf at `begin`: its list (start, end), and where the ray leaves it."""
 
         def down(head: UInt32, tail: UInt32, until: Float) -> tuple[UInt32, UInt32, Float]:
             axis, left = head & 3, head >> 2
             o = dr.select(axis == 0, ray.o.x, dr.select(axis == 1, ray.o.y, ray.o.z))
             inv = dr.select(axis == 0, ray.inv.x, dr.select(axis == 1, ray.inv.y, ray.inv.z))
             plane: Any = dr.reinterpret_array(Float, tail)
-            # Every time the same rounding: what was the end of one leaf is the start of the next.
+            # Always rounded alike: the end of one leaf is exactly the start of the next.
             t = (plane - o) * inv
             beyond = t <= begin
             backwards = inv < 0
@@ -174,20 +174,20 @@ class KdTree:
         return tail, tail + (head >> 2), until
 
     def statistics(self) -> Statistics:
-        """Of nodes and lists."""
+        """Measure the tree's size and quality."""
         memory = 4 * (dr.width(self._words) + dr.width(self._faces) + dr.width(self.table.words))
         return Statistics(self.table.count, self.nodes, self.references, self.depth, self.cost, memory, self.seconds)
 
 
 def half_area(low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Half the surface of boxes (..., 3)."""
+    """Half the surface area of boxes with the corners `low`, `high` (..., 3)."""
     e = high.astype(np.float64) - low
     area: NDArray[np.float64] = e[..., 0] * e[..., 1] + e[..., 1] * e[..., 2] + e[..., 2] * e[..., 0]
     return area
 
 
 def interval(level: Nodes, table: TriangleTable, axis: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Per reference the first and last of a node's intervals that the triangle reaches into."""
+    """The first and last of a node's intervals along `axis` that each reference's triangle reaches into."""
     node = level.segment
     low = level.low[:, axis]
     extent = level.high[:, axis] - low
@@ -200,7 +200,7 @@ def interval(level: Nodes, table: TriangleTable, axis: int) -> tuple[NDArray[np.
 
 
 def choose(level: Nodes, table: TriangleTable) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """Per node the axis (LEAF if no plane pays), the number of the plane, and where it is."""
+    """The best plane of each node: its axis (LEAF if no plane pays), its number, its coordinate."""
     count = len(level.low)
     size = level.sizes()
     extent = (level.high - level.low).astype(np.float64)
@@ -210,7 +210,7 @@ def choose(level: Nodes, table: TriangleTable) -> tuple[NDArray[np.int64], NDArr
     for a in range(3):
         first, last = interval(level, table, a)
         value, number = cheapest(level, first, last, size, extent, area, a)
-        # Rounding must not put the plane onto the node's side, or it would cut nothing off.
+        # Rounding must not put the plane onto a side of the node, where it would cut nothing off.
         at = position(level, a, number)
         pays = (value < best) & (at > level.low[:, a]) & (at < level.high[:, a]) & (size > SMALL)
         best[pays], axis[pays], plane[pays] = value[pays], a, number[pays]
@@ -221,7 +221,7 @@ def choose(level: Nodes, table: TriangleTable) -> tuple[NDArray[np.int64], NDArr
 
 
 def position(level: Nodes, axis: int, plane: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Where planes are."""
+    """The coordinates of planes, given by number."""
     low = level.low[:, axis]
     return low + (level.high[:, axis] - low) * (plane.astype(np.float32) / np.float32(PLANES))
 
@@ -270,7 +270,7 @@ def divide(
     plane: NDArray[np.int64],
     at: NDArray[np.float32],
 ) -> Nodes:
-    """The children of all nodes that aren't leaves; triangles across a plane go to both."""
+    """The children of all nodes that aren't leaves; triangles that a plane cuts go to both."""
     inner = axis != LEAF
     number = np.cumsum(inner) - 1
     goes_left, goes_right = (np.zeros(len(level.face), np.bool_) for _ in range(2))

@@ -1,4 +1,4 @@
-"""Building a BVH, level by level: all nodes of a level are split at once.
+"""The construction of a BVH, level by level: all nodes of a level are split at once.
 
 Every node owns a range of the primitives. A kernel chooses where to split each node (`splits`), others
 move its primitives to the two sides, in their old order (`ranges`). Boxes come last, from the leaves up.
@@ -29,11 +29,11 @@ EXACT = 12
 """Nodes with at most so many primitives try all splits."""
 
 MANY = 1 << 17
-"""From so many primitives on, the memory of kernels is given back: Dr.Jit would keep it for later arrays."""
+"""From so many primitives on, memory is given back after the build: Dr.Jit would keep it for later arrays."""
 
 
 def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = "sah") -> BinaryTree:
-    """A tree over boxes with corners `low`, `high` (N, 3), N >= 1.
+    """Build a tree over boxes with corners `low`, `high` (N, 3), N >= 1.
 
     `method`: `sah` minimises the surface area heuristic, `median` gives each side half of the
     primitives, `longest_axis` cuts the longest axis of the centroids' bounds in the middle.
@@ -45,7 +45,7 @@ def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = 
         return build_by_medians(low, high)
     left = np.full(2 * count - 1, -1, np.int32)
     levels = [0, 1]
-    # Skewed input could make a tree as deep as it has leaves; traversal keeps a stack.
+    # Skewed input could make a tree as deep as it has leaves, and the stack of a traversal as long.
     deepest = 2 * math.ceil(math.log2(count)) + 12
     with dr.suspend_grad():
         ranges, level = Ranges.of(low, high)
@@ -63,7 +63,7 @@ def build(low: NDArray[np.float32], high: NDArray[np.float32], method: Method = 
 
 
 def choose(records: UInt32, level: Level, method: Method, crowded: NDArray[np.bool_]) -> UInt32:
-    """The splits of a level's nodes, four words each. Nodes that are `crowded` are halved."""
+    """Choose the splits of a level's nodes, four words each. Nodes that are `crowded` are halved by number."""
     splits = dr.zeros(UInt32, 4 * len(level.id))
     small = level.size <= EXACT
     if method == "sah":

@@ -1,4 +1,4 @@
-"""What the leaves of a BVH hold: triangles, and what is seen through a transform."""
+"""The contents of a BVH's leaves: triangles, and shapes and instances that rays reach through a transform."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ __all__ = ["PlacedLeaves", "TriangleLeaves"]
 
 @dataclass
 class TriangleLeaves:
-    """Triangles; (F, ..) arrays."""
+    """Triangles as leaves; the first axis of all arrays is the face."""
 
     corners: NDArray[np.float32]
-    """(F, 3, 3)."""
+    """The corners, (F, 3, 3): face, corner, axis."""
     mesh: NDArray[np.uint32]
     normal: NDArray[np.float32]
-    """(F, 3)."""
+    """The unit normals, (F, 3)."""
     direction: NDArray[np.float32]
-    """(F, 2), see `djpt.geometry.face_frames`."""
+    """The directions of dp/du, (F, 2), see `djpt.geometry.face_frames`."""
     first_face: int = 0
-    """The number of the first of them."""
+    """The set-wide number of the first triangle."""
 
     def write(
         self, words: NDArray[np.uint32], at: NDArray[np.uint32], of: NDArray[np.int32], center: NDArray[np.float32]
@@ -38,17 +38,17 @@ class TriangleLeaves:
 
 @dataclass
 class PlacedLeaves:
-    """Triangles first, then what is seen through a transform: analytic shapes and instances."""
+    """Triangles first, then I leaves with a transform: analytic shapes and instances."""
 
     triangles: TriangleLeaves
     inverse: NDArray[np.float64]
-    """(I, 3, 4): from world space to that of the shape, or to that of the group as seen from its centre."""
+    """The maps (I, 3, 4) from world space to the shape's, or to the group's with its centre as the origin."""
     label: NDArray[np.uint32]
-    """(I,): word 12."""
+    """Word 12 of the records, (I,)."""
     detail: NDArray[np.uint32]
-    """(I,): the kind of a shape, or the root of the group's tree."""
+    """The kind of a shape, or the root of the group's tree, (I,)."""
     side: NDArray[np.float32]
-    """(I,): -1 for shapes with flipped normals."""
+    """-1 for shapes with flipped normals, else 1, (I,)."""
 
     def write(
         self, words: NDArray[np.uint32], at: NDArray[np.uint32], of: NDArray[np.int32], center: NDArray[np.float32]
@@ -58,7 +58,7 @@ class PlacedLeaves:
         self.triangles.write(words, at[plain], of[plain], center)
         at, placed = at[~plain], of[~plain] - count
         matrix = self.inverse[placed].copy()
-        # Kernels see points from the tree's centre.
+        # In kernels the tree's centre is the origin of coordinates.
         matrix[:, :, 3] += matrix[:, :, :3] @ center.astype(np.float64)
         words[at, :12] = matrix.reshape(-1, 12).astype(np.float32).view(np.uint32)
         words[at, 12] = self.label[placed]

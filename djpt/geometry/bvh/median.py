@@ -1,4 +1,4 @@
-"""Object medians: each half of a node's primitives goes to one side."""
+"""The build by object medians: each half of a node's primitives goes to one side."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["build_by_medians"]
 def build_by_medians(low: NDArray[np.float32], high: NDArray[np.float32]) -> BinaryTree:
     """Split every node at the median centroid along the longest axis of its centroids' bounds.
 
-    The tree is as shallow as can be, but blind to empty space.
+    The tree is as shallow as possible, but takes no account of empty space.
     """
     center = low + high
     order = np.arange(len(low), dtype=np.int32)

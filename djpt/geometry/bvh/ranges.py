@@ -1,4 +1,4 @@
-"""The primitives of a BVH in the making: every node owns a range of them."""
+"""The primitives of a BVH under construction: every node owns a range of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from djpt.types import ArrayXu, UInt32
 __all__ = ["Level", "Ranges"]
 
 LARGE = 64
-"""A primitive is large if its surface is so many times the average."""
+"""A primitive is large if its surface is more than so many times the average."""
 
 NONE = 0xFFFFFFFF
 
@@ -29,13 +29,13 @@ class Level:
     start: NDArray[np.uint32]
     size: NDArray[np.uint32]
     large: NDArray[np.uint32]
-    """So many exceptionally large primitives come first."""
+    """The number of exceptionally large primitives of each node, which come first in its range."""
 
     def nodes(self, which: NDArray[np.bool_]) -> tuple[UInt32, Nodes]:
-        """Some of the nodes, for kernels: their index in the level, and themselves."""
+        """The nodes selected by `which`, for kernels: their indices in the level, and their ranges."""
         index = np.flatnonzero(which).astype(np.uint32)
         if len(index) == 1:
-            # Kernels for a single lane are different ones, which would have to be compiled.
+            # A kernel for a single lane is another one, and would have to be compiled.
             index = np.repeat(index, 2)
         fields = (shared(field[index]) for field in (self.start, self.size, self.large))
         return shared(index), Nodes(*fields)
@@ -47,13 +47,13 @@ class Ranges:
 
     records: UInt32
     segment: UInt32
-    """The node of each, by its index in the level."""
+    """The node of each primitive, by its index in the level."""
     leaf: UInt32
-    """Per node of the tree the primitive of a finished leaf, or NONE."""
+    """The primitive of each finished leaf by node of the tree; NONE for other nodes."""
 
     @staticmethod
     def of(low: NDArray[np.float32], high: NDArray[np.float32]) -> tuple[Ranges, Level]:
-        """All primitives in one node. The large ones come first."""
+        """Put all primitives into one node, the large ones first."""
         count = len(low)
         with np.errstate(over="ignore", invalid="ignore"):
             x, y, z = (high[:, a] - low[:, a] for a in range(3))
@@ -72,7 +72,7 @@ class Ranges:
         return Ranges(records, segment, leaf), level
 
     def part(self, level: Level, splits: UInt32, next_id: int) -> Level:
-        """Move the primitives of all nodes to their children; returns those that have more than one."""
+        """Move the primitives of all nodes to their children; return the children that have more than one."""
         before = self.count_left(splits)
         end = level.start + level.size
         total = dr.gather(UInt32, before, shared(end - 1)).numpy()
@@ -80,7 +80,7 @@ class Ranges:
         left = total - start
         empty = (left == 0) | (left == level.size)
         if empty.any():
-            # Centroids that agree, or that no float tells apart.
+            # All centroids are equal, or no float lies between them.
             index, nodes = level.nodes(empty)
             dr.scatter(splits, no_split().words(nodes), index)
             return self.part(level, splits, next_id)
@@ -93,7 +93,7 @@ class Ranges:
         inner = sizes > 1
         sizes_inner = np.where(inner, sizes, 0)
         starts = np.cumsum(sizes_inner, dtype=np.uint32) - sizes_inner
-        # What a primitive adds to its count among those that go to the same side.
+        # Added to a primitive's rank among those that go to the same side, this gives its new place.
         offset = starts - np.stack([start, level.start - start], axis=1).ravel()
         segment = np.where(inner, np.cumsum(inner, dtype=np.uint32) - np.uint32(1), np.uint32(NONE))
         self.move(splits, before, shared(offset), shared(segment), int(sizes_inner.sum()), next_id)
@@ -101,7 +101,7 @@ class Ranges:
         return Level(ids, starts[inner], sizes[inner], larges[inner])
 
     def count_left(self, splits: UInt32) -> UInt32:
-        """Per primitive how many go left up to and including itself."""
+        """For each primitive, how many up to and including itself go left."""
         lane = dr.arange(UInt32, dr.width(self.segment))
         box = load(self.records, lane)
         words: Any = dr.gather(ArrayXu, splits, self.segment, shape=(4, 1))
@@ -114,7 +114,7 @@ class Ranges:
     def move(
         self, splits: UInt32, before: UInt32, offset: UInt32, segment: UInt32, remaining: int, next_id: int
     ) -> None:
-        """Write all primitives to their new places, or to the leaves."""
+        """Write all primitives to their new places, or to finished leaves."""
         lane = dr.arange(UInt32, dr.width(before))
         upto = before
         previous = dr.gather(UInt32, before, lane - 1, lane > 0)

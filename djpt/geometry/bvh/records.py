@@ -58,31 +58,31 @@ __all__ = [
 WORDS = 16
 
 CHILD, CELL = 0x007FFFFF, 0x7F800000
-"""The parts of word 12 of nodes."""
+"""The bits of word 12 of nodes: the record of the first child, and the size of a cell."""
 
 LEAF, PORTAL, EMITS, SOLID, NUMBER = 0x80000000, 0x40000000, 0x20000000, 0x10000000, 0x0FFFFFFF
-"""The parts of word 12 of leaves.
+"""The bits of word 12 of leaves.
 
 PORTAL: an instance, the way out of one, or, with SOLID, an analytic shape. EMITS: it is part of a light.
 """
 
 EMPTY, EXIT, ROOT = 0, 1, 2
-"""Records of their own: no node, the way out of an instance, the root."""
+"""Records with a fixed place: the empty node, the way out of an instance, the root."""
 
 MAX_RECORDS = CHILD + 1
-"""Stack entries hold a record number and three 3-bit tags in 32 bits."""
+"""Most records: an entry of the stack holds a record's number and three 3-bit tags in 32 bits."""
 
 NO_CHILD = 0x0000FFFF
-"""Planes in reverse order: no ray passes between them."""
+"""The word of a missing child: its planes are in reverse order, so that no ray passes between them."""
 
 EMPTY_CELL = (127 + 20) << 23
-"""A large cell, so that no rounding puts the reversed planes in order again."""
+"""The cell size of the empty node, so large that no rounding puts its reversed planes in order again."""
 
 SLACK = 4e-7
-"""Boxes grow by this share of the tree's extent: the rounding of a ray's distances to planes."""
+"""Boxes grow by this share of the tree's extent, to cover the rounding of distances to planes."""
 
 CHUNK = 1 << 16
-"""Nodes that are quantised at a time: bounds temporary memory."""
+"""Nodes quantised at a time: bounds temporary memory."""
 
 
 class Leaves(Protocol):
@@ -99,18 +99,18 @@ class Records:
     """The packed trees, ready for kernels."""
 
     words: UInt32
-    """All records, 16 words each."""
+    """The records, 16 words each."""
     count: int
     depth: int
     """Stack entries that a traversal needs."""
     center: Point3f
-    """The middle of all that the first tree holds: the origin of its coordinates."""
+    """The middle of the first tree's box: the origin of its coordinates."""
     radius: Float
-    """Nothing reaches further from the centre."""
+    """The radius of a sphere about `center` that holds everything."""
     extent: float
     """The diagonal of the bounding box."""
     instanced: bool
-    """Are there instances?"""
+    """Whether there are instances."""
     kinds: tuple[int, ...]
     """The analytic shapes among the leaves: numbers into `canonical.KINDS`."""
 
@@ -124,7 +124,7 @@ class Extent:
 
     @staticmethod
     def of(tree: WideTree) -> Extent:
-        """The box of the root's children."""
+        """The extent of a tree: the box of the root's children."""
         filled = tree.child[0] != -1
         low, high = tree.box[0, filled, :3].min(axis=0), tree.box[0, filled, 3:].max(axis=0)
         center = ((low.astype(np.float64) + high) / 2).astype(np.float32)
@@ -132,7 +132,7 @@ class Extent:
 
 
 def roots(trees: Sequence[WideTree]) -> list[int]:
-    """Where `pack` will put the root of each tree."""
+    """The record at which `pack` puts the root of each tree."""
     sizes = [1 + int((tree.child != -1).sum()) for tree in trees]
     return [ROOT + int(n) for n in np.cumsum([0, *sizes])]
 
@@ -142,7 +142,7 @@ def pack(
 ) -> Records:
     """Lay out some trees, each over the primitives of its `leaves`; rays start in the first.
 
-    The others are reached by instances. `least_depth` keeps kernels that are compiled already usable.
+    Rays reach the others through instances. `least_depth`, the depth before an edit, keeps compiled kernels usable.
     """
     starts = roots(trees)
     if starts[-1] > MAX_RECORDS:
@@ -203,7 +203,7 @@ def fill_nodes(
         low = np.where(present, tree.box[part, :, :3] - center - slack, np.inf).astype(np.float32)
         high = np.where(present, tree.box[part, :, 3:] - center + slack, -np.inf).astype(np.float32)
         lowest = low.min(axis=1)
-        # A power of two, so that counting cells rounds nothing; with room for the margins below.
+        # A power of two, so that multiples of it are exact; with room for the margins below.
         longest = np.maximum((high.max(axis=1) - lowest).max(axis=1), np.float32(1e-30))
         exponent = np.clip(np.ceil(np.log2(longest * np.float32(1 / 65000))), -100, 60).astype(np.int32)
         cell = np.ldexp(np.float32(1), exponent)[:, None]

@@ -1,4 +1,4 @@
-"""A BVH after its primitives have moved: the same tree, new boxes.
+"""The refit of a BVH whose primitives have moved: the same tree with new boxes.
 
 Refitting is many times faster than building, but the tree keeps neighbours of old together. When the
 boxes have grown too much, it is time to build again: T. Larsson and T. Akenine-Moeller, "Strategies for
@@ -17,7 +17,7 @@ from djpt.geometry.bvh.wide import NO_CHILD, WideTree, child_leaf
 __all__ = ["REBUILD", "grown", "refit"]
 
 REBUILD = 1.5
-"""Rays take so many times more steps than at first: build again."""
+"""If rays take more than so many times the steps they took at first, the tree is built again."""
 
 
 def refit(tree: WideTree, low: NDArray[np.float32], high: NDArray[np.float32]) -> WideTree:
@@ -29,7 +29,7 @@ def refit(tree: WideTree, low: NDArray[np.float32], high: NDArray[np.float32]) -
         leaf, inner = child < NO_CHILD, child >= 0
         primitive = child_leaf(child[leaf])
         own[leaf] = np.concatenate([low[primitive], high[primitive]], axis=1)
-        # Of the level below, whose boxes are there already; missing children must not count.
+        # The level below has its boxes already; missing children must not count.
         below, present = box[child[inner]], (tree.child[child[inner]] != NO_CHILD)[:, :, None]
         own[inner, :3] = np.where(present, below[:, :, :3], np.float32(np.inf)).min(axis=1)
         own[inner, 3:] = np.where(present, below[:, :, 3:], np.float32(-np.inf)).max(axis=1)
@@ -47,5 +47,5 @@ def levels(tree: WideTree) -> list[NDArray[np.int32]]:
 
 
 def grown(tree: WideTree, cost_when_built: float) -> float:
-    """The SAH cost now, in units of that when the tree was built: above `REBUILD`, build a new one."""
+    """The SAH cost divided by the cost when the tree was built: above `REBUILD`, build a new one."""
     return sah_cost(tree) / cost_when_built if cost_when_built > 0 else np.inf

@@ -1,4 +1,4 @@
-"""Searching the BVH: for lanes that have a ray each, or for many rays in turn."""
+"""The search of the BVH: by lanes that have a ray each, or by lanes that take one ray after the other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from djpt.types import ArrayXf, Bool, Float, Point3f, UInt32, Vector3f
 __all__ = ["Found", "search"]
 
 BATCH = 2**17
-"""Rays in flight: lanes of a persistent loop. Eight blocks of Dr.Jit's, so that cores share them evenly."""
+"""The lanes of a persistent loop: eight of Dr.Jit's blocks, which the cores share evenly."""
 
 
 @dataclass
@@ -26,24 +26,24 @@ class Found:
     origin: Point3f
     """The ray's origin, moved near the triangles: see `enter`."""
     entry: Float
-    """How far it was moved, in units of the ray's `d`."""
+    """How far the origin was moved, in units of the ray's `d`."""
     near_t: Float
-    """The distance from there."""
+    """The distance of the hit from `origin`."""
     record: UInt32
-    """The record of the triangle, or NONE."""
+    """The record that was hit, or NONE."""
     inside: UInt32 | None
-    """The record of the instance that it belongs to, or NONE; None in scenes without instances."""
+    """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
 
     @property
     def t(self) -> Float:
-        """The distance from the ray's own origin."""
+        """The distance of the hit from the ray's own origin; unspecified on a miss."""
         return self.near_t + self.entry
 
 
 def search(
     records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool = True, through_lights: Bool | None = None
 ) -> Found:
-    """The first hit with 0 < t < maxt, or any one."""
+    """Find the first hit with 0 < t < maxt, or with `any_hit` any one."""
     lanes = dr.width(ray, active, through_lights)
     if lanes >= 2 * BATCH and through_lights is None and not dr.flag(dr.JitFlag.SymbolicScope):
         return batched(records, ray, any_hit, active, lanes)
@@ -58,9 +58,9 @@ def search(
 
 
 def packed(records: Records, ray: Ray3f, active: Bool | bool, lanes: int) -> Float:
-    """Rays in memory, each one packet load of 8 numbers: origin near the triangles, direction, maxt, 0."""
+    """Write rays to memory, 8 numbers each for one packet load: origin near the triangles, direction, maxt, 0."""
     o, entry = enter(records, ray)
-    # Inactive rays become such as `start` refuses.
+    # The cursor of a ray whose origin is NaN starts as finished.
     x = dr.select(active, o.x, dr.nan)
     rays = dr.empty(Float, 8 * lanes)
     values = wide([x, o.y, o.z, ray.d.x, ray.d.y, ray.d.z, ray.maxt - entry, Float(0)], lanes)
@@ -80,9 +80,9 @@ class Flight:
 
 
 def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, lanes: int) -> Found:
-    """The same for many rays: a lane that has finished takes the next ray.
+    """Search for `lanes` rays by `BATCH` lanes: a lane that has finished takes the next ray.
 
-    Traversals differ in length; with one ray per lane a packet would wait for its longest.
+    Traversals differ in length; with one ray per lane a packet would wait for its longest one.
     """
     rays = packed(records, ray, active, lanes)
     count, stride = dr.opaque(UInt32, lanes), dr.opaque(UInt32, BATCH)

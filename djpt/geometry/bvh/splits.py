@@ -1,4 +1,4 @@
-"""Where to split the nodes of a BVH: one lane per node.
+"""The choice of splits for the nodes of a BVH: one lane per node.
 
 A split costs A(left) n(left) + A(right) n(right), with surfaces A and numbers of primitives n: the
 surface area heuristic of MacDonald and Booth, "Heuristics for Ray Tracing Using Space Subdivision"
@@ -34,13 +34,13 @@ __all__ = [
 WORDS = 8
 BINS = 16
 SAMPLES = 4096
-"""A node with more primitives is split by a sample of this size, and all of the largest ones."""
+"""A node of more primitives is split by a sample of about this size, beside all exceptionally large ones."""
 
 MIDDLE = 3
-"""In place of an axis: the first half of the primitives goes left."""
+"""Stands in place of an axis for the split by number: the first half of the primitives goes left."""
 
 Bounds = list[Float]
-"""Low xyz, minus high xyz."""
+"""The bounds of a box: low xyz, minus high xyz."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class Nodes:
 
 @dataclass
 class Split:
-    """Primitives with (c - base) * scale < limit go left; c is twice the centroid along `axis`."""
+    """A split: primitives with (c - base) * scale < limit go left; c is twice the centroid along `axis`."""
 
     cost: Float
     axis: UInt32
@@ -63,7 +63,7 @@ class Split:
     limit: Float
 
     def words(self, nodes: Nodes) -> ArrayXu:
-        """Four words for the kernel that moves primitives; for MIDDLE, the limit is a position."""
+        """Pack the split into four words for the kernel that moves primitives; for MIDDLE, the limit is a position."""
         middle = nodes.start + nodes.size // 2
         limit = dr.select(self.axis == MIDDLE, middle, dr.reinterpret_array(UInt32, self.limit))
         base, scale = (dr.reinterpret_array(UInt32, x) for x in (self.base, self.scale))
@@ -71,24 +71,24 @@ class Split:
 
 
 def no_split() -> Split:
-    """What remains if there is no better one."""
+    """The split by number at infinite cost, which any other split improves on."""
     return Split(Float(dr.inf), UInt32(MIDDLE), Float(0), Float(0), Float(0))
 
 
 def better(a: Split, b: Split) -> Split:
-    """The cheaper of two splits; `a` of equal ones."""
+    """The cheaper of two splits; `a` if they cost the same."""
     result: Split = dr.select(b.cost < a.cost, b, a)
     return result
 
 
 def load(records: UInt32, index: UInt32) -> Bounds:
-    """The bounds of a primitive."""
+    """Read the bounds of a primitive."""
     words: Any = dr.gather(ArrayXu, records, index, shape=(WORDS, 1))
     return [float_in(words[k]) for k in range(6)]
 
 
 def unite(a: Bounds, b: Bounds) -> Bounds:
-    """The bounds of both."""
+    """The bounds of two boxes together."""
     return [minimum(x, y) for x, y in zip(a, b, strict=True)]
 
 
@@ -98,7 +98,7 @@ def nothing(lanes: int) -> Bounds:
 
 
 def half_area(bounds: Bounds) -> Float:
-    """Half the surface: xy + yz + zx."""
+    """Half the surface area of a box: xy + yz + zx."""
     x, y, z = (-(bounds[a] + bounds[a + 3]) for a in range(3))
     return dr.fma(x, y, dr.fma(y, z, z * x))
 
@@ -110,17 +110,17 @@ def center(bounds: Bounds, axis: int) -> Float:
 
 @dataclass
 class Sample:
-    """The primitives of nodes that are looked at."""
+    """The primitives of each node that its split is chosen by."""
 
     nodes: Nodes
     stride: UInt32
     count: UInt32
 
     def at(self, i: UInt32) -> tuple[UInt32, UInt32]:
-        """The i-th one's position, and how many primitives it stands for.
+        """The position of the i-th primitive of the sample, and how many primitives it stands for.
 
-        One of each run of `stride`, at a hashed place: a regular one could meet the same column of a
-        regular mesh again and again.
+        One primitive of each run of `stride` is taken, at a hashed place: at regular places the sample could
+        meet the same column of a regular mesh again and again.
         """
         nodes = self.nodes
         run = (i - nodes.large) * self.stride
@@ -131,7 +131,7 @@ class Sample:
 
 
 def sample(nodes: Nodes) -> Sample:
-    """Choose what to look at."""
+    """Choose the sample of each node."""
     # At least 1: a division by zero ends the process, also in the unused lanes of the last packet.
     stride = dr.maximum((nodes.size + (SAMPLES - 1)) // SAMPLES, 1)
     count = nodes.large + (nodes.size - nodes.large + stride - 1) // stride
@@ -139,7 +139,7 @@ def sample(nodes: Nodes) -> Sample:
 
 
 def center_bounds(records: UInt32, chosen: Sample) -> Bounds:
-    """The bounds of the centroids, twice as large."""
+    """The bounds of the centroids, multiplied by 2."""
     lanes = dr.width(chosen.count)
 
     def turn(i: UInt32, bounds: Bounds) -> tuple[UInt32, Bounds]:
@@ -163,7 +163,7 @@ def scales(bounds: Bounds) -> list[Float]:
 
 
 def binned_split(records: UInt32, nodes: Nodes) -> Split:
-    """The cheapest of 15 planes along each axis."""
+    """The cheapest split by one of 15 planes along each axis."""
     chosen = sample(nodes)
     lanes = dr.width(chosen.count)
     bounds = center_bounds(records, chosen)
@@ -200,7 +200,7 @@ def binned_split(records: UInt32, nodes: Nodes) -> Split:
 def sweep(
     axis: UInt32, best: Split, bins: Any, counts: Any, right_costs: Any, bounds: Bounds, scale: list[Float]
 ) -> tuple[UInt32, Split, Any, Any, Any]:
-    """Compare the planes along an axis: costs of right sides from the right, then of left sides from the left."""
+    """Compare the planes along an axis: sum up the right sides from the right, then the left sides from the left."""
     lanes = dr.width(best.cost)
     first = axis * BINS
 
@@ -239,7 +239,7 @@ def sweep(
 
 
 def midpoint_split(records: UInt32, nodes: Nodes) -> Split:
-    """The middle of the longest axis of the centroids' bounds."""
+    """The split in the middle of the longest axis of the centroids' bounds."""
     bounds = center_bounds(records, sample(nodes))
     scale = scales(bounds)
     best = no_split()

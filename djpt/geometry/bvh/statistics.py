@@ -1,4 +1,4 @@
-"""How good a BVH is, without tracing a ray."""
+"""The quality of a BVH, computed without tracing a ray."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ __all__ = ["sah_cost"]
 
 
 def sah_cost(tree: BinaryTree | WideTree) -> float:
-    """Nodes and primitives that a random line through the root's box meets on average.
+    """The number of nodes and primitives that a random line through the root's box meets on average.
 
-    A line that meets a convex body meets one inside it with the ratio of their surfaces (Crofton), so
-    the sum over all boxes is C = 1 + sum A(box) / A(root): every node and every primitive costs 1, one
+    A line that meets a convex body meets a body inside it with the probability A(inner) / A(outer) (Crofton's
+    formula), so the sum over all boxes is C = 1 + sum A(box) / A(root): every node and every primitive costs 1, one
     step of our traversal. MacDonald and Booth, "Heuristics for Ray Tracing Using Space Subdivision",
     1990. The lines are uniform, come from outside, and nothing stops them.
 
-    Trees over a single point or along a line have no surface: 0.
+    0 for trees over a single point or along a line, which have no surface.
     """
     boxes = tree.box[1:] if isinstance(tree, BinaryTree) else tree.box[tree.child != NO_CHILD]
     root = tree.box[0] if isinstance(tree, BinaryTree) else root_box(tree)
@@ -27,6 +27,6 @@ def sah_cost(tree: BinaryTree | WideTree) -> float:
 
 
 def root_box(tree: WideTree) -> np.ndarray:
-    """Low xyz, high xyz of all primitives."""
+    """The bounds of all primitives, (6,): low xyz, high xyz."""
     children = tree.box[0][tree.child[0] != NO_CHILD]
     return np.concatenate([children[:, :3].min(axis=0), children[:, 3:].max(axis=0)])

@@ -40,19 +40,19 @@ __all__ = [
 ]
 
 NONE = 0
-"""The record number that stands for "nothing was hit"."""
+"""The record number that means "nothing was hit"."""
 
 UNROLLED = 2
-"""Steps between two questions whether there is anything left to do."""
+"""Steps that are taken without testing whether any lane is still at work."""
 
 ROUNDS = 4
-"""How often they are repeated in a turn; a lane that finishes waits for the end of the turn."""
+"""How often `UNROLLED` steps are taken in a turn; a lane that finishes waits for the end of the turn."""
 
 INFINITY = 0x7F800000
-"""The bits of +inf; those of non-negative floats are ordered as integers."""
+"""The bits of +inf. The bits of non-negative floats are ordered like the floats."""
 
 MAGIC = 0x4B000000
-"""The bits of 2^23: with a 16-bit number in the lower half, of 2^23 plus that number."""
+"""The bits of 2^23; with a 16-bit number n in the lower half they are those of 2^23 + n."""
 
 
 @dataclass
@@ -60,32 +60,32 @@ class Passage:
     """A lane's way through instances: loop state."""
 
     o: Point3f
-    """The ray in the space that the lane is in, of an instance or of the world."""
+    """The ray's origin in the space that the lane is in: that of an instance, or the world's."""
     d: Vector3f
     inside: UInt32
     """The record of the instance that the lane is in, or NONE."""
     hit_inside: UInt32
-    """The same of the hit."""
+    """The record of the instance that the hit belongs to, or NONE."""
 
 
 @dataclass
 class Cursor:
-    """Where a lane stands: loop state."""
+    """How far a lane has come in its traversal: loop state."""
 
     current: UInt32
     """The record to visit next; EMPTY when finished."""
     stack: list[UInt32]
-    """Per level the children still to visit: first child << 9 | up to three tags of 3 bits, nearest lowest."""
+    """The children still to visit, per level: first child << 9 | up to three tags of 3 bits, nearest lowest."""
     t: Float
-    """The closest hit so far, or how far the ray reaches."""
+    """The distance of the closest hit so far, or of the ray's end."""
     hit: UInt32
     """The record of the triangle at `t`, or NONE."""
     b: Point2f | None = None
-    """Barycentric weights there of the second and third corner; None if nobody will ask."""
+    """Barycentric weights of the second and third corner at the hit; None if they aren't needed."""
     waiting: Bool | None = None
-    """Has the lane come to a portal? None in scenes without."""
+    """Whether the lane has come to a portal; None in scenes without portals."""
     passage: Passage | None = None
-    """In scenes with instances: where the lane is among them."""
+    """The lane's way through instances; None in scenes without instances."""
 
 
 def start(
@@ -97,11 +97,11 @@ def start(
     hit: UInt32 | int = NONE,
     weights: bool = False,
 ) -> Cursor:
-    """A cursor at the root; at once finished where not `active`. `hit`: what was hit before, at `maxt`.
+    """A cursor at the root; finished where not `active`. `hit` is what was hit before, at `maxt`.
 
     With `weights` it keeps barycentric weights.
     """
-    # A ray that isn't a number would enter all boxes, those that don't exist as well.
+    # A ray with NaN would enter all boxes, also those of missing children.
     reach = dr.abs(o.x) + dr.abs(o.y) + dr.abs(o.z)
     usable = (reach < 1e18) & dr.isfinite(d.x + d.y + d.z) & active
     root: Any = dr.select(usable, UInt32(ROOT), UInt32(EMPTY))
@@ -114,7 +114,7 @@ def start(
 def visit(
     records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None = None
 ) -> Cursor:
-    """One step of a ray, or the crossing into or out of an instance that it leads to.
+    """Take one step of a ray, with the crossing into or out of an instance that it leads to.
 
     Where `any_hit`, the first triangle hit ends the search; where `through_lights`, triangles that emit
     aren't hit.
@@ -126,7 +126,7 @@ def visit(
 def turn(
     records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None = None
 ) -> Cursor:
-    """Some steps; otherwise as `visit`."""
+    """Take `UNROLLED` x `ROUNDS` steps of a ray; the arguments are those of `visit`."""
     stepper = stepper_for(records, cursor, o, d)
 
     def steps(cursor: Cursor, any_hit: Bool) -> Cursor:
@@ -145,20 +145,20 @@ def turn(
 
 
 def stepper_for(records: Records, cursor: Cursor, o: Point3f, d: Vector3f) -> Stepper:
-    """Steps along the ray o, d of the world, in the space that the lane is in."""
+    """The stepper for the ray o, d of the world, in the space that the lane is in."""
     passage = cursor.passage
     return Stepper(records, o, d) if passage is None else Stepper(records, passage.o, passage.d)
 
 
 def going(cursor: Cursor) -> Bool:
-    """Is there a step to take?"""
+    """Whether there is a step to take."""
     return cursor.current != EMPTY if cursor.waiting is None else (cursor.current != EMPTY) & ~cursor.waiting
 
 
 def crossed(
     records: Records, cursor: Cursor, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None
 ) -> Cursor:
-    """The cursor after what it may be waiting for: the test of an analytic shape, or the crossing of a portal."""
+    """Do what the cursor is waiting for, if anything: test an analytic shape, or cross a portal."""
     if cursor.waiting is None:
         return cursor
 
@@ -186,7 +186,7 @@ def test_solid(
     any_hit: Bool,
     through_lights: Bool | None,
 ) -> Cursor:
-    """The cursor, already past `record`, after the test of the analytic shape there; `ray` in the shape's space."""
+    """Test the analytic shape at `record`, which the cursor has passed already; `ray` is in the shape's space."""
     hit, t = intersect(records.kinds, words[13], *ray, cursor.t)
     hit &= (words[12] & SOLID) != 0
     if through_lights is not None:
@@ -208,14 +208,14 @@ def test_solid(
 def pass_portal(
     cursor: Cursor, after: Cursor, words: list[UInt32], placed: tuple[Point3f, Vector3f], o: Point3f, d: Vector3f
 ) -> Cursor:
-    """Go into the instance at the current record, or out of the one that a lane is in.
+    """Go into the instance at the current record, or out of the one that the lane is in.
 
     `after` is the cursor past the record, `placed` the ray in the space of the instance, o, d in the world.
     """
     passage = cursor.passage
     assert passage is not None
     out = (words[12] & NUMBER) == NUMBER
-    # The way out lies under the group's tree on the stack.
+    # Below the group's tree on the stack lies the record that leads out of the instance.
     pushed = [UInt32((EXIT << 9) | 4), *cursor.stack[:-1]]
     return Cursor(
         dr.select(out, after.current, words[13]),
@@ -234,20 +234,20 @@ def pass_portal(
 
 
 def into_group(words: list[UInt32], o: Point3f, d: Vector3f) -> tuple[Point3f, Vector3f]:
-    """A ray in the space of the group that an instance's record names; distances stay as they are."""
+    """Map a ray into the space of the group that an instance's record names; distances stay the same."""
     m = [float_in(word) for word in words[:12]]
     rows = [(Vector3f(m[4 * i], m[4 * i + 1], m[4 * i + 2]), m[4 * i + 3]) for i in range(3)]
     return Point3f(*(dr.dot(row, o) + shift for row, shift in rows)), Vector3f(*(dr.dot(row, d) for row, _ in rows))
 
 
 def load(words: UInt32, record: UInt32) -> list[UInt32]:
-    """The 16 words of a record, by two packet loads."""
+    """Load the 16 words of a record by two packet loads."""
     first: Any = dr.gather(ArrayXu, words, record * 2, shape=(8, 1))
     return [*first, *load_second(words, record)]
 
 
 def load_second(words: UInt32, record: UInt32) -> list[UInt32]:
-    """Words 8 to 15 of a record."""
+    """Load words 8 to 15 of a record."""
     second: Any = dr.gather(ArrayXu, words, record * 2 + 1, shape=(8, 1))
     return list(second)
 
@@ -259,9 +259,9 @@ def triangle_corners(words: list[UInt32]) -> tuple[Point3f, Point3f, Point3f]:
 
 
 def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
-    """Where a ray comes near the triangles, as seen from the records' centre, and its distance there.
+    """Move a ray's origin near the triangles: the new origin, relative to the records' centre, and the distance moved.
 
-    A ray that starts within the sphere about all triangles starts there. The origin is moved without
+    A ray that starts within the sphere about all triangles keeps its origin. Other origins are moved without
     loss: the errors of all sums and products are carried along, so that from far away triangles are hit
     as precisely as from nearby (T. Ogita, S. Rump and S. Oishi, "Accurate Sum and Dot Product", 2005).
     """
@@ -275,26 +275,26 @@ def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
 
 
 def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
-    """The sum, and what rounding took from it (D. Knuth, TAOCP vol. 2, 4.2.2)."""
+    """The rounded sum, and its rounding error (D. Knuth, TAOCP vol. 2, 4.2.2)."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
 
 
 def reciprocal(d: Vector3f) -> Vector3f:
-    """1 / d; a direction along an axis would give inf * 0 where the origin lies in a plane, so zeros are made tiny."""
+    """1 / d, with zeros replaced by tiny numbers: inf * 0 would arise where the origin lies in a plane of a box."""
     return Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-18, dr.copysign(Float(1e-18), x), x)) for x in d))
 
 
 class Stepper:
-    """Takes steps along a ray; holds what doesn't change from step to step."""
+    """Steps along a ray; holds what doesn't change from step to step."""
 
     def __init__(self, records: Records, o: Point3f, d: Vector3f) -> None:
-        """`o` as seen from the records' centre: see `enter`."""
+        """`o` is relative to the records' centre: see `enter`."""
         self.records, self.o = records, o
         self.plane = RayPlane(o, d)
         self.inv = reciprocal(d)
-        # Which half of a word holds the near plane.
+        # The half of a word that holds the near plane.
         self.near_shift = [dr.select(x < 0, UInt32(16), UInt32(0)) for x in self.inv]
         self.far_shift = [16 - shift for shift in self.near_shift]
 
@@ -330,7 +330,7 @@ class Stepper:
         for axis in range(3):
             origin: Any = dr.reinterpret_array(Float, words[13 + axis])
             s = cell * self.inv[axis]
-            # The 2^23 of `plane_number` is taken off here, once per axis.
+            # The 2^23 that `plane_number` adds is subtracted here, once per axis.
             offset.append(dr.fma(Float(-8388608.0), s, (origin - self.o[axis]) * self.inv[axis]))
             scale.append(s)
         order = []
@@ -351,13 +351,13 @@ class Stepper:
 
 
 def plane_number(word: UInt32, shift: UInt32) -> Float:
-    """One half of a word as a float, plus 2^23: without a conversion."""
+    """One half of a word as a float, plus 2^23: reinterpreted, without a conversion."""
     number: Any = dr.reinterpret_array(Float, ((word >> shift) & 0xFFFF) | MAGIC)
     return number
 
 
 def advance(cursor: Cursor, first_child: UInt32, order: list[UInt32], stay: Bool | None) -> tuple[UInt32, list[UInt32]]:
-    """The next record and stack: down to the nearest child, or on to what the stack holds; or `stay`."""
+    """The next record and stack: down to the nearest child, else the stack's next entry; unchanged where `stay`."""
     down, several = order[0] < INFINITY, order[1] < INFINITY
     top: Any = cursor.stack[0]
     remaining = (top & 511) >> 3

@@ -16,15 +16,15 @@ class BinaryTree:
     """A binary tree over N primitives: 2N - 1 nodes, level by level, node 0 the root."""
 
     box: NDArray[np.float32]
-    """(2N - 1, 6): low xyz, high xyz."""
+    """The boxes, (2N - 1, 6): low xyz, high xyz."""
     left: NDArray[np.int32]
-    """The left child; the right one is left + 1; -1 at leaves."""
+    """The left child of each node, -1 at leaves; the right child is left + 1."""
     primitive: NDArray[np.int32]
-    """The primitive of a leaf; -1 at inner nodes."""
+    """The primitive of each leaf; -1 at inner nodes."""
 
 
 def half_area(box: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Half the surface of boxes (..., 6): xy + yz + zx."""
+    """Half the surface area of boxes (..., 6): xy + yz + zx."""
     x, y, z = (box[..., 3 + a] - box[..., a] for a in range(3))
     return x * y + y * z + z * x
 
@@ -36,7 +36,7 @@ def fitted(
     low: NDArray[np.float32],
     high: NDArray[np.float32],
 ) -> BinaryTree:
-    """A tree with its boxes, from the leaves up. `levels`: the first node of each level, and their number.
+    """Compute the boxes of a tree, from the leaves up. `levels`: the first node of each level, then the node count.
 
     The children of a level's inner nodes make up the next level, in the same order.
     """

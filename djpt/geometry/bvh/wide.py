@@ -1,4 +1,4 @@
-"""A binary tree made wide: fewer, larger nodes are fewer steps of a ray.
+"""The collapse of a binary tree into a wide one: a ray takes fewer steps through fewer, larger nodes.
 
 H. Dammertz, J. Hanika and A. Keller, "Shallow Bounding Volume Hierarchies for Fast SIMD Ray Tracing of
 Incoherent Rays", 2008. Which binary nodes survive is a small dynamic programme: H. Ylitie, T. Karras
@@ -23,28 +23,28 @@ NO_CHILD = -1
 class WideTree:
     """A tree of K nodes with up to W children each; node 0 is the root.
 
-    Nodes stand in depth-first order: what a ray visits in turn is near in memory, and children come
-    after their parents.
+    Nodes stand in depth-first order: nodes that a ray visits one after the other are near in memory, and children
+    come after their parents.
     """
 
     child: NDArray[np.int32]
-    """(K, W): >= 0 a node, -1 none (those come last), <= -2 the primitive -2 - child."""
+    """The children, (K, W): >= 0 a node, -1 none (those come last), <= -2 the primitive -2 - child."""
     box: NDArray[np.float32]
-    """(K, W, 6): low xyz, high xyz of each child; zeros where there is none."""
+    """The children's boxes, (K, W, 6): low xyz, high xyz; zeros where there is no child."""
     depth: int
     """Levels of nodes."""
 
 
 def child_leaf(primitive: NDArray[np.int32]) -> NDArray[np.int32]:
-    """How `WideTree.child` refers to a primitive; its own inverse."""
+    """The number by which `WideTree.child` refers to a primitive: -2 - primitive, its own inverse."""
     return -2 - primitive
 
 
 def collapse(tree: BinaryTree, width: int = 4) -> WideTree:
-    """The wide tree with the smallest sum of surfaces that only leaves out nodes of a binary one.
+    """The wide tree with the smallest sum of surface areas that consists of nodes of a binary one.
 
-    A ray meets a node with a probability that is proportional to its surface. Beside opening the largest
-    child again and again, this saves 2 % of the visits, and a fifth of the nodes: they are fuller.
+    A ray meets a node with a probability that is proportional to its surface area. Compared with opening the
+    largest child again and again, this saves 2 % of the visits, and a fifth of the nodes: they have more children.
     """
     if tree.left[0] < 0:
         child = np.full((1, width), NO_CHILD, np.int32)
@@ -69,7 +69,7 @@ def collapse(tree: BinaryTree, width: int = 4) -> WideTree:
 
 
 def adopt(tree: BinaryTree, width: int) -> list[NDArray[np.int32]]:
-    """Per level of the wide tree the binary nodes that become children: (nodes, W), -1 where there is none.
+    """For each level of the wide tree the binary nodes that become children: (nodes, W), -1 where there is none.
 
     The nodes of a level are the inner children of the level before, in the same order.
     """
@@ -99,7 +99,7 @@ def adopt(tree: BinaryTree, width: int) -> list[NDArray[np.int32]]:
 
 
 def slot_costs(tree: BinaryTree, width: int) -> NDArray[np.float32]:
-    """(nodes, W - 1): the surface of all boxes below the parent if a subtree takes at most 1, 2 ... of its slots.
+    """The least surface area below a parent if a subtree takes at most 1, 2 ... of its slots, (nodes, W - 1).
 
     In one slot stands the node itself, with the best of its own children; in more its descendants, shared out
     among left and right in the best way.
@@ -118,7 +118,7 @@ def slot_costs(tree: BinaryTree, width: int) -> NDArray[np.float32]:
 
 
 def shared_out(left: NDArray[np.float32], right: NDArray[np.float32], slots: int) -> NDArray[np.float32]:
-    """The least cost of two subtrees in `slots` slots, at least one each."""
+    """The least cost of two subtrees that share `slots` slots, at least one each."""
     result = left[:, 0] + right[:, slots - 2]
     for share in range(2, slots):
         np.minimum(result, left[:, share - 1] + right[:, slots - share - 1], out=result)
@@ -126,7 +126,7 @@ def shared_out(left: NDArray[np.float32], right: NDArray[np.float32], slots: int
 
 
 def best_share(left: NDArray[np.float32], right: NDArray[np.float32], slots: NDArray[np.int32]) -> NDArray[np.int32]:
-    """How many of its slots the left subtree gets in the best case."""
+    """How many of the slots the left subtree gets at the least cost."""
     width = left.shape[1] + 1
     share = np.ones(len(slots), np.int32)
     best = np.full(len(slots), np.float32(np.inf))
@@ -152,7 +152,7 @@ def inner_levels(tree: BinaryTree) -> list[NDArray[np.intp]]:
 
 
 def depth_first(inner: list[NDArray[np.bool_]]) -> list[NDArray[np.int32]]:
-    """The places of all nodes in depth-first order, per level. `inner`: which children are nodes."""
+    """The places of all nodes in depth-first order, per level. `inner` tells which children are nodes."""
     sizes: list[NDArray[np.int32]] = [np.zeros(0, np.int32)]
     for mask in reversed(inner):
         below = np.zeros(mask.shape, np.int32)

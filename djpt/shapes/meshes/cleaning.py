@@ -1,4 +1,4 @@
-"""Making sure that a mesh can be rendered: errors for broken data, one warning for harmless defects."""
+"""The check whether a mesh can be rendered: errors for broken data, one warning for harmless defects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from djpt.shapes.meshes.normals import CHUNK, face_crosses
 __all__ = ["check_indices", "clean"]
 
 SMALLEST = float(np.finfo(np.float32).tiny)
-"""A cross product of edges whose square is below has no direction in single precision."""
+"""The least squared length of a cross product of edges that has a direction in single precision."""
 
 
 def check_indices(indices: NDArray[np.uint32], vertex_count: int, where: str) -> None:
@@ -60,7 +60,7 @@ def clean(data: MeshData, where: str) -> None:
 
 
 def drop(data: MeshData, lost: NDArray[np.bool_], flat: NDArray[np.bool_], where: str) -> None:
-    """Remove some triangles and say so."""
+    """Remove the triangles that are `lost` or `flat`, and warn about it."""
     kept = ~(lost | flat)
     reasons = [
         f"{int(mask.sum())} {what}"
@@ -79,7 +79,7 @@ def drop(data: MeshData, lost: NDArray[np.bool_], flat: NDArray[np.bool_], where
 
 
 def clean_vertex_data(data: MeshData, where: str) -> None:
-    """Normals of unit length or zero; texture coordinates and attributes finite."""
+    """Make normals unit vectors or zero, and texture coordinates and attributes finite."""
     if data.normals is not None:
         data.normals = unit(data.normals)
     named = {"vertex_texcoords": data.texcoords, **data.attributes}

@@ -1,4 +1,4 @@
-"""What a mesh is made of, on the host."""
+"""The data of a mesh, on the host."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ __all__ = ["MeshData"]
 
 @dataclass
 class MeshData:
-    """Vertices, triangles and what is attached to them."""
+    """Vertices and triangles, with their normals, texture coordinates and attributes."""
 
     positions: NDArray[np.float32]
-    """(V, 3)."""
+    """The vertices, (V, 3)."""
     indices: NDArray[np.uint32]
-    """(F, 3): the corners of each triangle, counter-clockwise seen from the side of its normal."""
+    """The corners of each triangle, (F, 3), counter-clockwise as seen from the side of its normal."""
     normals: NDArray[np.float32] | None = None
-    """(V, 3), unit length; a zero stands for "none here", which means the triangle's own."""
+    """The vertex normals, (V, 3), of unit length; zero where the triangle's own normal is to be used."""
     texcoords: NDArray[np.float32] | None = None
-    """(V, 2)."""
+    """The texture coordinates, (V, 2)."""
     attributes: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-    """(V, C) for names that begin with ``vertex_``, (F, C) for ``face_``."""
+    """Attributes by name: (V, C) for names that begin with ``vertex_``, (F, C) for ``face_``."""
 
     def transform(self, to_world: ScalarTransform4f) -> None:
-        """Move to world space; normals go by the inverse transpose and keep their side."""
+        """Move to world space; normals are transformed by the inverse transpose and keep their side."""
         matrix = to_world.matrix
         if np.array_equal(matrix, np.eye(4)):
             return
-        # Overflow to infinity is found and reported by the cleaning.
+        # `clean` finds and reports what overflows to infinity.
         with np.errstate(over="ignore", invalid="ignore"):
             self.positions = (self.positions @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
             if self.normals is not None:
@@ -45,7 +45,7 @@ class MeshData:
 
 
 def unit(vectors: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Vectors (N, 3) of length 1; those without a direction become zero."""
+    """Scale vectors (N, 3) to length 1; those without a direction become zero."""
     wide = vectors.astype(np.float64)
     length = np.sqrt(np.einsum("ij,ij->i", wide, wide))
     usable = np.isfinite(length) & (length > 0)

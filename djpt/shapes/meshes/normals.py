@@ -24,7 +24,7 @@ def face_crosses(positions: NDArray[np.float32], indices: NDArray[np.uint32]) ->
 
 
 def face_areas(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """Areas (F,) float64."""
+    """The areas of triangles, (F,) float64."""
     result = np.empty(len(indices))
     for start in range(0, len(indices), CHUNK):
         part = slice(start, start + CHUNK)
@@ -33,7 +33,7 @@ def face_areas(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> N
 
 
 def weighted_normals(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> NDArray[np.float32]:
-    """Unit normals of all vertices, (V, 3) float32; zero for vertices without triangles."""
+    """The unit normals of all vertices, (V, 3) float32; zero for vertices without triangles."""
     total = np.zeros((len(positions), 3))
     for start in range(0, len(indices), CHUNK):
         add_normals(total, positions, indices[start : start + CHUNK])
@@ -54,7 +54,7 @@ def add_normals(total: NDArray[np.float64], positions: NDArray[np.float32], indi
 
 
 def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross products of rows: several times faster than NumPy's."""
+    """The cross products of rows; several times faster than `numpy.cross`."""
     result = np.empty_like(a)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -63,12 +63,12 @@ def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def length(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths of rows."""
+    """The lengths of rows."""
     result: NDArray[np.float64] = np.sqrt(np.einsum("ij,ij->i", v, v))
     return result
 
 
 def normalised(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows of length 1; zero rows stay."""
+    """Scale rows to length 1; zero rows stay."""
     size = length(v)[:, None]
     return np.divide(v, size, out=np.zeros_like(v), where=size > 0)

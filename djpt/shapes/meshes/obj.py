@@ -1,4 +1,4 @@
-"""Reading meshes from Wavefront OBJ files.
+"""The reader of meshes in Wavefront OBJ files.
 
 A reader of our own on NumPy: vertices must be merged and numbered as in Mitsuba (one for each distinct
 combination of indices, in the order of first use), and errors must name the line, which libraries for
@@ -23,7 +23,7 @@ __all__ = ["read_obj"]
 KINDS = ("v", "vt", "vn", "f")
 NAMES = ("vertex", "texture coordinate", "normal")
 LEAST = {"v": 3, "vt": 2, "vn": 3, "f": 0}
-"""Numbers that a line must have at least; more are ignored (colours, weights)."""
+"""How many numbers a line of each kind must have; further ones are ignored (colours, weights)."""
 
 Lines = dict[str, list[bytes]]
 LineNumbers = dict[str, list[int]]
@@ -34,13 +34,13 @@ class Corners:
     """All corners of all faces."""
 
     keys: NDArray[np.int64]
-    """(N, 3): vertex, texture coordinate, normal, counted from 1; 0: none."""
+    """The numbers of vertex, texture coordinate and normal, (N, 3), counted from 1; 0: none."""
     counts: NDArray[np.int64]
     """How many corners each face has."""
 
 
 def read_obj(data: bytes, where: str) -> MeshData:
-    """The mesh in an OBJ file: all its groups and objects together.
+    """Read the mesh in an OBJ file: all its groups and objects together.
 
     Polygons become fans of triangles. Indices may be negative (counted back from the line). A corner
     without texture coordinates gets (0, 0) if others have some; one without a normal gets none.
@@ -68,11 +68,11 @@ def read_obj(data: bytes, where: str) -> MeshData:
 
 
 def split_lines(data: bytes) -> tuple[Lines, LineNumbers]:
-    """The lines that matter by their kind, without the keyword, and their numbers."""
+    """Sort the lines that matter by kind, without the keyword, and tell their line numbers."""
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ")
     all_lines = data.split(b"\n")
     if b"\\\n" in data:
-        # A backslash joins lines; an empty one stays behind, so that numbers of later lines are right.
+        # A backslash joins lines; an empty line stays behind, so that the numbers of later lines are right.
         for i in reversed(range(len(all_lines) - 1)):
             if all_lines[i].endswith(b"\\"):
                 all_lines[i], all_lines[i + 1] = all_lines[i][:-1] + b" " + all_lines[i + 1], b""
@@ -93,7 +93,7 @@ KEYWORDS = {kind.encode(): kind for kind in KINDS}
 
 
 def read_numbers(lines: Lines, numbers: LineNumbers, kind: str, where: str) -> NDArray[np.float32]:
-    """The first two or three numbers of each line of a kind, (N, 2) or (N, 3)."""
+    """Read the first two or three numbers of each line of a kind, (N, 2) or (N, 3)."""
     rows, least = lines[kind], LEAST[kind]
     if not rows:
         return np.zeros((0, least), np.float32)
@@ -118,9 +118,9 @@ def read_numbers(lines: Lines, numbers: LineNumbers, kind: str, where: str) -> N
 
 
 def parse(text: bytes, dtype: type[np.generic]) -> NDArray[Any] | None:
-    """Numbers separated by blanks; None if something else is there."""
+    """Parse numbers separated by blanks; None if there is anything else."""
     with warnings.catch_warnings():
-        # NumPy reports text that isn't numbers by a deprecation warning, later ones by an error.
+        # Text that isn't numbers is a deprecation warning in NumPy, an error in later versions.
         warnings.simplefilter("error")
         try:
             return np.fromstring(text.decode("latin-1"), dtype, sep=" ")
@@ -129,7 +129,7 @@ def parse(text: bytes, dtype: type[np.generic]) -> NDArray[Any] | None:
 
 
 def read_corners(lines: Lines, numbers: LineNumbers, where: str) -> Corners:
-    """The corners of all faces: ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` each."""
+    """Read the corners of all faces: ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` each."""
     rows = lines["f"]
     if not rows:
         return Corners(np.zeros((0, 3), np.int64), np.zeros(0, np.int64))
@@ -168,14 +168,14 @@ def find_bad_face(rows: list[bytes], numbers: list[int], where: str) -> None:
 
 
 def resolve_negative(corners: Corners, numbers: LineNumbers) -> None:
-    """Turn -1, the latest one before the face, into a count from 1, in place."""
+    """Turn negative indices, of which -1 is the last entry before the face, into counts from 1, in place."""
     for k, kind in enumerate(("v", "vt", "vn")):
         negative = np.flatnonzero(corners.keys[:, k] < 0)
         if len(negative):
             line = np.repeat(np.array(numbers["f"]), corners.counts)[negative]
             before = np.searchsorted(np.array(numbers[kind]), line)
             value = corners.keys[negative, k] + before + 1
-            # What lies before the first one must not turn into 0, which means none.
+            # An index before the first entry must not turn into 0, which means none.
             corners.keys[negative, k] = np.where(value > 0, value, -1)
 
 
@@ -195,7 +195,7 @@ def check_range(corners: Corners, sizes: list[int], numbers: LineNumbers, where:
 
 
 def first_use(keys: NDArray[np.int64], sizes: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Distinct keys in the order of first use, (V, 3), and for each corner which one it is."""
+    """The distinct keys in the order of first use, (V, 3), and for each corner the number of its key."""
     if not keys[:, 1:].any():
         combined, size = keys[:, 0], sizes[0] + 1
     elif (sizes[0] + 1) * (sizes[1] + 1) * (sizes[2] + 1) < 2**62:
@@ -215,7 +215,7 @@ def first_use(keys: NDArray[np.int64], sizes: list[int]) -> tuple[NDArray[np.int
 
 
 def pick(table: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float32] | None:
-    """Rows of a table by numbers from 1; zeros for 0. None if nothing is referred to."""
+    """Pick rows of a table by numbers from 1; zeros for 0. None if no number is above 0."""
     if not index.any():
         return None
     return np.concatenate([np.zeros((1, table.shape[1]), np.float32), table])[index]

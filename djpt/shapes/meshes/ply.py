@@ -1,4 +1,4 @@
-"""Reading meshes from PLY files, with attributes of vertices and faces."""
+"""The reader of meshes in PLY files, with attributes of vertices and faces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SEQUENCES = ("0123", "1234", "xyzw", "rgba")
 
 
 def read_ply(data: bytes, where: str) -> MeshData:
-    """The mesh in a PLY file.
+    """Read the mesh in a PLY file.
 
     As in Mitsuba, properties ``r, g, b`` or ``red, green, blue`` (and ``a`` or ``alpha``) become the
     attribute ``vertex_color`` or ``face_color``, as they are; others whose names end in ``_0``, ``_1``,
@@ -69,7 +69,7 @@ def read_ply(data: bytes, where: str) -> MeshData:
 
 
 def table(element: Element, names: Sequence[str]) -> NDArray[np.float32] | None:
-    """Some properties side by side, (N, C); None if one is missing."""
+    """The named properties side by side, (N, C); None if one is missing."""
     columns = [element.columns.get(name) for name in names]
     result = np.empty((element.count, len(names)), np.float32)
     for k, column in enumerate(columns):
@@ -99,7 +99,7 @@ def triangles(column: Column, vertex_count: int, where: str) -> tuple[NDArray[np
 
 
 def read_attributes(element: Element, prefix: str, used: set[str], where: str) -> dict[str, NDArray[np.float32]]:
-    """The properties that aren't `used`, grouped into attributes."""
+    """Group the properties that aren't `used` into attributes."""
     names = [p.name for p in element.properties if p.name not in used and not p.count_type]
     groups: dict[str, list[str]] = {}
     for rgb in (("r", "g", "b", "a"), ("red", "green", "blue", "alpha")):

@@ -44,9 +44,9 @@ class Property:
 
     name: str
     type: str
-    """NumPy's code without byte order."""
+    """NumPy's code of the numbers, without byte order."""
     count_type: str | None = None
-    """Of a list's length; None if the property isn't a list."""
+    """NumPy's code of a list's length; None if the property isn't a list."""
 
 
 @dataclass
@@ -54,9 +54,9 @@ class Column:
     """The values of a property for all rows."""
 
     values: NDArray[Any]
-    """One per row; of lists all entries, one list after the other."""
+    """One value per row; for lists all entries, one list after the other."""
     counts: NDArray[np.int64] | None = None
-    """The length of each row's list."""
+    """The length of each row's list; None if the property isn't a list."""
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Element:
 
 
 def read_elements(data: bytes, where: str) -> list[Element]:
-    """All elements of a file, with their columns.
+    """Read all elements of a file, with their columns.
 
     Args:
         data: the file's contents.
@@ -97,7 +97,7 @@ def read_elements(data: bytes, where: str) -> list[Element]:
 
 
 def read_header(data: bytes, where: str) -> tuple[list[Element], str | None, int, int]:
-    """The elements declared, the byte order (None: text), where the body begins and in which line."""
+    """Read the header: the elements declared, the byte order (None: text), offset and line where the body begins."""
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
         raise SceneError(f"{where}: not a PLY file: it begins with {data[:8]!r}, not with the line 'ply'")
     elements: list[Element] = []
@@ -131,7 +131,7 @@ def read_header(data: bytes, where: str) -> tuple[list[Element], str | None, int
 
 
 def read_property(words: list[str], at: str) -> Property:
-    """A line ``property float x`` or ``property list uchar int vertex_indices``."""
+    """Read a line ``property float x`` or ``property list uchar int vertex_indices``."""
     names = words[1:2] if len(words) == 3 else words[2:4]
     for name in names:
         if name not in TYPES:
@@ -151,11 +151,11 @@ class Rows:
         raise NotImplementedError
 
     def is_left(self) -> bool:
-        """Is there more in the file than was declared?"""
+        """Whether the file holds more than was declared."""
         return False
 
     def explain(self, elements: list[Element]) -> None:
-        """Something is wrong: raise a more exact error if one is found."""
+        """Raise a more exact error about a wrong file, if one is found."""
 
 
 class BinaryRows(Rows):
@@ -167,7 +167,7 @@ class BinaryRows(Rows):
     def read(self, element: Element) -> None:
         lengths: dict[str, int] = {}
         if element.count and any(p.count_type for p in element.properties):
-            # Lists are nearly always of one length: suppose so, and check.
+            # Lists nearly always have the same length: suppose so, and check it.
             lengths = self._lengths_at(element, self.position)
         layout = self._layout(element, lengths)
         end = self.position + layout.itemsize * element.count
@@ -252,7 +252,7 @@ class TextRows(Rows):
 
     def _numbers(self) -> NDArray[np.float64]:
         with warnings.catch_warnings():
-            # NumPy reports text that isn't numbers by a deprecation warning, later ones by an error.
+            # Text that isn't numbers is a deprecation warning in NumPy, an error in later versions.
             warnings.simplefilter("error")
             try:
                 return np.fromstring(self.text.decode("latin-1"), np.float64, sep=" ")
@@ -265,7 +265,7 @@ class TextRows(Rows):
                 except ValueError:
                     found = word.decode("latin-1")[:40]
                     raise SceneError(f"{self.where}, line {number}: '{found}' isn't a number") from None
-        # Python reads a few spellings that NumPy doesn't, such as 1_000.
+        # Python accepts a few spellings that NumPy doesn't, such as 1_000.
         return np.array(self.text.split(), np.float64)
 
     def read(self, element: Element) -> None:
@@ -343,7 +343,7 @@ class TextRows(Rows):
         return self.position < len(self.values)
 
     def explain(self, elements: list[Element]) -> None:
-        # Usually each row has a line: the first of another length is the culprit.
+        # Usually each row has a line of its own: the first of another length is the wrong one.
         lines = [(n, line.split()) for n, line in enumerate(self.text.split(b"\n"), self.line) if line.split()]
         rows = ((element, row) for element in elements for row in range(element.count))
         for (number, words), (element, row) in zip(lines, rows, strict=False):

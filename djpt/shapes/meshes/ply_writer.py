@@ -1,4 +1,4 @@
-"""Writing meshes as binary PLY files."""
+"""The writer of meshes as binary PLY files."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_ply(path: str | os.PathLike[str], mesh: MeshData) -> None:
 
 
 def channel_names(base: str, count: int) -> list[str]:
-    """The properties of an attribute."""
+    """The names of the properties that hold an attribute's channels."""
     if base == "color" and count in (3, 4):
         return list("rgba"[:count])
     return [f"{base}_{k}" for k in range(count)]

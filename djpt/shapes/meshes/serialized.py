@@ -1,4 +1,4 @@
-"""Reading Mitsuba's compressed binary meshes.
+"""The reader of Mitsuba's compressed binary meshes.
 
 A file holds meshes one after the other and ends with the list of their offsets and their number. Each
 has a header of its own (magic number, version), then a zlib stream: flags, a name (version 4), counts,
@@ -27,18 +27,18 @@ CHUNK = 1 << 20
 """Bytes that are handed to the decompressor at a time."""
 
 MAX_RATIO, SLACK = 1040, 1 << 17
-"""DEFLATE can't shrink data by more: counts beyond are wrong, and must not make us wait for the data."""
+"""Largest ratio by which DEFLATE shrinks data: larger counts are wrong, and are refused before reading."""
 
 
 def read_serialized(data: bytes, where: str, shape_index: int = 0) -> MeshData:
-    """One of the meshes in a `serialized` file of version 3 or 4.
+    """Read one of the meshes in a `serialized` file of version 3 or 4.
 
     As in Mitsuba, vertex colours and the flag for flat shading (0x10) are ignored.
 
     Args:
         data: the file's contents.
         where: names the file in messages.
-        shape_index: which mesh, counted from 0.
+        shape_index: the number of the mesh, counted from 0.
 
     Raises:
         SceneError: not such a file, no such mesh, or the file is cut short.
@@ -74,7 +74,7 @@ def read_serialized(data: bytes, where: str, shape_index: int = 0) -> MeshData:
 
 
 def read_version(data: bytes, offset: int, where: str) -> int:
-    """The version in the header at `offset`."""
+    """Read the version in the header at `offset`."""
     if offset + 4 > len(data):
         raise SceneError(f"{where}, byte {len(data)}: the file is cut short: no header at byte {offset}")
     magic, version = struct.unpack_from("<HH", data, offset)
@@ -88,7 +88,7 @@ def read_version(data: bytes, offset: int, where: str) -> int:
 
 
 def mesh_offset(data: bytes, version: int, shape_index: int, where: str) -> int:
-    """Where a mesh begins, by the list at the end of the file."""
+    """Read from the list at the end of the file where a mesh begins."""
     (count,) = struct.unpack_from("<I", data, len(data) - 4)
     size, code = (8, "<Q") if version == 4 else (4, "<I")
     start = len(data) - 4 - size * count
@@ -112,7 +112,7 @@ class Stream:
         self._position = 0
 
     def take(self, size: int, what: str) -> bytes:
-        """The next bytes."""
+        """Take the next `size` bytes; `what` names them in messages."""
         left = len(self._input) + len(self._inflate.unconsumed_tail)
         if size > MAX_RATIO * left + len(self._ready) + SLACK:
             raise SceneError(f"{self._where}: the file is cut short within {what}, which should have {size} bytes")
@@ -137,5 +137,5 @@ class Stream:
         return result
 
     def array(self, code: str, count: int, what: str) -> NDArray[Any]:
-        """The next numbers."""
+        """Take the next `count` numbers of the type `code`; `what` names them in messages."""
         return np.frombuffer(self.take(count * np.dtype(code).itemsize, what), code)

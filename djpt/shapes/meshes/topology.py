@@ -1,4 +1,4 @@
-"""Does a mesh enclose a volume?"""
+"""The test whether a mesh encloses a volume."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["is_closed"]
 
 
 def is_closed(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> bool:
-    """Does every edge belong to an even number of triangles?
+    """Whether every edge belongs to an even number of triangles.
 
     Then any ray from a point far away crosses the mesh an even number of times on its way out, and parity
     tells inside from outside. Vertices at the same place count as one: seams of texture coordinates

@@ -1,0 +1,45 @@
+"""How wide the kernels of Dr.Jit's LLVM backend are: the lanes that one instruction works on."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from pathlib import Path
+
+import drjit as dr
+
+__all__ = ["INSTRUCTION_SETS", "core", "features", "instruction_set", "lane_count"]
+
+INSTRUCTION_SETS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse4.2": "SSE4.2", "neon": "NEON"}
+"""LLVM's names of features, the widest first, and what the instruction sets are called."""
+
+
+def core() -> ctypes.CDLL:
+    """Dr.Jit's core library, which the running process has loaded already.
+
+    Its functions have C++ linkage: LLVM's have the mangled names of `jit_llvm_vector_width()` and so on.
+
+    Raises:
+        OSError: The library isn't where the wheels put it.
+    """
+    suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+    prefix = "" if sys.platform == "win32" else "lib"
+    return ctypes.CDLL(str(Path(dr.__file__).parent / f"{prefix}drjit-core{suffix}"))
+
+
+def lane_count() -> int:
+    """The lanes of a vector: 16 with AVX-512, 8 with AVX2, 4 with NEON. The LLVM backend must have been loaded."""
+    return int(core()._Z21jit_llvm_vector_widthv())
+
+
+def features() -> list[str]:
+    """LLVM's description of the processor that kernels are compiled for, such as ``+avx2``, ``-avx512f``."""
+    ask = core()._Z24jit_llvm_target_featuresv
+    ask.restype = ctypes.c_char_p
+    return str((ask() or b"").decode()).split(",")
+
+
+def instruction_set() -> str:
+    """The widest instruction set that kernels may use, one of `INSTRUCTION_SETS`; empty if it is none of them."""
+    there = features()
+    return next((name for feature, name in INSTRUCTION_SETS.items() if f"+{feature}" in there), "")
