@@ -151,7 +151,7 @@ _EXPORTS = {
     ),
     "djpt.variants": "set_variant variant",
 }
-"""Where the public names live. The imports above say the same to type checkers."""
+"""The modules of the public names. The imports above say the same to type checkers."""
 
 _HOME = {name: module for module, names in _EXPORTS.items() for name in names.split()}
 

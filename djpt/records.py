@@ -42,7 +42,7 @@ SHADOW_EPSILON = 10 * RAY_EPSILON
 
 
 class BSDFFlags(enum.IntFlag):
-    """What a BSDF's lobes can do; the values are Mitsuba's."""
+    """Properties of a BSDF's lobes; the values are Mitsuba's."""
 
     Empty = 0x0
     Null = 0x1
@@ -67,7 +67,7 @@ class BSDFFlags(enum.IntFlag):
 
 
 class EmitterFlags(enum.IntFlag):
-    """What an emitter's light comes from; the values are Mitsuba's."""
+    """Properties of an emitter; the values are Mitsuba's."""
 
     Empty = 0x0
     DeltaPosition = 0x1
@@ -84,7 +84,7 @@ def has_flag(flags: Any, flag: int) -> Any:
 
 
 class TransportMode(enum.IntEnum):
-    """Which quantity a path carries."""
+    """The quantity that a path carries."""
 
     Radiance = 0
     Importance = 1
@@ -92,7 +92,7 @@ class TransportMode(enum.IntEnum):
 
 @dataclass
 class BSDFContext:
-    """How a BSDF is queried: from the camera (radiance) or from the light (importance).
+    """The direction of a query of a BSDF: from the camera (radiance) or from the light (importance).
 
     Mitsuba can also ask for some lobes only, by `type_mask` and `component`. djpt always asks for all.
     """
@@ -108,7 +108,7 @@ class BSDFContext:
             )
 
     def is_enabled(self, type: BSDFFlags, component: int = 0) -> bool:
-        """Is a lobe wanted? Yes: see above."""
+        """True: all lobes are always wanted."""
         return True
 
 
@@ -129,7 +129,7 @@ class Ray3f:
 
 @dataclass
 class PreliminaryIntersection3f:
-    """What traversal finds: enough to compute the rest later."""
+    """The result of a traversal: enough to compute the rest later."""
 
     t: Float
     """Distance in units of the ray's `d`; infinity on a miss."""
@@ -142,7 +142,7 @@ class PreliminaryIntersection3f:
     prim_uv: Point2f | None = None
     """Barycentric weights of the second and third corner of a mesh's triangle; 0 for other shapes."""
     near: Any = None
-    """What the search for triangles knows of the hit already: see `djpt.geometry.query.Near`."""
+    """The hit as the search for triangles has seen it: see `djpt.geometry.query.Near`."""
 
     def is_valid(self) -> Bool:
         """True where something was hit."""
@@ -159,7 +159,7 @@ class Reference:
 
 
 class SceneView(Protocol):
-    """What a surface point asks of the scene that it lies in."""
+    """The scene as a surface point sees it."""
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
         """The `djpt.dispatch.pointers.BSDFPtr` of the shape at `si`."""

@@ -208,17 +208,17 @@ class Scene(Plugin):
 
     @property
     def refracts(self) -> bool:
-        """Can a path cross an interface between different indices of refraction?"""
+        """True if a path can cross an interface between different indices of refraction."""
         return any(has_flag(bsdf.flags(), TRANSMITS) for bsdf in self.bsdfs.plugins)
 
     @property
     def has_null(self) -> bool:
-        """Can a path pass straight through a surface, as if it weren't there?"""
+        """True if a path can pass straight through a surface, as if it weren't there."""
         return any(has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in self.bsdfs.plugins)
 
     @property
     def needs_uv(self) -> bool:
-        """Does anything look at uv or its derivatives?"""
+        """True if a BSDF or an emitter looks at uv or its derivatives."""
         return any(reads_uv(plugin) for ensemble in self.ensembles() for plugin in ensemble.plugins)
 
     # ---- ray queries ---------------------------------------------------------------------
@@ -226,7 +226,7 @@ class Scene(Plugin):
     def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
     ) -> PreliminaryIntersection3f:
-        """Which face a ray hits first, and where: all that integrators need to go on.
+        """The face that a ray hits first, and the distance: all that integrators need to go on.
 
         Lanes with `through_lights` ignore shapes that emit.
         """
@@ -254,15 +254,15 @@ class Scene(Plugin):
         return si
 
     def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
-        """Is anything hit with 0 < t < maxt?"""
+        """True where anything is hit with 0 < t < maxt."""
         return self.geometry.any_hit(self.geometry.approach(ray)[0], active)
 
     def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
-        """Is a point within an odd number of closed surfaces? Open shapes don't count; see `djpt.geometry.parity`."""
+        """True where a point is within an odd number of closed surfaces; open shapes don't count."""
         return is_inside(self.geometry, p, active)
 
     def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
-        """What arrives of `light` (default 1) through the segment of a `shadow_ray`.
+        """The part of `light` (default 1) that arrives through the segment of a `shadow_ray`.
 
         Nothing if a surface stands between, else the share that media leave. Faster than `ray_test`: shapes that
         can't shadow anything are left out.
@@ -271,7 +271,7 @@ class Scene(Plugin):
         return dr.select(free, self.left_by_media(ray, Color3f(1) if light is None else light), 0)
 
     def light_between(self, ray: Ray3f, light: Color3f, through_lights: bool = False) -> Color3f:
-        """What arrives of `light` through the segment of a ray between any two points.
+        """The part of `light` that arrives through the segment of a ray between any two points.
 
         Unlike `light_through` it leaves out no shape: walls around everything and a lone lamp hide things, too, from a
         camera behind them or from another surface. With `through_lights` shapes that emit hide nothing.
@@ -283,7 +283,7 @@ class Scene(Plugin):
         return dr.select(free, self.left_by_media(ray, light), 0)
 
     def left_by_media(self, ray: Ray3f, light: Color3f) -> Color3f:
-        """What media leave of `light` along the segment of a `shadow_ray`, whatever surfaces stand between."""
+        """The part of `light` that media leave along the segment of a `shadow_ray`, whatever surfaces stand between."""
         if not self.media or ray.medium is None:
             return light
         return light * self.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
@@ -329,6 +329,14 @@ class Scene(Plugin):
             medium=ray.medium,
             prim_uv=surface.prim_uv,
         )
+
+    def revisit(self, p: Point3f, d: Vector3f, face: UInt32) -> SurfaceInteraction3f:
+        """The surface point `p` of a face again, as a ray of direction `d` met it: for vertices that were stored.
+
+        A face that belongs to an instance can't be revisited: its number doesn't say which instance.
+        """
+        hit = PreliminaryIntersection3f(t=Float(0), face=face, shape_index=self.geometry.shape_of(face))
+        return self.surface_interaction(Ray3f(p, d), hit, full=self.needs_uv)
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
@@ -392,7 +400,7 @@ class Scene(Plugin):
 
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
-"""What may stand at the top level of a scene."""
+"""The kinds of plugins that may stand at the top level of a scene."""
 
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission

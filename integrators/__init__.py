@@ -14,6 +14,7 @@ from djpt.integrators.depth import Depth as Depth
 from djpt.integrators.direct import Direct as Direct
 from djpt.integrators.distributed import Distributed as Distributed
 from djpt.integrators.moment import Moment as Moment
+from djpt.integrators.passes import PassIntegrator as PassIntegrator
 from djpt.integrators.path import Path as Path
 from djpt.integrators.path_naive import PathNaive as PathNaive
 from djpt.integrators.path_nee import PathNEE as PathNEE

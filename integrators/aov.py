@@ -32,7 +32,7 @@ def pair(v: Vector2f) -> list[Float]:
 
 
 def start_distance(scene: Scene, ray: Ray3f) -> Float:
-    """How far from the camera its ray starts."""
+    """The distance between the camera and the start of its ray."""
     # Without a near plane the ray may be unbounded.
     return dr.select(scene.near_share > 0, ray.maxt * scene.near_share, 0)
 

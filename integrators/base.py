@@ -94,7 +94,7 @@ State = TypeVar("State", bound="PathState")
 
 @dataclass
 class PathState:
-    """What a path carries from one vertex to the next.
+    """The state of a path between two vertices.
 
     An integrator that carries more derives a dataclass from it, returns that from `start`, and passes it on with
     `dataclasses.replace`.
@@ -134,7 +134,7 @@ class PathState:
 
 @dataclass
 class Vertex:
-    """What happened at a path vertex.
+    """The result of a path vertex.
 
     Contributions include the throughput. Where the scene's values are attached to AD leaves,
     `emitted`, `reflected` and `weight` are attached as well; all else is detached.
@@ -185,7 +185,7 @@ class PathIntegrator(Integrator):
         raise NotImplementedError
 
     def passes_lights(self, state: PathState) -> Bool | None:
-        """Where the next ray ignores shapes that emit; None: nowhere."""
+        """True where the next ray ignores shapes that emit; None if no ray does."""
         return state.depth == 0 if self.hide_emitters else None
 
     def path_passes_lights(self, state: PathState, shadow: Bool) -> Bool | None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Moment", "variance"]
 
 SECOND = "m2_"
-"""What the names of second moments begin with."""
+"""The beginning of the names of second moments."""
 
 RGB_TO_XYZ = np.linalg.inv(XYZ_TO_RGB)
 

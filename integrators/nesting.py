@@ -1,4 +1,4 @@
-"""What integrators that render others along with their own channels share."""
+"""The base of integrators that render others along with channels of their own."""
 
 from __future__ import annotations
 

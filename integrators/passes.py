@@ -21,7 +21,7 @@ __all__ = ["LightPath", "PassIntegrator", "Walks"]
 
 @dataclass
 class LightPath:
-    """What a light path carries from one vertex to the next.
+    """The state of a light path between two vertices.
 
     An estimator that carries more (densities, say) derives a dataclass from it.
     """
@@ -38,7 +38,7 @@ class LightPath:
 
 
 class Walks(Protocol):
-    """What a pass is given to work with: the image to be made, and walks through the scene."""
+    """The means of a pass: the image to be made, and walks through the scene."""
 
     @property
     def scene(self) -> Scene:

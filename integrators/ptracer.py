@@ -31,12 +31,12 @@ __all__ = ["LightVertex", "ParticleTracer"]
 
 @dataclass
 class LightVertex:
-    """What happened at a vertex of a light path."""
+    """The result of a vertex of a light path."""
 
     position: Point2f
     """The place on the film that shows it, in [0, 1)^2 of the crop window."""
     splat: Color3f
-    """What the film receives there, per area of the window, if nothing stands between: see `Scene.light_between`."""
+    """The light that the film receives there, per area of the window, if nothing stands between."""
     shadow_ray: Ray3f
     """The way from the vertex to the camera."""
     path: LightPath
@@ -114,8 +114,9 @@ class ParticleTracer(PassIntegrator):
         """A path that leaves an emitter."""
         u = sampler.next_1d()
         index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, u)
-        ray, flux = scene.emitter_ptr(index).sample_ray(sampler.next_2d(), sampler.next_2d())
-        # Off the surface, along the ray: its normal isn't known here.
+        es = scene.emitter_ptr(index).sample_emission(sampler.next_2d(), sampler.next_2d())
+        ray, flux = es.ray, es.weight
+        # Off the surface, along the ray, whichever side that is.
         a = dr.abs(ray.o)
         largest = maximum(maximum(a.x, a.y), a.z)
         o = dr.fma(ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), ray.o)

@@ -27,7 +27,7 @@ class Branch:
     n: Normal3f
     """Geometric normal there."""
     throughput: Color3f
-    """What its radiance is multiplied by."""
+    """The factor of its radiance in the image."""
     bsdf_pdf: Float
     """Density of its direction; 0 if light sampling couldn't have found it (camera, delta)."""
     depth: UInt32

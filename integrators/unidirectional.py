@@ -1,8 +1,9 @@
-"""What all path tracers from the camera share: depth, Russian roulette, and the way to the next vertex."""
+"""The base of all path tracers from the camera: depth, Russian roulette, and the way to the next vertex."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -99,7 +100,8 @@ class UnidirectionalPath(PathIntegrator):
     ) -> PathState:
         """The state of a path that leaves `si` as `bs` says."""
         passes = has_flag(bs.sampled_type, BSDFFlags.Null)
-        return PathState(
+        return replace(
+            state,
             p=si.p,
             throughput=throughput,
             bsdf_pdf=dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf),

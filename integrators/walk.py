@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -13,7 +13,7 @@ from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f
 
 if TYPE_CHECKING:
-    from djpt.integrators.base import PathIntegrator, PathState
+    from djpt.integrators.base import PathIntegrator
     from djpt.scene import Scene
 
 __all__ = ["walk"]
@@ -25,7 +25,8 @@ class PathLoop:
 
     ray: Ray3f
     sampler: SampleStream
-    state: PathState
+    state: Any
+    """The `PathState`: by name, Dr.Jit would look for the class in this module."""
     radiance: list[Color3f]
     valid: Bool
     active: Bool

@@ -117,7 +117,7 @@ class Whitted(Integrator):
         return end.radiance, end.covered, []
 
     def lit(self, scene: Scene, si: SurfaceInteraction3f) -> Color3f:
-        """What the lamps send to the eye by the surface's smooth lobes."""
+        """The light of the lamps that the surface's smooth lobes send to the eye."""
         lamps = [i for i, e in enumerate(scene.emitters()) if not has_flag(e.flags(), EmitterFlags.Infinite)]
         total = Color3f(0)
         for lamp in lamps:

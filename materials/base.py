@@ -11,14 +11,14 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.description.plugin import Plugin
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BSDF"]
 
 
 class BSDF(Plugin):
-    """How a surface scatters light: f(wi, wo) and a way to sample it.
+    """The scattering of light at a surface: f(wi, wo) and a way to sample it.
 
     All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch.ensemble`).
 
@@ -37,10 +37,10 @@ class BSDF(Plugin):
 
     kind: ClassVar[str] = "bsdf"
     absorbs: bool = False
-    """Is light attenuated within the body that the surface encloses? See `transmittance`."""
+    """Whether light is attenuated within the body that the surface encloses: see `transmittance`."""
 
     m_flags: int = int(BSDFFlags.Empty)
-    """What `flags` returns unless it is overridden; scripts written for Mitsuba set it."""
+    """The result of `flags` unless it is overridden; scripts written for Mitsuba set it."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -65,17 +65,17 @@ class BSDF(Plugin):
         raise NotImplementedError
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        """f(wi, wo) abs(cos theta_o)."""
+        """The value f(wi, wo) abs(cos theta_o)."""
         return self._both(ctx, si, wo, active)[0]
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        """Density of `sample` at `wo`."""
+        """The density of `sample` at `wo`, per unit solid angle."""
         return self._both(ctx, si, wo, active)[1]
 
     def _both(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool
     ) -> tuple[Color3f, Float]:
-        """`eval_pdf`, for classes that have nothing else."""
+        """Call `eval_pdf`, for a class that overrides neither `eval` nor `pdf`."""
         if type(self).eval_pdf is BSDF.eval_pdf:
             raise NotImplementedError(f"{type(self).__name__} needs eval and pdf, or eval_pdf")
         return self.eval_pdf(ctx, si, wo, active)
@@ -83,8 +83,20 @@ class BSDF(Plugin):
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
-        """`eval` and `pdf` together: either this or both of them must be overridden."""
+        """The results of `eval` and `pdf`: a class overrides either this method or both of those."""
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def eval_pdf_both(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float, Float]:
+        """`eval_pdf`, and the density with which `sample` gives `wi` where light arrives from `wo`.
+
+        Estimators that build paths from both ends weight them by both densities.
+        """
+        value, pdf = self.eval_pdf(ctx, si, wo, active)
+        other = TransportMode.Importance if ctx.mode == TransportMode.Radiance else TransportMode.Radiance
+        turned = dataclasses.replace(si, wi=wo)
+        return value, pdf, self.pdf(dataclasses.replace(ctx, mode=other), turned, si.wi, active)
 
     def eval_pdf_sample(
         self,
@@ -95,7 +107,7 @@ class BSDF(Plugin):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        """`eval_pdf` and `sample` together: what a path vertex needs, in one dispatch."""
+        """The results of `eval_pdf` and `sample`: what a path vertex needs, in one call."""
         value, pdf = self.eval_pdf(ctx, si, wo, active)
         sample, weight = self.sample(ctx, si, sample1, sample2, active)
         return value, pdf, sample, weight
@@ -105,7 +117,7 @@ class BSDF(Plugin):
         return Color3f(0)
 
     def transmittance(self, distance: Float) -> Color3f:
-        """What is left of light after a distance within the body that the surface encloses."""
+        """The share of light that is left after a distance within the body that the surface encloses."""
         return Color3f(1)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
@@ -113,7 +125,7 @@ class BSDF(Plugin):
         return self.eval(BSDFContext(), si, Vector3f(0, 0, 1), active) * math.pi
 
 
-# ---- what scripts return: Python's numbers will do --------------------------------------
+# ---- results of scripts: Python's numbers become Dr.Jit arrays ----------------------------
 
 
 def as_sample(bs: BSDFSample3f) -> BSDFSample3f:
@@ -134,7 +146,7 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
 
 
 def converting(method: Callable[..., Any], convert: Callable[[Any], Any]) -> Callable[..., Any]:
-    """A script's method with results of the contract's types, and with arguments of its own.
+    """Wrap a script's method: results get the types of the contract, arguments are copies.
 
     Scripts write ``active &= ...``, which changes the array that they were given.
     """
@@ -148,7 +160,7 @@ def converting(method: Callable[..., Any], convert: Callable[[Any], Any]) -> Cal
 
 
 def own_copy(x: Any) -> Any:
-    """An argument to be edited in place without consequences."""
+    """A copy of an argument, which a script may edit in place."""
     if isinstance(x, bool):
         return Bool(x)
     if isinstance(x, SurfaceInteraction3f):

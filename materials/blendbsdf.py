@@ -18,7 +18,7 @@ from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 __all__ = ["BlendBSDF"]
 
 Sampled = tuple[BSDFSample3f, Color3f]
-"""What `sample` returns."""
+"""The result of `sample`: the sample and its weight."""
 
 
 class BlendBSDF(BSDF):
@@ -65,7 +65,7 @@ class BlendBSDF(BSDF):
         second: Sampled,
         active: Bool | bool,
     ) -> Sampled:
-        """What `sample` returns, given samples of both."""
+        """The result of `sample`, given samples of both BSDFs."""
         is_second = (sample1 <= weight) & (weight > 0)
         bs, value = dr.select(is_second, second, first)
         share = dr.select(is_second, weight, 1 - weight)

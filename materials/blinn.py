@@ -20,10 +20,10 @@ class Blinn(Phong):
     N = (n + 2) (n + 4) / (8 pi (n + 2^(-n/2))) makes the highlight reflect the share k_s of light that falls
     straight onto the surface (F. Giesen, "Phong Normalization Factor Derivation", 2009), and less of the rest.
 
-    Parameters: as of `Phong`; a highlight as wide as Phong's takes about four times the exponent.
+    Parameters: those of `Phong`; a highlight as wide as Phong's takes about four times the exponent.
 
-    Half vectors are sampled with the density (n + 1) / (2 pi) cos^n theta_h; that of `wo` is
-    1 / (4 wi . h) of it.
+    Half vectors are sampled with the density (n + 1) / (2 pi) cos^n theta_h; the density of `wo` is this over
+    4 wi . h.
 
     J. Blinn, "Models of Light Reflection for Computer Synthesized Pictures", SIGGRAPH 1977; as the shading of
     T. Whitted, "An Improved Illumination Model for Shaded Display", 1980.

@@ -35,7 +35,7 @@ class BumpMap(PerturbedBSDF):
     values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.Differentiable}
     children = ("nested_bsdf", "nested_texture")
     needs_uv: ClassVar[bool] = True
-    """dp/du and dp/dv are read, whatever the texture."""
+    """True: dp/du and dp/dv are read, even if the texture is constant."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -62,7 +62,7 @@ class BumpMap(PerturbedBSDF):
 
 
 def sees_tangent(plugin: Plugin) -> bool:
-    """Does the BSDF look different if its frame is turned about the normal?"""
+    """Whether the BSDF looks different if its frame is turned about the normal."""
     if isinstance(plugin, PerturbedBSDF):
         return True
     children = [getattr(plugin, name) for name in plugin.children]

@@ -12,7 +12,7 @@ __all__ = ["DeltaBSDF", "derivative_of_choice"]
 
 
 class DeltaBSDF(BSDF):
-    """All lobes are delta distributions: no given direction is ever one of theirs, only `sample` finds them."""
+    """A BSDF whose lobes are all delta distributions: only `sample` finds their directions, `eval` and `pdf` are 0."""
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
         return Color3f(0)
@@ -24,8 +24,8 @@ class DeltaBSDF(BSDF):
 def derivative_of_choice(probability: Float) -> Float:
     """The number 1 with the derivative of `probability` / detach(`probability`).
 
-    It belongs into the weight of a lobe that was chosen with this probability because it carries this share of
-    the light: choices aren't differentiated, the share must be.
+    A factor of the weight of a lobe that was chosen with this probability because it carries this share of the
+    light: the choice isn't differentiated, the share must be.
     """
     if not dr.grad_enabled(probability):
         return Float(1)

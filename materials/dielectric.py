@@ -62,7 +62,7 @@ class Dielectric(DeltaBSDF):
         return REFLECTION | TRANSMISSION
 
     def interface(self, cos_theta_i: Float) -> tuple[Float, Float, Float, Float]:
-        """What `fresnel` returns."""
+        """The results of `fresnel` for this interface."""
         return fresnel(cos_theta_i, self.eta)
 
     def sample(

@@ -1,4 +1,4 @@
-"""Reflection and refraction at a smooth interface: Snell's law, Fresnel's equations and Schlick's short cut.
+"""Reflection and refraction at a smooth interface: Snell's law, Fresnel's equations and Schlick's approximation.
 
 Cosines are signed: positive on the side of the normal. `eta` is the index behind the interface (where the
 cosine is negative) over the index in front of it, so `eta_it` = `eta` for light from the front and 1 / `eta`
@@ -27,12 +27,12 @@ Value = TypeVar("Value", Float, Color3f)
 
 
 def _sqrt(x: Value) -> Value:
-    """The root; 0, with derivative 0, where x is not positive."""
+    """The square root; 0, with derivative 0, where x is not positive."""
     return dr.sqrt(dr.select(x > 0, x, 0))
 
 
 def _snell(cos_theta_i: Float, eta: Float) -> tuple[Float, Float, Float, Bool]:
-    """(abs cos theta_t, eta_it, eta_ti, is it total internal reflection) by sin theta_i = eta_it sin theta_t."""
+    """(abs cos theta_t, eta_it, eta_ti, whether reflection is total), by sin theta_i = eta_it sin theta_t."""
     outside = cos_theta_i >= 0
     inv_eta = dr.rcp(eta)
     eta_it = dr.select(outside, eta, inv_eta)
@@ -70,7 +70,7 @@ def fresnel(cos_theta_i: Float, eta: Float) -> tuple[Float, Float, Float, Float]
 
 
 def schlick(cos_theta: Float, r0: Value) -> Value:
-    """R0 + (1 - R0) (1 - cos theta)^5 for cos theta in [0, 1].
+    """The reflectance R0 + (1 - R0) (1 - cos theta)^5 for cos theta in [0, 1].
 
     C. Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", Computer Graphics Forum 13(3), 1994.
     """
@@ -80,10 +80,11 @@ def schlick(cos_theta: Float, r0: Value) -> Value:
 
 
 def fresnel_schlick(cos_theta_i: Float, eta: Float) -> tuple[Float, Float, Float, Float]:
-    """As `fresnel`, with Schlick's approximation of the reflectance; R0 = ((eta - 1) / (eta + 1))^2.
+    """The reflectance of a dielectric interface by Schlick's approximation, and the transmitted ray's angle.
 
-    The cosine is that of the larger of the two angles, which lies in the thinner medium: from the denser side it is
-    the transmitted one, so that the reflectance reaches 1 at the critical angle. It is exactly 0 at `eta` = 1.
+    Arguments and results are those of `fresnel`. `schlick` is given R0 = ((eta - 1) / (eta + 1))^2 and the cosine of
+    the larger of the two angles, which lies in the thinner medium: from the denser side it is the transmitted angle,
+    so that the reflectance reaches 1 at the critical angle. It is exactly 0 at `eta` = 1.
     """
     cos_t, eta_it, eta_ti, total = _snell(cos_theta_i, eta)
     r0 = dr.square((eta - 1) * dr.rcp(eta + 1))
@@ -140,7 +141,7 @@ def reflect(wi: Vector3f, m: Normal3f | None = None) -> Vector3f:
 
 
 def refract(wi: Vector3f, m: Normal3f | None, cos_theta_t: Float, eta_ti: Float) -> Vector3f:
-    """The refracted direction, away from the surface, with what `fresnel` returned for the cosine of `wi` and `m`."""
+    """The refracted direction, away from the surface; `fresnel` gives `cos_theta_t` and `eta_ti` for dot(wi, m)."""
     if m is None:
         return Vector3f(-eta_ti * wi.x, -eta_ti * wi.y, cos_theta_t)
     return dr.fma(m, dr.fma(dr.dot(wi, m), eta_ti, cos_theta_t), wi * -eta_ti)

@@ -1,4 +1,4 @@
-"""The glass of textbooks."""
+"""Smooth glass whose lobes can be shown one at a time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ __all__ = ["Glass"]
 class Glass(Dielectric):
     """A `dielectric` whose two lobes can be shown one at a time, and whose reflectance can be Schlick's.
 
-    Its parameters are those of `dielectric` and three more.
-
-    Parameters:
+    Parameters: those of `dielectric`, and
         fresnel: `exact` (default) or `schlick`, see `djpt.materials.fresnel.fresnel_schlick`.
         reflection, transmission: whether the lobe is there (default true; not both false). A lobe that is left alone
             is always sampled, and its weight is what it has of the whole: F or 1 - F (times eta_ti^2). So the images

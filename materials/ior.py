@@ -37,7 +37,7 @@ IOR: Final = {
     "water": 1.333,
     "water ice": 1.31,
 }
-"""Of yellow light (589 nm), at 0 to 20 degrees Celsius. Most are from E. Hecht, "Optics", 4th ed.; as in Mitsuba."""
+"""Indices for yellow light (589 nm) at 0 to 20 degrees Celsius, as in Mitsuba; most are from E. Hecht, "Optics"."""
 
 
 def ior(props: Properties, key: str, default: str | float) -> float:
@@ -52,7 +52,7 @@ def ior(props: Properties, key: str, default: str | float) -> float:
 
 
 def check_eta(value: Any) -> Any:
-    """`value`, about to be assigned to a relative index; `ParameterError` unless it is > 0."""
+    """Return `value`, about to be assigned to a relative index; raise `ParameterError` unless it is > 0."""
     if not is_readable():
         return value
     try:

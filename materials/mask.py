@@ -27,8 +27,8 @@ class Mask(BSDF):
     f = opacity f_nested + (1 - opacity) delta(wo + wi) / abs(cos theta_o).
 
     Parameters: `opacity` (scalar texture, default 0.5; values are clipped to [0, 1]) and one nested BSDF,
-    under any key; its parameters are listed under `nested_bsdf`. Of the random numbers below `opacity` the
-    nested BSDF is sampled, above them the ray goes on.
+    under any key; its parameters are listed under `nested_bsdf`. The nested BSDF is sampled if the random number
+    is below `opacity`, else the ray goes straight on.
     """
 
     children = ("opacity", "nested_bsdf")
@@ -51,7 +51,7 @@ class Mask(BSDF):
     def _choose(
         self, si: SurfaceInteraction3f, sample1: Float, opacity: Float, nested: BSDFSample3f, weight: Color3f
     ) -> tuple[BSDFSample3f, Color3f]:
-        """What `sample` returns, given the nested sample."""
+        """The result of `sample`, given the nested sample."""
         hit = sample1 < opacity
         # Every kind of nested lobe counts as one component, as it mostly does in Mitsuba.
         last = (self.nested_bsdf.flags() & int(BSDFFlags.All)).bit_count()
@@ -112,13 +112,13 @@ class Mask(BSDF):
 
 
 def unit_interval(x: Float) -> Float:
-    """`x` clipped to [0, 1], with the derivative 1 also on the bounds, where optimisers often stand."""
+    """The number `x` clipped to [0, 1], with the derivative 1 also on the bounds, where optimisers often stand."""
     positive = dr.select(x < 0, Float(0), x)
     return dr.select(positive > 1, Float(1), positive)
 
 
 def rescaled(sample: Float, probability: Float) -> Float:
-    """The part of a uniform random number that is left after it was found to lie below `probability`."""
+    """A fresh uniform random number, made of one that was found to lie below `probability`."""
     return minimum(sample * dr.rcp(dr.select(probability > 0, probability, 1)), Float(ALMOST_ONE))
 
 

@@ -71,11 +71,11 @@ SAME_IN_PALIK: Final = (
 METALS.update({f"{name}_palik": METALS[name] for name in SAME_IN_PALIK.split()})
 
 LARGEST: Final = 1e6
-"""No solid comes near; Fresnel's equations overflow beyond."""
+"""The largest eta and k: no solid comes near, and Fresnel's equations overflow beyond."""
 
 
 def metal(props: Properties) -> tuple[Texture, Texture]:
-    """The textures eta and k: those under these keys, or those of the `material`.
+    """The textures eta and k, given by these keys or by the name of a `material`.
 
     Defaults: eta 0, k 1, material `none`. Only one of the two ways may be used; all values lie in [0, 1e6].
     """

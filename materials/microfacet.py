@@ -27,7 +27,7 @@ BELOW_ONE = 1 - 2.0**-24
 
 
 class MicrofacetDistribution:
-    """How the normals m of microfacets are distributed about +z, and which of them a direction sees.
+    """A distribution of microfacet normals m about +z, and of those that a direction sees.
 
     With s = (m.x / alpha_u)^2 + (m.y / alpha_v)^2 over the upper hemisphere:
 
@@ -59,7 +59,7 @@ class MicrofacetDistribution:
         self.alpha_v = self.alpha_u if self.isotropic else dr.select(alpha_v > MIN_ALPHA, alpha_v, MIN_ALPHA)
 
     def scaled(self, factor: Float) -> MicrofacetDistribution:
-        """The same with both roughnesses multiplied."""
+        """The distribution with both roughnesses multiplied by `factor`."""
         alpha_u = self.alpha_u * factor
         alpha_v = alpha_u if self.isotropic else self.alpha_v * factor
         return MicrofacetDistribution(self.distribution, alpha_u, alpha_v, self.sample_visible)
@@ -67,7 +67,7 @@ class MicrofacetDistribution:
     # ---- density ----------------------------------------------------------------------
 
     def eval(self, m: Vector3f) -> Float:
-        """D(m), per unit solid angle; 0 below the horizon and where D m.z is below 1e-20."""
+        """The density D(m), per unit solid angle; 0 below the horizon and where D m.z is below 1e-20."""
         # Fractions are expanded so that one reciprocal is left: nothing overflows where D isn't 0.
         z2 = dr.square(m.z)
         if self.isotropic:
@@ -120,7 +120,7 @@ class MicrofacetDistribution:
         return dr.select(dr.dot(v, m) * v.z > 0, g1, 0)
 
     def G(self, wi: Vector3f, wo: Vector3f, m: Vector3f) -> Float:
-        """G1(wi, m) G1(wo, m)."""
+        """The shadowing for two directions, G1(wi, m) G1(wo, m)."""
         return self.smith_g1(wi, m) * self.smith_g1(wo, m)
 
     # ---- sampling ---------------------------------------------------------------------
@@ -131,7 +131,7 @@ class MicrofacetDistribution:
         return m, self.pdf(wi, m)
 
     def sample_normal(self, wi: Vector3f, sample: Point2f) -> Normal3f:
-        """`sample` without the density."""
+        """A normal, as by `sample`, without its density."""
         if not self.sample_visible:
             return self._sample_all(sample)
         # The surface of roughness 1 that is seen from the stretched direction, in the plane of incidence.
@@ -149,7 +149,7 @@ class MicrofacetDistribution:
         return dr.normalize(Normal3f(self.alpha_u * x, self.alpha_v * y, n.z))
 
     def _sample_all(self, sample: Point2f) -> Normal3f:
-        """The slope is a radius, by inversion, times an ellipse."""
+        """A normal of all, seen or not: the length of its slope by inversion, scaled by the roughnesses."""
         sin, cos = dr.sincos(2 * math.pi * sample.y)
         rest = 1 - sample.x
         radius2 = -dr.log(rest) if self.distribution == "beckmann" else sample.x * dr.rcp(rest)
@@ -158,7 +158,7 @@ class MicrofacetDistribution:
 
 
 def _visible_ggx(cos: Float, sample: Point2f) -> Vector3f:
-    """A point of the hemisphere of roughness 1 that is visible from (sin, 0, cos): the normal, unit length."""
+    """A normal of roughness 1 visible from (sin, 0, cos), unit length: a visible point of the unit hemisphere."""
     p = square_to_uniform_disk_concentric(sample)
     # The disk as seen from the side: its far half is the visible part of the equator's disk.
     edge = _sqrt(dr.fma(-p.x, p.x, 1))
@@ -192,7 +192,7 @@ def _visible_beckmann(cos: Float, sample: Point2f) -> Vector3f:
 
 
 def _sqrt(x: Float) -> Float:
-    """The root; 0, with derivative 0, where rounding made `x` negative."""
+    """The square root; 0, with derivative 0, where rounding made `x` negative."""
     return dr.sqrt(dr.select(x > 0, x, 0))
 
 
@@ -205,7 +205,7 @@ def _clamp(x: Float, low: float, high: float) -> Float:
 
 
 def distribution_name(props: Properties) -> str:
-    """The key `distribution`: `"beckmann"` (default) or `"ggx"`, in any case."""
+    """The name under the key `distribution`: `"beckmann"` (default) or `"ggx"`, in any case."""
     name = props.string("distribution", "beckmann")
     if name.lower() not in DISTRIBUTIONS:
         raise props.error("distribution", f"can't be '{name}'{near_miss(name.lower(), DISTRIBUTIONS)}")
@@ -213,7 +213,7 @@ def distribution_name(props: Properties) -> str:
 
 
 def alpha_textures(props: Properties) -> tuple[Texture, Texture | None]:
-    """The keys `alpha` (default 0.1), or `alpha_u` and `alpha_v`, in (0, 1]; isotropic: one texture and None."""
+    """The textures `alpha_u` and `alpha_v`, in (0, 1]; for one `alpha` (default 0.1) that texture and None."""
     pair = [key for key in ("alpha_u", "alpha_v") if key in props]
     if not pair:
         return props.texture_1("alpha", 0.1, low=0.0, high=1.0, low_open=True), None

@@ -1,4 +1,4 @@
-"""The mirror of textbooks."""
+"""Perfect mirrors."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ METAL = ("material", "eta", "k")
 
 
 class Mirror(Conductor):
-    """Perfect reflection, or that of a metal; black from behind.
+    """Mirror reflection of a share of light that depends on the angle or not; black from behind.
 
-    Parameters: `reflectance` (texture in [0, 1], default 1), the share of light that is reflected; `fresnel`, how it
-    depends on the angle; `material`, or `eta` and `k`, the metal: as in `conductor`, unset by default.
+    Parameters: `reflectance` (texture in [0, 1], default 1), a factor; `material`, or `eta` and `k`, a metal as in
+    `conductor` (default: none); `fresnel`, the share that is reflected:
 
-    * `none` (default without a metal): not at all, it is R0;
+    * `none` (default without a metal): R0 at all angles;
     * `schlick`: R0 + (1 - R0) (1 - cos theta)^5;
     * `exact` (default with a metal): `reflectance` times the metal's Fresnel reflectance.
 

@@ -1,4 +1,4 @@
-"""No surface."""
+"""Invisible surfaces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Null"]
 
 
 class Null(DeltaBSDF):
-    """All light passes straight through: wo = -wi, weight 1. No parameters.
+    """A surface that all light passes straight through: wo = -wi, weight 1. No parameters.
 
     Such a surface can still carry an emitter.
     """

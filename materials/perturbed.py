@@ -1,4 +1,4 @@
-"""What normal maps and bump maps have in common: a BSDF in a frame that a texture has tilted."""
+"""The common part of normal maps and bump maps: a BSDF in a frame that a texture has tilted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 __all__ = ["PerturbedBSDF"]
 
 TINY = 1e-20
-"""Squared lengths below it have no direction."""
+"""Vectors of a smaller squared length have no direction."""
 
 
 class PerturbedBSDF(BSDF):
@@ -58,7 +58,7 @@ class PerturbedBSDF(BSDF):
         raise NotImplementedError
 
     def tangent(self, si: SurfaceInteraction3f) -> Vector3f:
-        """What the frame's `s` follows, in the shading frame."""
+        """The direction that the frame's `s` follows, in the shading frame."""
         return Vector3f(1, 0, 0)
 
     def _tilted(self, si: SurfaceInteraction3f, active: Bool | bool) -> tuple[Frame3f, SurfaceInteraction3f]:
@@ -143,13 +143,13 @@ class PerturbedBSDF(BSDF):
 
 
 def direction(v: Vector3f, otherwise: Vector3f) -> Vector3f:
-    """`v` made a unit vector; `otherwise` where it has no direction."""
+    """The unit vector along `v`; `otherwise` where `v` has no direction."""
     squared = dr.squared_norm(v)
     usable = squared > TINY
     return dr.select(usable, v * dr.rsqrt(dr.select(usable, squared, 1)), otherwise)
 
 
 def squared_tangent(cosine: Float, least: float) -> Float:
-    """tan^2, where squared cosines below `least` count as that."""
+    """The squared tangent of an angle; squared cosines below `least` count as `least`."""
     squared = maximum(dr.square(cosine), Float(least))
     return maximum(1 - squared, Float(0)) * dr.rcp(squared)

@@ -50,7 +50,7 @@ class Phong(BSDF):
             raise SceneError(f"{props.node}: {problem}")
 
     def _excess(self) -> str:
-        """What is wrong with the sum of the reflectances; empty if nothing."""
+        """A message if the reflectances add up to more than 1, else an empty one."""
         if not (self.diffuse_reflectance.is_constant and self.specular_reflectance.is_constant):
             return ""
         diffuse, specular = (
@@ -73,7 +73,7 @@ class Phong(BSDF):
         return int(BSDFFlags.DiffuseReflection | BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)
 
     def highlight(self, wi: Vector3f, wo: Vector3f, n: Float) -> tuple[Float, Float]:
-        """(f / k_s, density) of the highlight."""
+        """The highlight's f / k_s and its density, per unit solid angle of `wo`."""
         lobe = power(dr.dot(mirrored(wi), wo), n)
         return lobe * (n + 2) * (0.5 * INV_PI), lobe * (n + 1) * (0.5 * INV_PI)
 
@@ -84,7 +84,7 @@ class Phong(BSDF):
         return Frame3f.from_normal(axis).to_world(local)
 
     def _weights(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
-        """Probability of sampling the highlight."""
+        """The probability of sampling the highlight."""
         diffuse, specular = self.diffuse_reflectance.mean(), self.specular_reflectance.mean()
         return dr.detach(specular * dr.rcp(maximum(diffuse + specular, Float(1e-8))))
 
@@ -124,7 +124,7 @@ def mirrored(w: Vector3f) -> Vector3f:
 
 
 def power(cosine: Float, n: Float) -> Float:
-    """cosine^n, 0 where the cosine isn't positive."""
+    """The power cosine^n; 0 where the cosine isn't positive."""
     positive = cosine > 0
     return dr.select(positive, dr.exp2(n * dr.log2(dr.select(positive, cosine, 1))), 0)
 

@@ -68,7 +68,7 @@ class Plastic(SharedWorkBSDF):
 
 
 class PlasticAtPoint:
-    """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
+    """A `Plastic` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(self, bsdf: Plastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:
         self.eta, self.wi = bsdf.eta, si.wi
@@ -79,7 +79,7 @@ class PlasticAtPoint:
         base = bsdf.diffuse_reflectance.eval(si, active)
         returned = dr.rcp(1 - base * trapped) if bsdf.nonlinear else dr.rcp(1 - trapped)
         self.base = base * (returned * dr.square(inv_eta) * (1 - self.reflected))
-        """f cos theta_o without (1 - F(theta_o)) cos theta_o / pi."""
+        """The base's f cos theta_o, without the factor (1 - F(theta_o)) cos theta_o / pi."""
         # The mirror and the base are drawn by how much they reflect on average.
         diffuse = bsdf.diffuse_reflectance.mean()
         specular = 1 if bsdf.specular_reflectance is None else bsdf.specular_reflectance.mean()

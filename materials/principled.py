@@ -55,11 +55,11 @@ class At:
     eta: Float
     """Index behind the surface over the one in front of it, as the incident ray sees it."""
     front: Bool
-    """Does the ray arrive from outside?"""
+    """True where the ray arrives from outside."""
     opaque: Any
-    """Share of the light that meets the diffuse lobe."""
+    """The share of the light that meets the diffuse lobe."""
     clear: Any
-    """Share that meets glass."""
+    """The share of the light that meets glass."""
     microfacets: MicrofacetDistribution
 
 
@@ -155,7 +155,7 @@ class Principled(PrincipledBase):
     # ---- parameters ------------------------------------------------------------------------
 
     def _eta(self) -> Float:
-        """The relative index of refraction. None at all can't refract: then it is moved off 1 a little."""
+        """The relative index of refraction; moved off 1 a little if light is refracted, which needs an interface."""
         transmits = "spec_trans" in self.given
         if not self.by_specular:
             return dr.select(self.interface == 1, 1.001, self.interface) if transmits else self.interface
@@ -253,7 +253,7 @@ class Principled(PrincipledBase):
         refracted = dr.select(at.front, at.clear, 1) * (1 - F) if transmits else 0
         pdf = specular * (1 - refracted) * normal_pdf * jacobian
 
-        # What only the front has.
+        # Lobes that only the front has.
         front = self._diffuse(at, wi.z, cos_o, cos_d)
         front_pdf = body * cos_o * (1 / math.pi)
         if at.coat is not None:

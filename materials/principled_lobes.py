@@ -1,4 +1,4 @@
-"""The lobes of Disney's principled model, and what its two materials share.
+"""The lobes of Disney's principled model, and the common part of its two materials.
 
 B. Burley, "Physically-based shading at Disney", SIGGRAPH 2012 course notes; B. Burley, "Extending the
 Disney BRDF to a BSDF with integrated subsurface scattering", SIGGRAPH 2015 course notes.
@@ -38,14 +38,14 @@ __all__ = [
 ]
 
 GRAZING = 1e-7
-"""Directions whose cosine is smaller are lost: below, squares of it and their inverses leave float32."""
+"""Directions of a smaller cosine are lost: the squares and their inverses would leave float32."""
 
 Scalars = dict[str, Any]
 """The optional parameters at one surface point, without those that are off."""
 
 
 class PrincipledBase(BSDF):
-    """Reads the parameters once per surface point, and calls what the two materials differ in.
+    """The common part of both materials: the parameters are read once per surface point.
 
     Parameters that aren't in the description (or are the number 0 there) are off: their lobes aren't
     in the kernel. Editing one turns it on.
@@ -58,7 +58,7 @@ class PrincipledBase(BSDF):
     statics: ClassVar[Sequence[str]] = ("given",)
 
     given: frozenset[str]
-    """Which of the optional parameters are on."""
+    """The names of the optional parameters that are on."""
     base_color: Texture
 
     def _read_optional(self, props: Properties, high: dict[str, float] | None = None) -> None:
@@ -83,11 +83,11 @@ class PrincipledBase(BSDF):
         raise NotImplementedError
 
     def _draw(self, at: Any, wi: Vector3f, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Bool]:
-        """A direction in the mirrored frame, without its density; where it is possible."""
+        """A direction in the mirrored frame, without its density, and whether it is possible."""
         raise NotImplementedError
 
     def _is_seen(self, at: Any) -> Bool | bool:
-        """Does the material scatter light to the side that it is seen from?"""
+        """Whether the material scatters light to the side that it is seen from."""
         return True
 
     # ---- the contract of BSDFs -------------------------------------------------------------
@@ -144,18 +144,18 @@ class PrincipledBase(BSDF):
 
 
 def inverse(x: Float) -> Float:
-    """1 / x; 1 for the zero of something that then counts for nothing."""
+    """The inverse 1 / x; 1 where x is 0 and the result counts for nothing."""
     return dr.rcp(dr.select(x > 1e-30, x, 1))
 
 
 def square_root(x: Any) -> Any:
-    """sqrt(max(x, 0)), with the derivative 0 instead of infinity at 0."""
+    """The square root of max(x, 0), with the derivative 0 instead of infinity at 0."""
     positive = x > 0
     return dr.select(positive, dr.sqrt(dr.select(positive, x, 1)), 0)
 
 
 def half_vector(wi: Vector3f, wo: Vector3f) -> tuple[Vector3f, Float]:
-    """The normalised sum, turned to z > 0, and the squared length of the sum."""
+    """The normalised sum of both directions, turned to z > 0, and the squared length of the sum."""
     h = wi + wo
     length_squared = maximum(dr.squared_norm(h), 1e-20)
     h = h * dr.rsqrt(length_squared)
@@ -166,7 +166,7 @@ def half_vector(wi: Vector3f, wo: Vector3f) -> tuple[Vector3f, Float]:
 
 
 def schlick_weight(cos_theta: Float) -> Float:
-    """(1 - cos)^5, with the base clipped to [0, 1]."""
+    """Schlick's weight (1 - cos theta)^5, with the base clipped to [0, 1]."""
     m = minimum(maximum(1 - cos_theta, 0), 1)
     return dr.square(dr.square(m)) * m
 
@@ -177,7 +177,7 @@ def schlick_r0(eta: Float) -> Float:
 
 
 def tint(color: Color3f) -> Color3f:
-    """The hue: a colour over its luminance; white for black."""
+    """The hue of a colour: the colour over its luminance; white for black."""
     r, g, b = LUMINANCE
     luminance = color.x * r + color.y * g + color.z * b
     lit = luminance > 1e-30
@@ -188,7 +188,7 @@ def tint(color: Color3f) -> Color3f:
 
 
 def alphas(roughness: Float, anisotropic: Float | None) -> tuple[Float, Float]:
-    """The squared roughness, stretched by the aspect sqrt(1 - 0.9 anisotropic); at least 0.001."""
+    """Alpha along u and v: the squared roughness, stretched by the aspect sqrt(1 - 0.9 anisotropic); at least 0.001."""
     squared = dr.square(roughness)
     if anisotropic is None:
         alpha = maximum(squared, 0.001)
@@ -207,7 +207,7 @@ class GTR1:
         self._alpha_squared = dr.square(alpha)
 
     def eval(self, m: Vector3f) -> Float:
-        """D(m) for m.z > 0."""
+        """The density D(m) of normals, for m.z > 0."""
         a2 = self._alpha_squared
         # 1 + (a^2 - 1) cos^2, written as a sum without cancellation.
         spread = dr.fma(a2, dr.square(m.z), dr.square(m.x) + dr.square(m.y))
@@ -249,6 +249,6 @@ def diffuse(cos_i: Float, cos_o: Float, cos_d: Float, roughness: Float, flatness
 
 
 def sheen(color: Color3f, cos_d: Float, amount: Float, tinted: Float | None) -> Color3f:
-    """F of the grazing lobe of cloth, white or partly of the colour's hue."""
+    """The f of a lobe of cloth at grazing angles, white or partly of the colour's hue."""
     f = amount * schlick_weight(cos_d)
     return Color3f(f) if tinted is None else f * dr.lerp(Color3f(1), tint(color), tinted)

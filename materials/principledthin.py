@@ -43,13 +43,13 @@ class At:
     scalars: Scalars
     eta: Float
     clear: Any
-    """Share of the light that meets the specular lobes."""
+    """The share of the light that meets the specular lobes."""
     passed: Any
-    """Share of the diffuse light that is transmitted."""
+    """The share of the diffuse light that is transmitted."""
     outside: MicrofacetDistribution | None
-    """What reflects."""
+    """The microfacets that reflect."""
     through: MicrofacetDistribution | None
-    """What transmits: the roughness of both sides together."""
+    """The microfacets that transmit: the roughness of both sides together."""
 
 
 class PrincipledThin(PrincipledBase):
@@ -62,8 +62,8 @@ class PrincipledThin(PrincipledBase):
         f = (1 - t) p base_color / pi                                   transmitted
           + t base_color (1 - F) D' G' / (4 cos i cos o)
 
-    D and G are GGX, D' and G' with the roughness times 0.65 eta - 0.35. F is Fresnel's, blended with a tinted
-    one of Schlick by `spec_tint`. Light isn't bent.
+    D and G are GGX, D' and G' with the roughness times 0.65 eta - 0.35. F is Fresnel's reflectance, blended with
+    Schlick's, tinted, by `spec_tint`. Light isn't bent.
 
     Parameters, all textures: `base_color` in [0, 1] (a colour, default 0.5); `roughness` in [0, 1]
     (default 0.5); `eta` > 0 (default 1.5); `spec_trans`, `anisotropic`, `spec_tint`, `sheen`, `sheen_tint`,
@@ -150,7 +150,7 @@ class PrincipledThin(PrincipledBase):
         def lobe(wo: Vector3f, sampled_type: BSDFFlags, component: int) -> BSDFSample3f:
             return BSDFSample3f.of(wo, 0, sampled_type, sampled_component=component)
 
-        # In the order of the sample, from behind.
+        # From the last interval of `sample1` to the first.
         wo = square_to_cosine_hemisphere(sample2)
         bs, possible = lobe(wo, BSDFFlags.DiffuseReflection, 0), wo.z > 0
         if "diff_trans" in self.given:

@@ -67,7 +67,7 @@ class RoughConductor(SharedWorkBSDF):
 
 
 class RoughConductorAtPoint:
-    """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
+    """A `RoughConductor` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(self, bsdf: RoughConductor, si: SurfaceInteraction3f, active: Bool | bool) -> None:
         alpha_u = bsdf.alpha_u.eval_1(si, active)

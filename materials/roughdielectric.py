@@ -88,7 +88,7 @@ class RoughDielectric(SharedWorkBSDF):
 
 
 class RoughDielectricAtPoint:
-    """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
+    """A `RoughDielectric` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(self, bsdf: RoughDielectric, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
         alpha_u = bsdf.alpha_u.eval_1(si, active)
@@ -105,12 +105,12 @@ class RoughDielectricAtPoint:
         self.tint_t = tint(bsdf.specular_transmittance, si, active)
 
     def density(self, m: Vector3f, d: Float, cos: Float) -> Float:
-        """Of sampling the microfacet `m`, where D is `d` and `cos` is dot(wi, m)."""
+        """The density of sampling the microfacet `m`, where D is `d` and `cos` is dot(wi, m)."""
         return d * self.g1_i * dr.abs(cos) if self.surface.sample_visible else self.sampled.eval(m) * m.z
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
         reflected = self.wi.z * wo.z > 0
-        # The microfacet that does it, on the side of the surface's normal.
+        # The microfacet that reflects or refracts, on the side of the surface's normal.
         h = dr.fma(wo, dr.select(reflected, 1, self.eta_it), self.wi)
         h2 = dr.squared_norm(h)
         inv_h2 = dr.rcp(dr.select(h2 > 1e-12, h2, 1e-12))

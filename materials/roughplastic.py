@@ -113,7 +113,7 @@ class RoughPlastic(SharedWorkBSDF):
         dr.eval(self.coat, self.coat_by_alpha, self.coat_by_eta)
 
     def _change(self, after: tuple[Float, Float], before: tuple[Float, Float], step: Float, wanted: Float) -> TensorXf:
-        """The change of `coat` per unit, if the parameter `wanted` has gradients; else zeros, which nobody reads."""
+        """The change of `coat` per unit of the parameter `wanted`; zeros, which aren't read, if it has no gradients."""
         if not dr.grad_enabled(wanted):
             return TensorXf(dr.zeros(Float, 2 * KNOTS), (1, KNOTS, 2))
         change = coat(self.distribution, *after).array - coat(self.distribution, *before).array
@@ -132,7 +132,7 @@ class RoughPlastic(SharedWorkBSDF):
         return entry
 
     def transmittance_of_coat(self, cos: Float, active: Bool | bool) -> Float:
-        """T, between the knots by straight lines."""
+        """The coat's transmittance T, interpolated linearly between the knots."""
         x = dr.select(cos > 0, cos, 0) * (KNOTS - 1)
         index = UInt32(x)
         index = dr.select(index < KNOTS - 2, index, KNOTS - 2)
@@ -147,7 +147,7 @@ class RoughPlastic(SharedWorkBSDF):
 
 
 class RoughPlasticAtPoint:
-    """What depends on `wi` and the place alone: computed once for evaluation and sampling."""
+    """A `RoughPlastic` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(self, bsdf: RoughPlastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:
         self.bsdf, self.wi, self.active = bsdf, si.wi, active
@@ -159,7 +159,7 @@ class RoughPlasticAtPoint:
         base = bsdf.diffuse_reflectance.eval(si, active)
         returned = dr.rcp(1 - base * trapped) if bsdf.nonlinear else dr.rcp(1 - trapped)
         self.base = base * (returned * dr.square(dr.rcp(bsdf.eta)) * through)
-        """f cos theta_o of the base without T(theta_o) cos theta_o / pi."""
+        """The base's f cos theta_o, without the factor T(theta_o) cos theta_o / pi."""
         # Both lobes are drawn by how much they reflect on average.
         diffuse = bsdf.diffuse_reflectance.mean()
         specular = 1 if bsdf.specular_reflectance is None else bsdf.specular_reflectance.mean()
@@ -219,9 +219,10 @@ def knots() -> Float:
 
 
 def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) -> Float:
-    """What a rough interface reflects or transmits, at each knot, by quadrature over the microfacets' sample space.
+    """The share of light that a rough interface reflects or transmits, at each knot: (KNOTS,).
 
-    Visible normals have the density D_wi(m), so that the integrand is G1(wo, m) times F or 1 - F.
+    By quadrature over the sample space of the microfacets: visible normals have the density D_wi(m), so that the
+    integrand is G1(wo, m) times F or 1 - F.
     """
     # As many nodes as Mitsuba takes, whose values these are to be: total reflection needs more.
     denser = dr.detach(eta)[0] > 1 if is_readable() else transmitted

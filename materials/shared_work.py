@@ -15,14 +15,14 @@ class BSDFAtPoint(Protocol):
     """A BSDF at one surface point, seen from one direction: arguments and results as in `BSDF`."""
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
-        """F abs(cos theta_o), and the density of `sample` at `wo`."""
+        """The value f abs(cos theta_o), and the density of `sample` at `wo`."""
 
     def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
-        """A direction, and its weight."""
+        """A sampled direction and its weight."""
 
 
 class SharedWorkBSDF(BSDF):
-    """Overrides one method, `at`: all that depends on `wi` and the place alone is computed once there."""
+    """A BSDF with one method to override, `at`, which computes once all that depends on `wi` and the point alone."""
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
         """The BSDF at `si`, seen from `si.wi`."""

@@ -48,7 +48,7 @@ class ThinDielectric(DeltaBSDF):
         return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
 
     def reflectance_at(self, si: SurfaceInteraction3f) -> Float:
-        """2 F / (1 + F)."""
+        """The reflectance of the sheet, 2 F / (1 + F)."""
         single = fresnel(dr.abs(si.wi.z), self.eta)[0]
         return 2 * single * dr.rcp(1 + single)
 

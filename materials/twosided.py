@@ -105,7 +105,7 @@ class TwoSided(BSDF):
 
 
 def flipped(v: Vector3f, behind: Bool) -> Vector3f:
-    """`v` mirrored by the surface where `behind`."""
+    """The direction `v`, mirrored by the surface where `behind`."""
     return Vector3f(v.x, v.y, dr.select(behind, -v.z, v.z))
 
 

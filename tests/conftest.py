@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from kit.lanes import lanes_from_environment
-
 import djpt  # noqa: F401
+from tests.kit.lanes import lanes_from_environment
 
 lanes_from_environment()

@@ -79,7 +79,7 @@ def render(
     rfilter: RFilter = None,
     integrator: IntegratorName = None,
     sensor: Annotated[int, typer.Option(min=0, help="Which of the scene's sensors, counted from 0.")] = 0,
-    schedule: Annotated[str, typer.Option(help="How lanes are filled: auto, flat or wave.")] = "auto",
+    schedule: Annotated[str, typer.Option(help="How lanes are filled: auto, flat, machine or wave.")] = "auto",
     tonemap: Annotated[
         str | None, typer.Option(help="For png and jpg: srgb (the default: clipped), reinhard, aces or agx.")
     ] = None,

@@ -34,7 +34,7 @@ P = TypeVar("P", bound=Plugin)
 
 
 def structure(plugin: Plugin) -> Hashable:
-    """What a kernel depends on: class, statics, types of the values, structure of the children."""
+    """What kernels know of a plugin: its class, statics, types of values, and the structure of its children."""
     children = []
     for name in plugin.children:
         child = getattr(plugin, name)
@@ -47,7 +47,7 @@ def structure(plugin: Plugin) -> Hashable:
 
 @dataclass(frozen=True)
 class Leaf:
-    """One value attribute of a group: where it stands in each member."""
+    """One value of a group: the plugins that hold it, and the attribute that they hold it in."""
 
     owners: tuple[Plugin, ...]
     """The plugin that holds the value, for each member of the group."""
@@ -58,22 +58,22 @@ class Leaf:
         return [getattr(owner, self.attribute) for owner in self.owners]
 
     def identity(self) -> list[Hashable]:
-        """Members that share the plugin share the value."""
+        """The identity of each value: members that share the plugin share the value."""
         return [id(owner) for owner in self.owners]
 
 
 class TableLeaf(Leaf):
-    """A leaf whose values are tensors: what is looked up is a `Table`."""
+    """A leaf whose values are tensors; looking it up gives a `Table`."""
 
 
 class Lookup(Protocol):
-    """How a group's values are read by a kernel."""
+    """The way in which kernels read the values of a group."""
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         """The value of `leaf` for the member number `slot` of its group."""
 
     def attaches(self, leaf: Leaf) -> bool:
-        """Are looked-up values of `leaf` AD leaves, or depend on some?"""
+        """Whether looked-up values of `leaf` are AD leaves, or depend on some."""
 
 
 @dataclass
@@ -85,16 +85,16 @@ class BufferTable:
 
     @property
     def attached(self) -> bool:
-        """See `Table`."""
+        """Whether the entries depend on AD leaves."""
         return self.buffer.attached
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
-        """See `Table`."""
+        """Entry number `index` of the tensor."""
         return self.buffer.read(self.buffer.address(self.slot, index), active)
 
 
 class Detached:
-    """Opaque copies of the values, made when first used and kept until `forget`."""
+    """Lookups in opaque copies of the values, made when first used and kept until `forget`."""
 
     def __init__(self) -> None:
         self._copies: dict[tuple[int, str], Any] = {}
@@ -136,7 +136,7 @@ class Detached:
         return clone
 
     def forget(self) -> None:
-        """Values have changed: read them again at the next use."""
+        """Drop the copies of values that have changed: the next use reads them again."""
         self._copies.clear()
         self._tables.clear()
 
@@ -149,10 +149,10 @@ class Detached:
 
 
 class Attached:
-    """Gathers from buffers attached to AD variables that stand in for some of the values."""
+    """Lookups by gathers from buffers that are attached to AD variables in place of some of the values."""
 
     def __init__(self, overrides: dict[tuple[int, str], Any]) -> None:
-        """`overrides`: (id of a plugin, attribute) -> the attached value; all others are detached."""
+        """`overrides` maps (id of a plugin, attribute) to the attached value; all other values are detached."""
         self._overrides = overrides
         self._flats: dict[int, tuple[Leaf, Any]] = {}
 
@@ -199,7 +199,7 @@ class Group(Generic[P]):
 
 
 def is_attached(group: Group[Any], lookup: Lookup) -> bool:
-    """Do the group's methods compute with AD leaves?"""
+    """Whether the group's methods compute with AD leaves."""
     return any(lookup.attaches(leaf) for leaf in group.leaves())
 
 
@@ -216,7 +216,7 @@ def leaves_of(tree: dict[str, Any]) -> list[Leaf]:
 
 
 def representative(plugin: Any, tree: dict[str, Any], slot: UInt32, lookup: Lookup) -> Any:
-    """A shallow copy of `plugin` with looked-up values, and so for its children."""
+    """A shallow copy of `plugin` and of its children, with looked-up values."""
     clone = copy.copy(plugin)
     for name, node in tree.items():
         if isinstance(node, dict):
@@ -241,7 +241,7 @@ class Ensemble(Generic[P]):
         self._slots = {id(group): Numbers(self._positions(group)) for group in self.groups}
 
     def is_current(self) -> bool:
-        """Have all plugins still the structure of their group?"""
+        """Whether all plugins still have the structure of their group."""
         return all(structure(plugin) == key for key, group in self._keys for plugin in group.plugins)
 
     def _positions(self, group: Group[P]) -> list[int]:
@@ -256,7 +256,7 @@ class Ensemble(Generic[P]):
         return len(self.plugins)
 
     def slots(self, group: Group[P], index: UInt32) -> UInt32:
-        """The position within `group` of the plugin number `index`; any number for the members of other groups."""
+        """The position of plugin number `index` within `group`; unspecified for members of other groups."""
         first = group.indices[0]
         if list(group.indices) == list(range(first, first + len(group.indices))):
             return index - first if first else index

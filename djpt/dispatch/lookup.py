@@ -35,7 +35,7 @@ def runs(members: Iterable[int]) -> list[tuple[int, int]]:
 
 
 def is_one_of(index: UInt32, members: Iterable[int]) -> Bool:
-    """True where `index` is in `members`: one range test per run. For few runs; else see `Members`."""
+    """True where `index` is in `members`: one range test per run. For few runs; `Members` serves many, too."""
     result = Bool(False)
     for low, high in runs(members):
         if low == high:
@@ -57,7 +57,7 @@ def same_rows(identity: Iterable[Hashable]) -> list[list[int]]:
 
 
 def choose(index: UInt32, rows: Sequence[Any], identity: Sequence[Hashable] | None = None) -> Any:
-    """``rows[index]`` per lane as a chain of selects. For few different rows; else see `Rows`.
+    """The row ``rows[index]`` per lane, by a chain of selects. For few different rows; `Rows` serves many, too.
 
     `rows` are Dr.Jit arrays of one type, `identity` says which of them are the same (default: by
     object). The row that most indices share is the chain's default. Indices beyond the table
@@ -99,7 +99,7 @@ class Rows:
     """A table of Dr.Jit values, built outside of kernels: a select chain, or a gather if it is long."""
 
     def __init__(self, rows: Sequence[Any], identity: Sequence[Hashable] | None = None) -> None:
-        """`rows` and `identity` as for `choose`."""
+        """Build the table; `rows` and `identity` are as for `choose`."""
         self._rows, self._identity = list(rows), [id(row) for row in rows] if identity is None else list(identity)
         self._flat = Flat(rows) if len(same_rows(self._identity)) > MAX_CHAIN else None
 
@@ -128,7 +128,7 @@ class Members:
     """A set of indices, known when kernels are traced."""
 
     def __init__(self, members: Iterable[int], size: int) -> None:
-        """Some of the numbers 0 .. size - 1."""
+        """Build the set of `members`, some of the numbers 0 .. size - 1."""
         self._members = sorted(set(members))
         long = len(runs(self._members)) > MAX_CHAIN
         # One number beyond the last stands for "none of them" (an emitter index may say so).
@@ -142,5 +142,5 @@ class Members:
 
 
 def inside(index: UInt32, last: int) -> UInt32:
-    """`index`, but not beyond the end of memory: lanes that mean nothing may have any number."""
+    """The number `index`, at most `last`: lanes that mean nothing may have any number, but must stay in memory."""
     return dr.select(index < last, index, last)

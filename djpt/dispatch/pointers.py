@@ -56,23 +56,30 @@ class BSDFPtr:
             bs = dr.detach(bs)
             return bs, self._reattached(bsdf, ctx, si, bs, weight, active)
 
-        bs, weight = self._call(method)
+        bs, weight = self.visit(method)
         return bs, dr.select(active, weight, 0)
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
-        """F abs(cos); 0 on inactive lanes."""
-        return dr.select(active, self._call(lambda bsdf: bsdf.eval(ctx, si, wo, active)), 0)
+        """The value f abs(cos theta_o); 0 on inactive lanes."""
+        return dr.select(active, self.visit(lambda bsdf: bsdf.eval(ctx, si, wo, active)), 0)
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        """Density of `sample`; 0 on inactive lanes."""
-        return dr.select(active, self._call(lambda bsdf: bsdf.pdf(ctx, si, wo, active)), 0)
+        """The density of `sample` at `wo`, per unit solid angle; 0 on inactive lanes."""
+        return dr.select(active, self.visit(lambda bsdf: bsdf.pdf(ctx, si, wo, active)), 0)
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
-        """`eval` and `pdf` in one dispatch; 0 on inactive lanes."""
-        value, pdf = self._call(lambda bsdf: bsdf.eval_pdf(ctx, si, wo, active))
+        """The results of `eval` and `pdf`, in one dispatch; 0 on inactive lanes."""
+        value, pdf = self.visit(lambda bsdf: bsdf.eval_pdf(ctx, si, wo, active))
         return dr.select(active, value, 0), dr.select(active, pdf, 0)
+
+    def eval_pdf_both(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float, Float]:
+        """`eval`, `pdf` and the density of the way back, in one dispatch; 0 on inactive lanes."""
+        value, pdf, back = self.visit(lambda bsdf: bsdf.eval_pdf_both(ctx, si, wo, active))
+        return dr.select(active, value, 0), dr.select(active, pdf, 0), dr.select(active, back, 0)
 
     def eval_pdf_sample(
         self,
@@ -83,7 +90,7 @@ class BSDFPtr:
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
-        """`eval_pdf` and `sample` in one dispatch, all but `value` and `weight` detached.
+        """The results of `eval_pdf` and `sample` in one dispatch, all but value and weight detached.
 
         Inactive lanes aren't zeroed: callers mask.
         """
@@ -93,18 +100,22 @@ class BSDFPtr:
             bs = dr.detach(bs)
             return value, dr.detach(pdf), bs, self._reattached(bsdf, ctx, si, bs, weight, active)
 
-        return self._call(method, Bool(active))
+        return self.visit(method, Bool(active))
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """What passes straight through; 0 on inactive lanes."""
-        return dr.select(active, self._call(lambda bsdf: bsdf.eval_null_transmission(si, active)), 0)
+        """The share of light that passes straight through; 0 on inactive lanes."""
+        return dr.select(active, self.visit(lambda bsdf: bsdf.eval_null_transmission(si, active)), 0)
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The albedo; 0 on inactive lanes."""
-        value = self._call(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
+        value = self.visit(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
         return dr.select(active, value, 0)
 
-    def _call(self, method: Callable[[BSDF], Any], active: Bool | None = None) -> Any:
+    def visit(self, method: Callable[[BSDF], Any], active: Bool | None = None) -> Any:
+        """``method(bsdf)`` per lane: one dispatch for anything that an estimator asks of BSDFs.
+
+        `method` returns a PyTree; on lanes that aren't `active` it means nothing.
+        """
         # Every surface has a BSDF, so no value is needed for "none".
         return self._bsdfs.call(self.index, self._lookup, method, None, active)
 
@@ -151,7 +162,7 @@ class EmitterPtr:
         return dr.select(self.is_valid(), choose(self.index, [UInt32(f) for f in flags], flags), 0)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """Radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
+        """The radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
         value = self._emitters.call(self.index, self._lookup, lambda e: e.eval(si, active), Color3f(0))
         return dr.select(active, value, 0)
 
@@ -193,7 +204,7 @@ class EmitterPtr:
     def pdf_direction(
         self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
     ) -> Float:
-        """Density of `sample_direction`; 0 where there is no emitter."""
+        """The density of `sample_direction`, per unit solid angle; 0 where there is no emitter."""
         p = ref.p if isinstance(ref, SurfaceInteraction3f) else ref
         pdf = self._emitters.call(self.index, self._lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
         return dr.select(active, pdf, 0)

@@ -18,10 +18,10 @@ from djpt.types import Array4f, Bool, Color3f, Float, Point2f, UInt32
 __all__ = ["Buffer", "Table", "channels_of"]
 
 ENTRIES: dict[int, tuple[type, int]] = {1: (Float, 1), 2: (Point2f, 2), 3: (Color3f, 4), 4: (Array4f, 4)}
-"""By the number of channels: the type of an entry, and its size in memory."""
+"""The type of an entry and its size in memory, by the number of channels."""
 
 LOCAL = dr.ReduceMode.Local
-"""How gradients are summed.
+"""The mode in which gradients are summed.
 
 With the default, Dr.Jit 1.5.0 makes a copy of small memory for every thread; packets are then written beyond the end,
 and sums that are evaluated half-way are lost.
@@ -29,18 +29,18 @@ and sums that are evaluated half-way are lost.
 
 
 class Table(Protocol):
-    """What a representative has in place of its tensor."""
+    """The stand-in for a tensor in kernels, of which single entries are looked up."""
 
     @property
     def attached(self) -> bool:
-        """Are the entries AD leaves, or depend on some?"""
+        """Whether the entries are AD leaves, or depend on some."""
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
         """Entry number `index`, counted row by row: `Float`, or `Color3f` for texels of three channels."""
 
 
 def channels_of(tensor: Any) -> int:
-    """Numbers in an entry: the channels of (H, W, C), else 1."""
+    """The count of numbers in an entry: the channels of (H, W, C), else 1."""
     return int(tensor.shape[2]) if len(tensor.shape) == 3 else 1
 
 
@@ -48,7 +48,7 @@ class Buffer:
     """The tensors of a group's members in memory, one after the other."""
 
     def __init__(self, tensors: Sequence[Any], identity: Sequence[Hashable]) -> None:
-        """Members of equal `identity` share their tensor. If tensors are attached, so is the buffer."""
+        """Copy the tensors; members of equal `identity` share theirs. If tensors are attached, so is the buffer."""
         self.channels = channels_of(tensors[0])
         self._entry, self._size = ENTRIES[self.channels]
         self._first: dict[Hashable, int] = {}
@@ -83,11 +83,11 @@ class Buffer:
 
     @property
     def attached(self) -> bool:
-        """Does the memory depend on AD leaves?"""
+        """Whether the memory depends on AD leaves."""
         return bool(dr.grad_enabled(self._memory))
 
     def address(self, slot: UInt32, index: UInt32) -> UInt32:
-        """Where entry `index` of a member is."""
+        """The address of entry `index` of the member number `slot`."""
         return self._starts.at(slot) + index
 
     def read(self, address: UInt32, active: Bool | bool = True) -> Any:
@@ -113,5 +113,5 @@ class Buffer:
 
 
 def entries(tensor: Any) -> int:
-    """How many entries a tensor has."""
+    """The number of entries of a tensor."""
     return dr.width(tensor.array) // channels_of(tensor)

@@ -1,4 +1,4 @@
-"""Densities given by numbers, and how to draw from them."""
+"""Densities given by tables of numbers, and ways to sample them."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ LEAST = 2.0**-33
 
 
 class DiscreteDistribution2D(Plugin):
-    """Chooses a cell of a grid with a probability proportional to its weight: a row first, then a column of it.
+    """A distribution over the cells of a grid by their weights: a row is chosen first, then a column of it.
 
     Args:
         name: for messages.
@@ -51,7 +51,7 @@ class DiscreteDistribution2D(Plugin):
         self.set(weights)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        """Nothing can be edited."""
+        """Report nothing: there is nothing to edit."""
 
     def set(self, weights: NDArray[Any]) -> None:
         """Take other weights, also of another shape."""
@@ -104,7 +104,7 @@ def search(
 
 
 def entry(table: Any, index: UInt32, active: Bool | bool) -> Float:
-    """A number of a table; outside of kernels there are only tensors."""
+    """Entry `index` of a table, or of the tensor that stands in its place outside of kernels."""
     if dr.is_tensor_v(table):
         return dr.gather(Float, table.array, index, active)
     number: Float = table.at(index, active)

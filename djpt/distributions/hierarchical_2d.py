@@ -24,7 +24,7 @@ Numbers = NDArray[np.float64]
 
 
 class Hierarchical2D(Plugin):
-    """Samples a density that interpolates numbers bilinearly, by going down a quadtree over the cells between them.
+    """A density that interpolates numbers bilinearly, sampled by going down a quadtree over the cells between them.
 
     Each step decides on an upper or lower half, then on its left or right half, with the sample's two numbers
     (P. Clarberg, W. Jarosz, T. Akenine-Moeller and H. W. Jensen, "Wavelet Importance Sampling: Efficiently
@@ -50,11 +50,11 @@ class Hierarchical2D(Plugin):
     """On the host: the density at the corners of the cells, (rows + 1, columns + 1)."""
 
     def __init__(self) -> None:
-        """Of the value 1 everywhere."""
+        """Start with the density 1 everywhere; `set` replaces it."""
         self.set(np.ones((2, 2)))
 
     def traverse(self, callback: TraversalCallback) -> None:
-        """Nothing can be edited."""
+        """Report nothing: there is nothing to edit."""
 
     def set(self, values: NDArray[Any]) -> None:
         """Take (rows + 1, columns + 1) numbers, at the corners of rows x columns cells; not negative, not all 0."""
@@ -65,7 +65,7 @@ class Hierarchical2D(Plugin):
         rows, columns = mass.shape
         self.columns = dr.opaque(UInt32, columns)
         self.levels = ((rows - 1).bit_length(), (columns - 1).bit_length())
-        """How often rows and columns can be halved."""
+        """The numbers of halvings of rows and of columns."""
         full = np.zeros((1 << self.levels[0], 1 << self.levels[1]))
         full[:rows, :columns] = mass
         nodes = []
@@ -98,7 +98,7 @@ class Hierarchical2D(Plugin):
         return column, row, place, lerp(lerp(f.x, f.y, place.x), lerp(f.z, f.w, place.x), place.y)
 
     def sample_cell(self, sample: Point2f, active: Bool | bool = True) -> tuple[UInt32, UInt32, Point2f]:
-        """Column and row of a cell, and what is left of the sample, for `place_in_cell`. Else as `sample`."""
+        """Column and row of a cell, as by `sample`, and what is left of the sample, for `place_in_cell`."""
         if active is True:
             return self._descend(sample)
         nothing = UInt32(0), UInt32(0), Point2f(0)
@@ -165,7 +165,7 @@ def halved(mass: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def below(x: Float, width: Float, share: Float) -> tuple[Bool, Float, Float]:
-    """Is `x`, of the interval from 0 to `width`, beyond a share of it? And the rest of both.
+    """Whether `x` lies beyond a share of the interval from 0 to `width`, and what is left of `x` and `width`.
 
     0 < x <= width holds for the rest as well, however this is rounded: parts of share 0 are never chosen.
     """
@@ -175,24 +175,24 @@ def below(x: Float, width: Float, share: Float) -> tuple[Bool, Float, Float]:
 
 
 def place_in_cell(f00: Float, f10: Float, f01: Float, f11: Float, sample: Point2f) -> Point2f:
-    """A place with a density that interpolates the numbers at a cell's corners (f10: upper right), proportionally."""
+    """A place in a cell with a density proportional to the interpolation of the corners (f10: upper right)."""
     y = linear(f00 + f10, f01 + f11, sample.y)
     return Point2f(linear(lerp(f00, f01, y), lerp(f10, f11, y), sample.x), y)
 
 
 def linear(a: Float, b: Float, sample: Float) -> Float:
-    """A number in [0, 1] with a density that goes from `a` to `b`, proportionally."""
+    """A number in [0, 1] with a density that is proportional to the straight line from `a` to `b`."""
     root = dr.sqrt(dr.fma(sample, dr.square(b) - dr.square(a), dr.square(a)))
     return minimum(sample * (a + b) * dr.rcp(maximum(a + root, Float(TINY))), Float(1))
 
 
 def lerp(a: Any, b: Any, t: Float) -> Any:
-    """From `a` to `b`."""
+    """The linear interpolation from `a` (t = 0) to `b` (t = 1)."""
     return dr.fma(b - a, t, a)
 
 
 def entry(table: Any, index: UInt32, active: Bool | bool = True) -> Any:
-    """Four numbers of a table; outside of kernels there are only tensors."""
+    """Four numbers of a table, or of the tensor that stands in its place outside of kernels."""
     if dr.is_tensor_v(table):
         return dr.gather(Array4f, table.array, index, active)
     return table.at(index, active)

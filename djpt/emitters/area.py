@@ -34,16 +34,16 @@ INV_PI = 1 / math.pi
 
 
 class Area(Emitter):
-    """Diffuse emission from the side of the normal of the shape that the emitter is nested in.
+    """Diffuse light from a shape: equal radiance in all directions on the side of its normal.
 
-    Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
+    The emitter is nested in the shape. Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
 
-    Radiance that varies is sampled by what it is, if the shape is known by its uv (`Shape.has_parameterization`):
-    uv where the texture is bright, then the point there,
+    Where radiance varies and every (u, v) is one point of the shape (`Shape.has_parameterization`), uv are drawn
+    by the texture's brightness, with the density p, and give the point:
 
-        pdf = p(uv) / norm(dp/du x dp/dv) dist^2 / cos.
+        pdf = p(uv) / norm(dp/du x dp/dv) dist^2 / cos    per unit solid angle.
 
-    On other shapes, such as meshes, points are drawn as for constant radiance, and weighted by the texture.
+    On other shapes, such as meshes, points are drawn as for constant radiance and weighted by the texture.
     """
 
     children = ("radiance", "shape")
@@ -74,18 +74,18 @@ class Area(Emitter):
 
     @property
     def follows_texture(self) -> bool:
-        """Are points drawn by the radiance, not by the shape?"""
+        """Whether points are drawn by the radiance, not by the shape."""
         return not self.radiance.is_constant and self.shape.has_parameterization
 
     def _sample_texture(self, sample: Point2f) -> tuple[PositionSample3f, Float]:
-        """A point where the texture is bright, and 1 / (its density per unit area)."""
+        """Sample a point by the brightness of the texture; also 1 / (its density per unit area)."""
         uv, pdf = self.radiance.sample_position(sample)
         ps = self.shape.eval_parameterization(uv)
         ps.pdf *= pdf
         return ps, dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0)
 
     def _pdf_texture(self, uv: Point2f, active: Bool | bool = True) -> Float:
-        """The density of `_sample_texture` per unit area."""
+        """The density of `_sample_texture` at `uv`, per unit area."""
         return self.radiance.pdf_position(uv, active) * self.shape.eval_parameterization(uv).pdf
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

@@ -18,17 +18,16 @@ __all__ = ["Emitter"]
 
 
 class Emitter(Plugin):
-    """A source of light: radiance along a ray, and a way to sample directions towards it.
+    """A source of light: its radiance, and ways to sample directions towards it and rays that leave it.
 
-    All methods run in kernels, once per class, with per-lane values (see `djpt.dispatch.ensemble`).
-    Densities are per unit solid angle at the reference point.
+    The methods under "in kernels" are traced once per class, with per-lane values (see `djpt.dispatch.ensemble`).
 
     Parameters of all emitters: `sampling_weight` (default 1).
     """
 
     kind: ClassVar[str] = "emitter"
     on_shape: ClassVar[bool] = False
-    """Must it be nested in a shape? The scene then sets `shape`."""
+    """Whether it must be nested in a shape; the scene then sets `shape`."""
     shape: Any = None
 
     def __init__(self, props: Properties) -> None:
@@ -45,7 +44,7 @@ class Emitter(Plugin):
         return super().check_parameter(name, value)
 
     def flags(self) -> int:
-        """The `EmitterFlags`."""
+        """What the light comes from: `EmitterFlags`, combined."""
         return int(EmitterFlags.Empty)
 
     @property
@@ -58,50 +57,51 @@ class Emitter(Plugin):
     # ---- on the host -------------------------------------------------------------------
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        """Called with the scene's bounding sphere, and again when it changes; for light from infinity."""
+        """Take the scene's bounding sphere, once and whenever it changes: light from infinity enters through it."""
 
     def power(self) -> float:
-        """The light that it sends out, in W, averaged over the colours.
+        """The power of the emitted light in W, averaged over the colours.
 
-        For light from infinity: what enters the scene's bounding sphere. An estimate will do: it guides
-        the choice of emitters (see `djpt.emitters.choice`).
+        For light from infinity: what enters the scene's bounding sphere. An estimate will do, since it
+        guides the choice of emitters (see `djpt.emitters.choice`).
         """
         raise NotImplementedError
 
     def bounds(self) -> LightBounds | None:
-        """Where its light comes from and goes to; None for light from infinity."""
+        """Where the light comes from and goes to; None for light from infinity."""
         raise NotImplementedError
 
     # ---- in kernels --------------------------------------------------------------------
 
     shares_lookup: ClassVar[bool] = False
-    """Environments: is `eval_or_sample` there, and faster than the methods that it stands for?"""
+    """Whether the emitter is an environment whose `eval_or_sample` is faster than the methods that it stands for."""
 
     def eval_or_sample(
         self, si: SurfaceInteraction3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[Color3f, Float, Float, Vector3f]:
-        """Where `si` is a miss: the environment along the ray. Elsewhere: a sampled direction.
+        """Look up the environment where `si` is a miss; sample a direction towards it elsewhere.
 
-        Radiance, density per unit solid angle, the inverse of that, and the direction (unspecified on a miss).
-        Lanes that aren't `active` need no sample.
+        Returned are the radiance, the density of `sample_direction` (per unit solid angle), its inverse, and the
+        direction in world space (unspecified on a miss). Lanes that aren't `active` need no sample.
         """
         raise NotImplementedError
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """Radiance that leaves `si` (for an environment: that arrives along the missing ray) towards `si.wi`."""
+        """The radiance that leaves `si` towards `si.wi`; of an environment, what arrives along the ray that missed."""
         raise NotImplementedError
 
     def sample_direction(
         self, ref: Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        """A direction towards the emitter and the radiance (or intensity / dist^2) over its density.
+        """Sample a direction from the point `ref` towards the emitter, with its weight.
 
-        Visibility isn't considered. The weight is 0 where nothing can arrive.
+        The weight is the radiance over the density per unit solid angle; of a point, intensity / dist^2; of parallel
+        light, irradiance. It is 0 where nothing can arrive. Visibility isn't considered.
         """
         raise NotImplementedError
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        """Density of `sample_direction` at `ds`; 0 for delta emitters."""
+        """The density of `sample_direction` at `ds`, per unit solid angle at `ref`; 0 for delta emitters."""
         raise NotImplementedError
 
     def sample_emission(

@@ -22,8 +22,8 @@ class LightBounds:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     axis: NDArray[np.float64]
-    """Unit length."""
+    """The cone's axis, of unit length."""
     theta_o: float
     theta_e: float
     power: float
-    """See `Emitter.power`."""
+    """The emitted power in W, an estimate: see `Emitter.power`."""

@@ -30,13 +30,11 @@ INV_FOUR_PI = 1 / (4 * math.pi)
 class ConstantBackground(Emitter):
     """An environment of constant radiance, sampled uniformly over the sphere: pdf = 1 / (4 pi).
 
-    A ray that leaves it starts at a uniform point of the sphere about the scene, of radius r, and goes inwards with the
-    cosine to the normal there. Rays are so spread over all lines through the sphere evenly, as if their direction
-    were uniform, and their place uniform on the disk across it:
+    Rays that leave it start at a uniform point of the sphere about the scene, of radius r, and go inwards with a
+    density cos(theta) / pi about the normal there. This covers all lines through the sphere evenly, as do a uniform
+    direction and a uniform point of the disk across it, by whose densities `sample_emission` describes the rays:
 
-        dA cos(theta) dw = dA_across dw,    1 / (4 pi r^2) 1 / pi = 1 / (pi r^2) 1 / (4 pi),
-
-    whose right side gives the densities of `sample_emission`.
+        1 / (4 pi r^2) dA cos(theta) / pi dw = 1 / (pi r^2) dA_across 1 / (4 pi) dw.
 
     Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
     """

@@ -28,7 +28,7 @@ __all__ = ["DirectionalEmitter"]
 
 
 class DirectionalEmitter(OrientedEmitter):
-    """Light that travels along one direction, everywhere: a plane across it receives `irradiance`.
+    """Light that travels in one direction everywhere; a plane across it receives `irradiance`.
 
     Parameters: `irradiance` (texture, W m^-2, default 1, not negative, can't vary), and `direction` (in which the
     light travels; any length but 0) or `to_world` (the light travels along its +z axis; default identity).

@@ -75,7 +75,7 @@ class EnvironmentMap(OrientedEmitter):
     children = ("distribution", "ray_distribution")
 
     ray_distribution: Hierarchical2D | None = None
-    """Of the rays that leave, if another one: these meet no other technique that would make up for compensation."""
+    """With `mis_compensation`, the distribution of emitted rays: they must find what compensation leaves out."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -128,7 +128,7 @@ class EnvironmentMap(OrientedEmitter):
             self._measure()
 
     def _measure(self) -> None:
-        """What kernels know of the texels beside themselves."""
+        """Compute what kernels read besides the texels: counts, densities and the table of both."""
         rows, columns = self.data.shape[0], self.data.shape[1] - 2
         self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
         texels = numbers_of(self.data)[:, 1:-1] if is_readable() else np.ones((rows, columns, 3))
@@ -249,7 +249,7 @@ class EnvironmentMap(OrientedEmitter):
     def _sample(
         self, distribution: Hierarchical2D, sample: Point2f, active: Bool | bool
     ) -> tuple[Vector3f, Point2f, Float, Float, Color3f]:
-        """A direction in the light's space with its uv, density per solid angle, the inverse of that, and radiance."""
+        """Sample a direction in the light's space, with its uv, density per solid angle, 1 / density, and radiance."""
         column, row, place, density = distribution.sample(sample, active)
         uv, d, sin_theta = self._direction(column, row, place)
         pdf = density * dr.rcp(sin_theta) * (1 / SPHERE)
@@ -277,7 +277,7 @@ class EnvironmentMap(OrientedEmitter):
         return UInt32(Int32(first.x)), UInt32(Int32(first.y)), Point2f(x - first.x, y - first.y)
 
     def _radiance(self, column: UInt32, row: UInt32, place: Point2f, active: Bool | bool) -> Color3f:
-        """Between the texels of a column and row and those to the right and below."""
+        """The radiance at a place between the texels of a column and row and those to the right and below."""
         stride = self.columns + 2
         left = dr.fma(row, stride, column + 1)
         right = dr.select(column + 1 < self.columns, left + 1, left - column)
@@ -293,17 +293,17 @@ class EnvironmentMap(OrientedEmitter):
 
 
 def inverse_sine(d: Vector3f) -> Float:
-    """1 / sin(theta)."""
+    """1 / sin(theta) of a direction in the light's space."""
     return dr.rsqrt(maximum(dr.fma(d.x, d.x, dr.square(d.z)), Float(LEAST_SINE**2)))
 
 
 def sine(d: Vector3f) -> Float:
-    """sin(theta)."""
+    """sin(theta) of a direction in the light's space."""
     return dr.sqrt(maximum(dr.fma(d.x, d.x, dr.square(d.z)), Float(LEAST_SINE**2)))
 
 
 def is_attached(table: Any) -> bool:
-    """Would what is read from a table be attached to AD leaves? A tensor stands outside of kernels."""
+    """Whether what is read from a table is attached to AD leaves; outside of kernels it is a tensor."""
     return dr.grad_enabled(table) if dr.is_tensor_v(table) else table.attached
 
 
@@ -311,7 +311,7 @@ def is_attached(table: Any) -> bool:
 
 
 def with_halo(texels: TensorXf) -> TensorXf:
-    """(H, W, 1 or 3) to (H, W + 2, 3): columns that repeat the texels of the other end, and three channels."""
+    """Texels (H, W, 1 or 3) as (H, W + 2, 3): three channels, and at each end a column that repeats the other end."""
     rows, columns, channels = texels.shape
     index = np.arange(rows * columns * channels, dtype=np.uint32).reshape(texels.shape)
     index = np.broadcast_to(np.concatenate([index[:, -1:], index, index[:, :1]], axis=1), (rows, columns + 2, 3))
@@ -319,7 +319,7 @@ def with_halo(texels: TensorXf) -> TensorXf:
 
 
 def texels_of(data: TensorXf) -> TensorXf:
-    """Without the halo."""
+    """The texels (H, W, 3) of an image with the columns of `with_halo`."""
     return TensorXf(np.ascontiguousarray(numbers_of(data)[:, 1:-1]))
 
 
@@ -335,7 +335,7 @@ def check_radiance(data: TensorXf) -> None:
 
 
 def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What exceeds the average, unless they are all much the same."""
+    """The weights less their average, at least 0; unchanged if all are much the same."""
     average = weights.mean()
     if average - weights.min() <= 0.01 * average:
         return weights
@@ -343,9 +343,9 @@ def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def corner_weights(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What directions are sampled by, (H, W + 1), from the weights of texels.
+    """The numbers (H, W + 1) whose interpolation directions are sampled by, from the weights of texels.
 
-    There is a column more, since the first cell begins at the centre of the first texel and the last one ends there.
+    There is one more column, since the first cell begins at the centre of the first texel and the last one ends there.
     """
     weights = weights * np.sin(np.linspace(0, math.pi, len(weights)))[:, None]
     weights[-1] = 0  # pi is rounded

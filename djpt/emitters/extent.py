@@ -1,4 +1,4 @@
-"""How large, how bright and how curved something that shines is: numbers on the host."""
+"""Size, brightness and curvature of what shines: numbers on the host."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 
 
 def number(value: Any) -> float:
-    """What a width-1 array holds."""
+    """The number in an array of width 1."""
     return float(as_array(dr.detach(value)))
 
 
@@ -36,7 +36,7 @@ def box_of(shape: Shape) -> tuple[Vector, Vector]:
 
 
 def area_of(shape: Shape, scene: tuple[Vector, Vector]) -> float:
-    """The area of a shape. If it is unknown, that of the box about its part in the box `scene`."""
+    """The area of a shape; if unknown, that of the box about its part in the box `scene`."""
     if shape.has_area:
         return number(shape.surface_area())
     low, high = box_of(shape)

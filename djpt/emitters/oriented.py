@@ -1,4 +1,4 @@
-"""What lights with a place and a direction have in common."""
+"""Lights with a place and a direction: the parameters and methods that they share."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class OrientedEmitter(Emitter):
             self._place()
 
     def _place(self) -> None:
-        """Where the light is, and the unit vectors of its axes, as kernels read them."""
+        """Compute the light's position and the unit vectors of its axes, which kernels read."""
         linear = self.to_world.matrix[:3, :3]
         axes = linear / np.linalg.norm(linear, axis=0)
         self.position: Any = as_vector(self.to_world.translation())
@@ -67,16 +67,16 @@ class OrientedEmitter(Emitter):
     # ---- in kernels --------------------------------------------------------------------
 
     def world_to_local(self, v: Vector3f) -> Vector3f:
-        """A vector by its components along the light's axes."""
+        """A world-space vector in the light's space: its components along the axes."""
         return Vector3f(*(axis.x * v.x + axis.y * v.y + axis.z * v.z for axis in (self.left, self.up, self.forward)))
 
     def local_to_world(self, v: Vector3f) -> Vector3f:
-        """The inverse."""
+        """A vector of the light's space in world space."""
         return self.left * v.x + self.up * v.y + self.forward * v.z
 
 
 class OnImage:
-    """A place of a texture that is projected: all that a texture looks at is its uv."""
+    """A place of a projected texture: what a texture is evaluated at, with nothing but uv."""
 
     def __init__(self, uv: Point2f) -> None:
         self.uv = uv

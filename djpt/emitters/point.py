@@ -82,7 +82,7 @@ class PointLight(Emitter):
 
 
 def from_point(ray: Ray3f, weight: Color3f, uv: Point2f, pdf_direction: Float) -> EmissionSample:
-    """The sample of a light at a point: `uv` is that of its picture, if it has one."""
+    """The `EmissionSample` of a light at a point; `uv` is the place in its picture, if it throws one."""
     return EmissionSample(
         ray=ray,
         weight=weight,
@@ -97,7 +97,7 @@ def from_point(ray: Ray3f, weight: Color3f, uv: Point2f, pdf_direction: Float) -
 
 
 def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, Float]:
-    """The only sample that there is of a light at a point, and 1 / dist^2."""
+    """The direction from `ref` to a light at a point, the only one, and 1 / dist^2."""
     to_light = position - ref
     dist_squared = dr.squared_norm(to_light)
     inv_dist = dr.rsqrt(dist_squared)

@@ -76,7 +76,7 @@ class Projector(OrientedEmitter):
         return width / height
 
     def _measure(self) -> None:
-        """The extent of the image; another bitmap may have another shape, but the same field of view along x."""
+        """Compute the image's extent: a bitmap of another shape keeps the field of view along x."""
         self.reach_x, self.reach_y = as_float(self._reach), as_float(self._reach / self._aspect())
 
     def flags(self) -> int:

@@ -30,7 +30,7 @@ SHARPEST = 1e-6
 
 
 class SpotLight(OrientedEmitter):
-    """Intensity that falls off linearly in the angle theta to the local +z axis, between beam width and cutoff:
+    """Light from a point into a cone: intensity falls off linearly in the angle theta to the local +z axis:
 
         I(theta) = intensity texture(u, v) clamp((cutoff - theta) / (cutoff - beam), 0, 1),
         (u, v) = 1/2 + (x, y) / (2 z tan(cutoff))   in the direction (x, y, z).
@@ -90,7 +90,7 @@ class SpotLight(OrientedEmitter):
     # ---- in kernels --------------------------------------------------------------------
 
     def intensity_towards(self, d: Vector3f, active: Bool | bool) -> Color3f:
-        """I in a local direction of unit length."""
+        """The intensity I in a local direction of unit length."""
         cutoff, theta = RADIANS * self.cutoff_angle, dr.safe_acos(d.z)
         width = maximum(cutoff - RADIANS * self.beam_width, SHARPEST)
         falloff = minimum(maximum((cutoff - theta) * dr.rcp(width), 0), 1)

@@ -20,7 +20,7 @@ CHANNELS = {"rgb": ("R", "G", "B"), "rgba": ("R", "G", "B", "A"), "luminance": (
 
 
 class HDRFilm(Plugin):
-    """Linear float32 pixels.
+    """A film of linear float32 pixels.
 
     Every sample adds w L and w to the pixels within the filter's radius, w = the kernel at the
     distance of the pixel's centre; `develop` divides the two sums.
@@ -83,29 +83,29 @@ class HDRFilm(Plugin):
 
     @property
     def filters(self) -> bool:
-        """Do samples reach neighbouring pixels?"""
+        """Whether samples reach neighbouring pixels."""
         return not isinstance(self.rfilter, Box)
 
     @property
     def border(self) -> int:
-        """Pixels around the crop that are sampled as well (`sample_border`)."""
+        """The width, in pixels, of the border about the crop that is sampled as well (`sample_border`)."""
         # Pixels whose centres lie within the filter's radius of the crop's edge.
         return self.taps // 2 if self.sample_border else 0
 
     @property
     def taps(self) -> int:
-        """Pixels per axis that one sample can reach."""
+        """The number of pixels per axis that one sample can reach."""
         if not self.filters:
             return 1
         reach = self.rfilter.radius - 0.5
         return 2 * max(0, -int(-reach // 1)) + 1
 
     def channel_names(self) -> tuple[str, ...]:
-        """Names of the channels of a colour."""
+        """The names of the channels of a colour."""
         return CHANNELS[self.pixel_format]
 
     def channels(self, color: Color3f, valid: Bool) -> list[Float]:
-        """What one sample stores for a colour."""
+        """The values that one sample stores for a colour, by channel."""
         if self.pixel_format == "luminance":
             result = [color.x * LUMINANCE[0] + color.y * LUMINANCE[1] + color.z * LUMINANCE[2]]
         else:

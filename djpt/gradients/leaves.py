@@ -41,12 +41,12 @@ class Parameter:
 
     @property
     def is_table(self) -> bool:
-        """Is it a tensor that kernels read entry by entry?"""
+        """True for a tensor that kernels read entry by entry."""
         return self.attribute in self.owner.tables
 
     @property
     def flags(self) -> ParamFlags:
-        """What `traverse` says of it."""
+        """The flags that `traverse` reports."""
         return {**self.owner.values, **self.owner.tables}[self.attribute]
 
     @property
@@ -77,7 +77,7 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
 
 
 class Numbering:
-    """Which parameter each member of a leaf's group shows; built before kernels are traced."""
+    """The parameter that each member of a leaf's group shows; built before kernels are traced."""
 
     def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf]) -> None:
         number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
@@ -167,12 +167,12 @@ class LeafTable:
     attached = True
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
-        """See `djpt.dispatch.tables.Table`."""
+        """Entry number `index`, as an AD leaf: see `djpt.dispatch.tables.Table`."""
         return self.leaves.entry(self.leaf, self.slot, index, active)
 
 
 class Accumulator:
-    """Where the gradients of leaves are summed: per-lane registers, or memory if there are many.
+    """The sums of the leaves' gradients: in registers of each lane, or in memory if there are many.
 
     Those of tables are always summed in memory.
 

@@ -151,7 +151,7 @@ def bit(depth: UInt32) -> UInt64:
 
 
 def known_free(scene: Scene, integrator: PathIntegrator, lane: Lane, shadow_ray: Ray3f) -> Bool:
-    """Was the shadow ray of this vertex free on the first walk?"""
+    """True where the shadow ray of this vertex was free on the first walk."""
     depth = lane.path.depth
     noted = (lane.free & bit(depth)) != 0
     if 0 <= integrator.longest_path <= NOTED:

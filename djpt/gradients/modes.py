@@ -1,4 +1,4 @@
-"""What path replay does at a vertex: reverse mode and forward mode.
+"""The two modes of path replay: what it does at a vertex in reverse and in forward mode.
 
 Both are methods of the loop in `djpt.gradients.replay`, whatever schedule it runs in.
 """
@@ -26,7 +26,7 @@ Adjoint = Callable[[UInt32, Bool], Color3f]
 
 
 class Walk(Protocol):
-    """What a mode reads of a lane."""
+    """The state of a lane as far as a mode reads it."""
 
     radiance: Color3f
     """First walk: radiance so far. Second walk: radiance still to come."""
@@ -35,7 +35,7 @@ class Walk(Protocol):
     """Reverse mode: derivative of the loss by the sample. Forward mode: derivative of the sample."""
     sums: list[Float]
     again: Bool
-    """Is this the second walk?"""
+    """True on the second walk."""
 
 
 class Mode:

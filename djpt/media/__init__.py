@@ -1,1 +1,1 @@
-"""What fills the space between surfaces."""
+"""Media: matter between surfaces that takes light away."""

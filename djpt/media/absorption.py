@@ -34,7 +34,7 @@ class AbsorbingMedia:
         self._members = Members(self._absorbing, len(bsdfs))
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """True if the scene has any."""
         return bool(self._absorbing)
 
     def around(self, p: np.ndarray | None) -> int:

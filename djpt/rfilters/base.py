@@ -20,7 +20,7 @@ class ReconstructionFilter(Plugin):
     kind: ClassVar[str] = "rfilter"
 
     radius: float
-    """`eval` is 0 beyond this distance."""
+    """The distance, in pixels, beyond which `eval` is 0."""
 
     def eval(self, x: Float) -> Float:
         """The kernel at distance `x`, which may be negative."""

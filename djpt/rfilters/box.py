@@ -13,7 +13,7 @@ __all__ = ["Box"]
 
 
 class Box(ReconstructionFilter):
-    """1 within half a pixel: the pixel is the mean of its own samples.
+    """The constant 1 within half a pixel: the pixel is the mean of its own samples.
 
     Films treat it specially (no sample reaches a neighbour), so it is also the fastest.
     """

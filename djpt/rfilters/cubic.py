@@ -16,7 +16,7 @@ __all__ = ["CatmullRom", "Mitchell"]
 
 
 class Mitchell(ReconstructionFilter):
-    """Piecewise cubic of radius 2 with the shape parameters B and C.
+    """The piecewise cubic of radius 2 with the shape parameters B and C.
 
     Parameters: `B` (default 1/3), `C` (default 1/3). Has negative lobes, so pixels may overshoot.
     """
@@ -38,7 +38,7 @@ class Mitchell(ReconstructionFilter):
 
 
 class CatmullRom(Mitchell):
-    """B = 0, C = 1/2: interpolates, sharp, with stronger ringing than `mitchell`."""
+    """The cubic with B = 0, C = 1/2: it interpolates, is sharper than `mitchell`, and rings more. No parameters."""
 
     def __init__(self, props: Properties) -> None:
         ReconstructionFilter.__init__(self, props)

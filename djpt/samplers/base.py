@@ -16,18 +16,18 @@ __all__ = ["SampleIndex", "SampleStream", "Sampler"]
 
 @dataclass
 class SampleIndex:
-    """Which sample of an image: the k-th of `spp` samples of a pixel."""
+    """The index of a sample in an image: the k-th of `spp` samples of a pixel."""
 
     pixel: UInt32
-    """Counted row by row over the sampled grid."""
+    """The number of the pixel, counted row by row over the sampled grid."""
     k: UInt32
     spp: UInt32
     width: UInt32
-    """Pixels in a row of the grid."""
+    """The number of pixels in a row of the grid."""
 
     @property
     def number(self) -> UInt32:
-        """Pixel * spp + k: the number of the sample in the image."""
+        """The number of the sample in the image: pixel * spp + k."""
         return dr.fma(self.pixel, self.spp, self.k)
 
 
@@ -48,7 +48,7 @@ class SampleStream(Protocol):
 
 
 class Sampler(Plugin):
-    """Makes a `SampleStream` per sample.
+    """A source of random numbers: it makes a `SampleStream` per sample.
 
     The stream of a sample depends on the seed and its `SampleIndex` alone: that makes an image
     independent of how lanes are filled.

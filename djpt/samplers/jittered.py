@@ -1,4 +1,4 @@
-"""What samplers have in common that put a pixel's samples into the cells of a grid."""
+"""The common part of samplers that put a pixel's samples into the cells of a grid."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SET_STEP = 0x9E3779B9
 
 @dataclass
 class PointSet:
-    """Where a sample stands among those of its pixel."""
+    """The place of a sample among the samples of its pixel."""
 
     k: UInt32
     """Number of the sample in its set."""
@@ -57,19 +57,19 @@ class JitteredStream:
     """Numbers from a grid of cells, randomly permuted in each dimension."""
 
     rng: PCG32 | None
-    """What jitters a sample within its cell; None: samples stay in the middle of their cells."""
+    """The generator that jitters a sample within its cell; None: samples stay in the middle of their cells."""
     key: UInt32
     dimension: UInt32
-    """How many 1D and 2D numbers were drawn, by inactive lanes as well: as in Mitsuba."""
+    """The count of 1D and 2D draws, by inactive lanes as well (as in Mitsuba)."""
     k: UInt32
     resolution: UInt32
 
     def jitter(self, active: Bool | bool) -> Float:
-        """Where in its cell a sample lies."""
+        """The place of a sample in its cell, in [0, 1)."""
         return Float(0.5) if self.rng is None else self.rng.next_float32(Bool(active))
 
     def next_dimension(self) -> UInt32:
-        """The number of the dimension that is drawn now."""
+        """Return the number of the dimension that is drawn now, and advance it."""
         dimension = self.dimension
         self.dimension = dimension + 1
         return dimension
@@ -86,10 +86,10 @@ class JitteredSampler(PointSets):
         self.jitter = props.boolean("jitter", True)
 
     def generator(self, seed: UInt32, index: SampleIndex) -> PCG32 | None:
-        """What jitters a sample."""
+        """The generator that jitters a sample; None without `jitter`."""
         return generator(seed, index.number) if self.jitter else None
 
 
 def below_one(x: Float) -> Float:
-    """`x`, less where rounding made it 1."""
+    """The number `x`; the largest float below 1 where rounding made it 1."""
     return minimum(x, BELOW_ONE)

@@ -29,7 +29,7 @@ class LDStream:
         return replace(self)
 
     def point(self) -> UInt32:
-        """The number of the sample's point in the next dimension."""
+        """Return the number of the sample's point in the next dimension, and advance the dimension."""
         seed = self.key + self.dimension
         self.dimension = self.dimension + 1
         return permute(self.k, self.count, seed)
@@ -62,7 +62,7 @@ class LDSampler(PointSets):
 
 
 def permute(index: UInt32, count: UInt32, seed: UInt32) -> UInt32:
-    """Where the permutation number `seed` of [0, count), a power of two, takes `index`; Mitsuba's `permute`.
+    """The image of `index` under the permutation number `seed` of [0, count), a power of two; Mitsuba's `permute`.
 
     A network of log2(count) layers of random swaps.
     """

@@ -10,20 +10,20 @@ __all__ = ["permute_kensler", "quotient", "remainder"]
 
 
 def quotient(x: UInt32, n: UInt32) -> UInt32:
-    """Floor(x / n), exactly: no quotient of 32-bit integers lies within a double's rounding error below an integer.
+    """The quotient floor(x / n), by doubles: processors divide vectors of floats, but not of integers.
 
-    Processors divide vectors of floats, but not of integers.
+    It is exact: no quotient of 32-bit integers lies within a double's rounding error below an integer.
     """
     return UInt32(Float64(x) / Float64(n))
 
 
 def remainder(x: UInt32, n: UInt32) -> UInt32:
-    """The rest of x / n."""
+    """The remainder of x / n."""
     return x - quotient(x, n) * n
 
 
 def permute_kensler(index: UInt32, n: UInt32, seed: UInt32) -> UInt32:
-    """Where the permutation number `seed` of [0, n) takes `index`, which must be below n.
+    """The image of `index`, which must be below n, under the permutation number `seed` of [0, n).
 
     A bijection of [0, 2^b), the smallest power of two that holds n, is repeated until it ends below n.
     A. Kensler, "Correlated Multi-Jittered Sampling", Pixar Technical Memo 13-01, 2013.

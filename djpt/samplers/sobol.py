@@ -27,7 +27,7 @@ class SobolStream:
     """
 
     key: UInt32
-    """Advanced by every draw, also of inactive lanes: samples of a pixel share their dimensions."""
+    """The seed of hashes, advanced by every draw, also of inactive lanes: a pixel's samples share their dimensions."""
     order: UInt32
     """The index of the point, bits reversed."""
 
@@ -35,7 +35,7 @@ class SobolStream:
         return replace(self)
 
     def next_hash(self) -> UInt32:
-        """A random number per key and draw."""
+        """Return a random number per key and draw, and advance the key."""
         key = self.key
         self.key = key + GOLDEN
         return mix(key)
@@ -129,7 +129,8 @@ def morton(x: UInt32, y: UInt32) -> UInt32:
 def turn_quads(place: UInt32, seed: UInt32) -> UInt32:
     """Let chance decide which pixels of a 2 x 2 block are paired: rows, columns or diagonals.
 
-    The same for blocks of 4 x 4. On the Z curve they would always be the rows, and noise would differ by direction.
+    Blocks of 4 x 4 pixels are treated alike. On the Z curve the pairs would always be rows, and noise would differ
+    by direction.
     """
     for level in (0, 2):
         low, high = (place >> level) & 1, (place >> (level + 1)) & 1
@@ -141,7 +142,7 @@ def turn_quads(place: UInt32, seed: UInt32) -> UInt32:
 
 
 def spread_bits(x: UInt32) -> UInt32:
-    """Bit i of the lower 16 moved to 2 i."""
+    """The lower 16 bits spread out: bit i is moved to 2 i."""
     x = x & 0xFFFF
     for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
         x = (x | (x << shift)) & mask

@@ -44,7 +44,7 @@ class Stratified(JitteredSampler):
     Parameters: `sample_count` (rounded up to a square n^2, default 4), `seed`, `jitter` (a random position in
     the cell, else its middle; default true). Single numbers come from n^2 intervals.
 
-    Of the variance over a pair of numbers, that within cells remains. Numbers and pixels are Mitsuba's.
+    The variance between cells vanishes, the variance within cells remains. Numbers and pixels are Mitsuba's.
     """
 
     def round_count(self, spp: int) -> int:

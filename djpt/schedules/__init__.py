@@ -1,1 +1,1 @@
-"""How lanes are filled with the samples of an image."""
+"""Schedules: ways to fill lanes with the samples of an image."""

@@ -1,4 +1,4 @@
-"""Which schedule renders an image."""
+"""The choice of the schedule that renders an image."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class Lane:
     valid: Bool | None
     """True where a held sample counts as covered."""
     offset: Point2f | None
-    """Where on the pixel the sample lies; None if the sink doesn't ask."""
+    """The place of the sample on its pixel; None if the sink doesn't ask."""
     k: UInt32
     """The sample of the pixel that the path belongs to."""
     sink: list[Any]

@@ -1,4 +1,4 @@
-"""What to render: the pieces of one call of `render`, and how lanes map to samples."""
+"""Jobs: the pieces of one call of `render`, and the samples that its image consists of."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Job:
 
     @property
     def samples(self) -> int:
-        """How many samples the image takes in all."""
+        """The number of samples of the image."""
         return self.width * self.height * self.spp
 
     def channel_count(self) -> int:
@@ -130,7 +130,7 @@ class Job:
         return self.stream(pixel, k).next_2d()
 
     def channels(self, color: Color3f, valid: Bool, aovs: list[Float]) -> list[Float]:
-        """What one sample stores."""
+        """The channels of one sample."""
         return (self.film.channels(self._measured(color), valid) if self.integrator.writes_color else []) + aovs
 
     def tangent_channels(self, color: Color3f) -> list[Float]:

@@ -1,4 +1,4 @@
-"""Which samples of which pixels the lanes of a kernel compute, one after the other."""
+"""Lanes: the samples of the pixels that each computes, one after the other."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Lanes:
 
 
 def lanes_per_pixel(pixels: int, spp: int) -> int:
-    """How many lanes share a pixel's samples: a power of two that depends on the image alone.
+    """The number of lanes that share a pixel's samples: a power of two that depends on the image alone.
 
     A lane with many samples in a row evens out the lengths of its paths, so pixels are shared only
     where there are few of them.
@@ -146,7 +146,7 @@ class TiledLanes:
         )
 
     def left(self, entry: UInt32) -> Bool:
-        """Is there such an entry? False when a lane has nothing left to do."""
+        """True where there is such an entry; False where a lane has nothing left to do."""
         return dr.fma(entry // PACKET, self._share, self._first_k) < self._end
 
 
@@ -161,6 +161,6 @@ class TiledSample:
     y: Float
     slot: UInt32
     left: Bool
-    """See `TiledLanes.left`."""
+    """True where the entry exists: see `TiledLanes.left`."""
     exists: Bool
-    """Is its pixel within the band? If not, the result must not be stored."""
+    """True where its pixel is within the band; else the result must not be stored."""

@@ -78,7 +78,7 @@ class Lane:
     entry: UInt32
     """The number of the lane's sample in its packet's list: see `TiledLanes`."""
     frame: Any
-    """See `aligned_frame`."""
+    """Memory that keeps the kernel's stack aligned: see `aligned_frame`."""
 
 
 def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
@@ -105,7 +105,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     )
 
     def advance(lane: Lane) -> Lane:
-        """What comes after a ray."""
+        """Do what comes after a ray: a vertex, the light of a free shadow ray, or the next sample."""
         shadow = lane.shadow
         ray, hit = geometry.end(lane.query)
         ray.medium = lane.medium

@@ -49,7 +49,7 @@ class Progressive(Schedule):
 
 
 class JobWalks:
-    """What a job offers to a `PassIntegrator`: see `djpt.integrators.passes.Walks`."""
+    """A job as a `PassIntegrator` sees it: see `djpt.integrators.passes.Walks`."""
 
     def __init__(self, job: Job) -> None:
         self._job = job

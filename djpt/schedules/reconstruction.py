@@ -31,7 +31,7 @@ MAX_SUMS = 128
 
 
 def by_pixels(job: Job, channels: int) -> bool:
-    """Which of the two ways to go for an image of `channels` channels, the weight included."""
+    """True if working by pixels is faster for an image of `channels` channels, the weight included."""
     return job.film.taps**2 * channels <= MAX_SUMS
 
 

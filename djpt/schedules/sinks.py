@@ -1,4 +1,4 @@
-"""Where the flat schedule puts finished samples.
+"""Sinks: where the flat schedule puts finished samples.
 
 A sink decides how many vertices a lane advances per iteration of the loop (`steps`), takes
 finished samples after each, and may do collective work at the end of an iteration.
@@ -47,7 +47,7 @@ class Finished:
     offset: Point2f
     """Film offset in [0, 1)^2 of the sample."""
     full: Bool
-    """Is there a sample?"""
+    """True where there is a sample."""
 
 
 class Sink(Protocol):

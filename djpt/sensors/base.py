@@ -21,7 +21,7 @@ __all__ = ["Sensor"]
 
 
 class Sensor(Plugin):
-    """Where an image is taken from: makes the rays of film positions; owns a film and a sampler.
+    """A camera or meter: the rays of film positions, with a film and a sampler of its own.
 
     Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up;
     no scale; default identity), `shutter_open` and `shutter_close` (0: nothing moves yet, so they
@@ -30,16 +30,16 @@ class Sensor(Plugin):
 
     kind: ClassVar[str] = "sensor"
     on_shape: ClassVar[bool] = False
-    """Must it be nested in a shape? The scene then sets `shape`."""
+    """Whether it must be nested in a shape; the scene then sets `shape`."""
     shape: Any = None
     can_be_reached: ClassVar[bool] = False
-    """Can light be traced towards it (`sample_direction`)?"""
+    """Whether light can be traced towards it: `sample_direction` and `pdf_ray` exist."""
     needs_aperture_sample = False
-    """Do rays depend on more than the film position? Two more numbers per sample are then drawn, after the film's."""
+    """Whether rays depend on more than the film position: on two more numbers, drawn after those of the film."""
     weight = 1.0
-    """What radiance is multiplied by to give what the sensor measures; the same for all its rays."""
+    """The factor from radiance to what the sensor measures; the same for all its rays."""
     one_pixel: ClassVar[bool] = False
-    """Does it measure one number? Its film then has one pixel, also by default."""
+    """Whether it measures one number: its film then must have one pixel, and has by default."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -62,7 +62,7 @@ class Sensor(Plugin):
 
     @staticmethod
     def check_placement(transform: ScalarTransform4f) -> None:
-        """Raise `SceneError` if `to_world` can't be this."""
+        """Raise `SceneError` if `transform` can't be the `to_world`."""
         if transform.has_scale():
             raise SceneError("must not scale: a camera has no size")
 
@@ -93,38 +93,38 @@ class Sensor(Plugin):
         return self.to_world.translation()
 
     def starts(self) -> Sequence[NDArray[np.float64]]:
-        """Points (3,) near which rays start, of those that are known."""
+        """The points (3,) near which rays start, as far as they are known."""
         p = self.viewpoint()
         return [] if p is None else [p]
 
     def near_share(self) -> float:
-        """How far from the sensor its rays start, in units of their `maxt`: 0 unless there is a near plane."""
+        """The distance from sensor to rays' origins, in units of their `maxt`; 0 unless there is a near plane."""
         return 0.0
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
-        """Called with the scene's bounding sphere, and again when it changes; for sensors that are far away."""
+        """Take the scene's bounding sphere, once and whenever it changes: some sensors stand outside of it."""
 
     def prepare(self) -> None:
-        """Called before each rendering."""
+        """Get ready for a rendering; called before each."""
 
     # ---- in kernels --------------------------------------------------------------------
 
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        """The ray through a position in [0, 1]^2 of the film's crop window, y downwards.
+        """Sample the ray through a position in [0, 1]^2 of the film's crop window, y downwards.
 
         `aperture_sample` in [0, 1)^2 is random only for sensors with `needs_aperture_sample`. The ray's
-        `d` has unit length; it covers near to far clip.
+        `d` has unit length; its origin and `maxt` lie on the near and far plane where there are any.
         """
         raise NotImplementedError
 
     def sample_direction(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
-        """The way from the point `ref` to the sensor, for light paths: only if `can_be_reached`.
+        """Sample the way from the point `ref` to the sensor, with its importance, for light paths.
 
-        `ds.uv` is the film position in the crop window that shows the point, `ds.p` where its camera ray starts. The
-        importance is the area of the crop window (which is 1) that an area across `ds.d` at `ref` covers, per unit
-        of the latter; 0 where the point isn't seen. Visibility isn't considered.
+        `ds.uv` is the position in the crop window that shows the point, and `ds.p` the origin of its camera ray. The
+        importance is the share of the crop window that a small area across `ds.d` at `ref` covers, per unit of that
+        area; 0 where the point isn't seen. Visibility isn't considered.
 
         Raises:
             RenderError: light can't be traced towards the sensor.
@@ -132,15 +132,14 @@ class Sensor(Plugin):
         raise self.unreachable()
 
     def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
-        """(pdf, distance): the density of the direction `d` of a camera ray, and where rays come together behind it.
+        """The density of a camera ray's direction, and its distance from the centre of projection: (pdf, distance).
 
-        pdf is per unit solid angle, for film positions that are uniform over the crop window. distance is that from
-        the centre of projection to the ray's origin (on the near plane, say). At distance t from the origin the
-        density per unit area across the ray, which is the importance of `sample_direction`, is thus
+        pdf is per unit solid angle, for film positions that are uniform over the crop window; distance is measured
+        from the centre to the ray's origin. At t from the origin the importance of `sample_direction` is then
 
-            pdf / (t + distance)^2.
+            pdf / (t + distance)^2    per unit area across the ray.
 
-        Parallel rays come together at infinity: their distance is inf, and their pdf is per unit area across them.
+        Parallel rays have no centre: their distance is inf, and their pdf is per unit area across them.
 
         `d`, of unit length, must be the direction of a ray of `sample_ray`. Whether it lies in the crop window isn't
         tested: filters look beyond it.

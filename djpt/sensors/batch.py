@@ -25,7 +25,7 @@ __all__ = ["Batch"]
 
 
 class Batch(Sensor):
-    """Renders many views at once: the film is divided into equal parts from left to right, one per sensor.
+    """Many views in one film: it is divided into equal parts from left to right, one per sensor.
 
     All are traced by one kernel, however many there are of one kind.
 
@@ -156,7 +156,7 @@ class Batch(Sensor):
 
 
 def unit(sensor: Sensor) -> str:
-    """What a sensor measures, for a message."""
+    """The quantity that a sensor measures, for a message."""
     return "radiance" if sensor.weight == 1 else "irradiance"
 
 

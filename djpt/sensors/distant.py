@@ -23,7 +23,7 @@ __all__ = ["Distant"]
 
 
 class Distant(Sensor):
-    """Measures the radiance that leaves the scene against `direction`, averaged over the target: a satellite's view.
+    """A meter of the radiance that leaves the scene against `direction`, averaged over the target: a satellite's view.
 
     Rays are parallel and start outside of the scene, c and r being the centre and radius of its bounding sphere:
 

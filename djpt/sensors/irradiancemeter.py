@@ -22,7 +22,7 @@ __all__ = ["IrradianceMeter"]
 
 
 class IrradianceMeter(Sensor):
-    """Measures the irradiance on the shape that it is nested in, averaged over its area A.
+    """A meter of the irradiance on the shape that it is nested in, averaged over its area A.
 
         E = 1 / A  int_A int_hemisphere L(p, w) cos(theta) dw dA    (W m^-2)
 

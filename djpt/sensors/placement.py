@@ -1,4 +1,4 @@
-"""Where sensors stand that aren't placed by a transform of their own: along a direction, on a shape."""
+"""Sensors that no transform places: along a direction, on a shape."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ __all__ = ["Central", "Projective", "horizontal_fov"]
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 FRAME_DIAGONAL = math.hypot(36.0, 24.0)
-"""Of 35 mm film, in mm: what `focal_length` refers to."""
+"""Diagonal of 35 mm film in mm, which `focal_length` refers to."""
 
 
 class Projective(Sensor):
@@ -52,7 +52,7 @@ class Projective(Sensor):
         callback.put("to_world", self.to_world)
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
-        """Report what the class adds."""
+        """Report the parameters that the class adds."""
 
     def check_parameter(self, name: str, value: Any) -> Any:
         checked = super().check_parameter(name, value)
@@ -79,7 +79,7 @@ class Projective(Sensor):
     def crop_window(
         self, half_width: float, shift: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the film lies on a plane across the optical axis, in camera space.
+        """The film's place on a plane across the optical axis, in camera space.
 
         A film position (x, y) in the crop is (u, v) in the whole film and the point
         ((1 - 2u) half_width, (1 - 2v) half_width / aspect) of the plane. Returned are the point of
@@ -122,7 +122,7 @@ class Central(Projective):
         return super().check_parameter(name, value)
 
     def image_shift(self) -> NDArray[np.float64] | None:
-        """By how much the image's centre is moved, in image widths and heights; None if not at all."""
+        """The shift of the image's centre, in image widths and heights; None if there is none."""
         return None
 
     def place(self) -> None:
@@ -139,16 +139,16 @@ class Central(Projective):
         self.inv_area = as_float(1 / abs(step[0] * step[1]))
 
     def through_centre(self, film_position: Point2f) -> Vector3f:
-        """Where the ray through the centre goes while it advances by 1 along the optical axis.
+        """The way of the ray through the centre while it advances by 1 along the optical axis.
 
         The length of such a vector converts depth to distance.
         """
         return dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
 
     def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
-        """A point of the lens, from its centre, and how the ray from there departs from that through the centre.
+        """A point of the lens relative to its centre, and how the ray from there departs from that through the centre.
 
-        Both in world space, the latter per unit along the optical axis.
+        Both are in world space, the latter per unit along the optical axis.
         """
         return Vector3f(0), Vector3f(0)
 
@@ -185,9 +185,9 @@ class Central(Projective):
         return ds, dr.select(seen, importance, 0)
 
     def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
-        """The density 1 / (A cos^3), A being the crop window's area on the plane at distance 1; and near / cos.
+        """The density 1 / (A cos^3), A: the crop window's area on the plane at distance 1; the distance near / cos.
 
-        With a lens both hold for every point of it, which is then the centre of projection.
+        With a lens, each point of it is the centre of projection of its rays, and the density is the same for all.
         """
         inv_cos = dr.rcp(dr.dot(d, self.axis))
         return self.inv_area * (inv_cos * dr.square(inv_cos)), self.near * inv_cos
@@ -217,7 +217,7 @@ def horizontal_fov(props: Properties, aspect: float) -> float:
 
 
 def fov_axis(props: Properties, aspect: float) -> str:
-    """`x`, `y` or `diagonal`."""
+    """The axis that the entry `fov` belongs to: `x`, `y` or `diagonal`."""
     axis = props.string("fov_axis", "x").lower()
     if axis not in FOV_AXES:
         axis = props.string("fov_axis", choices=FOV_AXES)
@@ -229,7 +229,7 @@ def fov_axis(props: Properties, aspect: float) -> str:
 
 
 def focal_length(props: Properties) -> float:
-    """In millimetres; the unit may be left out."""
+    """The entry `focal_length` in millimetres; its unit may be left out."""
     text = props.string("focal_length", "50mm")
     try:
         millimetres = float(text.strip().removesuffix("mm"))

@@ -19,7 +19,7 @@ __all__ = ["RadianceMeter"]
 
 
 class RadianceMeter(Sensor):
-    """Measures the radiance that arrives along one ray: a camera without extent in a film of one pixel.
+    """A meter of the radiance that arrives along one ray, with a film of one pixel.
 
     Parameters, besides those of all sensors: `to_world` (it stands at the origin and looks along +z), or else
     `origin` and `direction`, both together. `to_world` wins if all are given.

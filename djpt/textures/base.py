@@ -21,7 +21,7 @@ class Texture(Plugin):
 
     kind: ClassVar[str] = "texture"
     is_constant: ClassVar[bool] = False
-    """True if no lookup needs uv: kernels then don't compute it."""
+    """Whether the texture is the same everywhere: kernels then don't compute uv."""
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
         """The colour at `si`."""
@@ -45,7 +45,7 @@ class Texture(Plugin):
         return sample, Float(1)
 
     def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
-        """Density of `sample_position` per unit of uv, for points of the unit square. Detached."""
+        """The density of `sample_position` per unit of uv, for points of the unit square; detached."""
         return Float(1)
 
     def mean(self) -> Float:
@@ -59,7 +59,7 @@ class Texture(Plugin):
         """Raise `SceneError` if the texture can't be used on a shape (`djpt.shapes.Shape`)."""
 
     def restrict(self, allowed: Allowed, where: str) -> None:
-        """All values must be `allowed`, now and after each edit.
+        """Require that all values are `allowed`, now and after each edit.
 
         Called by the plugin that uses the texture; `where` starts the message. A texture with
         several users must satisfy all of them.

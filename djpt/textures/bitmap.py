@@ -59,18 +59,18 @@ class Bitmap(UVTexture):
         half = props.string("format", "auto", choices=("auto", "variant", "fp16")) == "fp16"
         props.boolean("accel", True)
         self._allowed = Allowed()
-        # In kernels a `djpt.dispatch.tables.Table` stands in its place.
+        # In kernels, a `djpt.dispatch.tables.Table` stands in place of the tensor.
         self.data: Any = load_texels(props, raw, half)
         self.distribution: DiscreteDistribution2D | None = None
         """Cells of the unit square by their brightness, if the texture is that of a light."""
         self.tents = False
-        """Are the cells texels, and interpolated as these are?"""
+        """Whether the cells are texels, and the density is interpolated bilinearly between them."""
         self._measure()
 
     # ---- on the host -------------------------------------------------------------------
 
     def _measure(self) -> None:
-        """What kernels know of the texels beside themselves."""
+        """Compute what kernels know of the texels as a whole: their resolution and average."""
         height, width, self.channels = self.data.shape
         self.resolution = Vector2f(as_float(width), as_float(height))
         if is_readable():
@@ -78,7 +78,7 @@ class Bitmap(UVTexture):
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
 
     def prepare_sampling(self) -> None:
-        """Texels are the cells, as in Mitsuba, unless `to_uv` moves them: Mitsuba 3.9.1 ignores that."""
+        """Build the distribution: its cells are texels unless `to_uv` moves them, which Mitsuba 3.9.1 ignores."""
         height, width, _ = self.data.shape
         plain = np.array_equal(self.to_uv.matrix, np.eye(4))
         self.tents = plain and self.filter_type == "bilinear"
@@ -134,7 +134,7 @@ class Bitmap(UVTexture):
         return self.chain(gradient * self.resolution)
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
-        """By brightness: a cell, then uniform in it, or by the tents of bilinear interpolation."""
+        """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
         if self.distribution is None:
             return super().sample_position(sample, active)
         column, row, rest = self.distribution.sample(sample, active)
@@ -145,7 +145,7 @@ class Bitmap(UVTexture):
         return uv, self.pdf_position(uv, active)
 
     def _inside(self, u: Float) -> Float:
-        """Tents about the border's texels reach out of the unit square: if the texture repeats, to its other side."""
+        """Move a coordinate into the unit square, which tents of texels at the border reach out of."""
         if not self.tents:
             return minimum(u, Float(1 - 2.0**-24))
         if self.wrap_mode == "repeat":
@@ -164,7 +164,7 @@ class Bitmap(UVTexture):
         return self.distribution.density(column, row, active)
 
     def _cells(self) -> Vector2f:
-        """How many cells there are along u and v."""
+        """The numbers of cells along u and v."""
         assert self.distribution is not None
         return Vector2f(Float(self.distribution.columns), Float(self.distribution.rows))
 
@@ -191,7 +191,7 @@ class Bitmap(UVTexture):
         return share, [self._texel(x, y, active) for y in rows for x in columns]
 
     def _around(self, uv: Point2f) -> tuple[Point2f, list[UInt32], list[UInt32]]:
-        """Columns and rows of these texels."""
+        """The shares, columns and rows of the texels about `uv`, for `_corners`."""
         place = dr.fma(uv, self.resolution, -0.5)
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
@@ -219,12 +219,12 @@ class Bitmap(UVTexture):
 
 
 def remainder(i: Float, n: Float) -> Float:
-    """`i` mod n for whole numbers, up to some millions without error: half a unit keeps off the steps of floor."""
+    """The remainder of `i` by `n`, whole numbers up to some millions: half a unit keeps off the steps of floor."""
     return dr.fma(-n, dr.floor((i + 0.5) * dr.rcp(n)), i)
 
 
 def lerp(a: Any, b: Any, t: Float) -> Any:
-    """From `a` to `b`."""
+    """The linear interpolation from `a` (t = 0) to `b` (t = 1)."""
     return dr.fma(b - a, t, a)
 
 

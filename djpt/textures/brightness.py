@@ -1,4 +1,4 @@
-"""How much light comes from where on a textured surface: weights of cells of the unit square."""
+"""The weights by which cells of the unit square are sampled on textured lights."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 __all__ = ["cell_weights", "luminance"]
 
 MAX_CELLS = 2048
-"""Along an axis."""
+"""The largest number of cells along an axis."""
 LOOKUPS = 4
-"""Per cell, along an axis."""
+"""The number of lookups per cell along an axis."""
 LEAST = 0.01
-"""Of the mean: what a cell weighs in which no lookup found light."""
+"""The least weight of a cell, relative to the mean: lookups may miss its light."""
 
 
 def luminance(texels: NDArray[Any]) -> NDArray[np.float64]:

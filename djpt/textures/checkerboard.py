@@ -16,7 +16,7 @@ __all__ = ["Checkerboard"]
 
 
 class Checkerboard(UVTexture):
-    """As a colour: `color0` where u mod 1 and v mod 1 lie on the same side of 0.5, elsewhere `color1`.
+    """A pattern of two textures: `color0` where u mod 1 and v mod 1 lie on the same side of 0.5, elsewhere `color1`.
 
     As a scalar (`eval_1`: a roughness, an opacity, the weight of a blend) it is the other way round: `color1` where
     they lie on the same side. So it is in Mitsuba 3.9.1, by measurement, also for checkerboards in checkerboards.
@@ -33,7 +33,7 @@ class Checkerboard(UVTexture):
         self.color1 = props.texture("color1", 0.2)
 
     def _is_even(self, si: Any) -> Bool:
-        """Do u mod 1 and v mod 1 lie on the same side of 0.5?"""
+        """True where u mod 1 and v mod 1 lie on the same side of 0.5."""
         uv = self.uv(si)
         right, upper = uv.x - dr.floor(uv.x) > 0.5, uv.y - dr.floor(uv.y) > 0.5
         return ~(right ^ upper)
@@ -47,7 +47,7 @@ class Checkerboard(UVTexture):
         return dr.select(even, self.color1.eval_1(si, even & active), self.color0.eval_1(si, ~even & active))
 
     def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
-        """The nested texture's, in the fields of `eval_1`: edges have none. Mitsuba 3.9.1 can't compute it."""
+        """The gradient of the texture that `eval_1` shows; edges have none. Mitsuba 3.9.1 can't compute it."""
         even = self._is_even(si)
         one, other = self.color1.eval_1_grad(si, even & active), self.color0.eval_1_grad(si, ~even & active)
         return dr.select(even, one, other)

@@ -1,4 +1,4 @@
-"""The same colour everywhere."""
+"""Constant colours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["ConstantTexture"]
 
 
 class ConstantTexture(Texture):
-    """One linear sRGB colour; what numbers and ``{'type': 'rgb'}`` in a description become.
+    """One linear sRGB colour; numbers and ``{'type': 'rgb'}`` in a description become this.
 
     Parameters: `value` (three numbers, or one for a grey; required). As a parameter it is always a
     `Color3f`, also for a grey (Mitsuba has a `Float` there); numbers can still be assigned.

@@ -1,4 +1,4 @@
-"""The same spectrum everywhere, as a colour."""
+"""Constant spectra, as colours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SpectrumTexture(ConstantTexture):
     """A spectrum, turned into its colour when it is loaded: rendering is in linear sRGB.
 
     Parameters: `value` (one number for a constant spectrum, or pairs of a wavelength in nm and a value, linear in
-    between; required). What reflects is seen under D65, what emits is not; colours that sRGB can't show
+    between; required). Reflectances are seen under D65, radiances are not; colours that sRGB can't show
     are clipped to the range of the parameter. As a parameter it is a colour, as in Mitsuba's RGB variants.
     """
 

@@ -1,4 +1,4 @@
-"""Where the pixels of a bitmap texture come from, and the checks that they pass."""
+"""The pixels of a bitmap texture: their sources, and the checks that they pass."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def as_pixels(value: Any) -> NDArray[Any]:
 
 
 def without_alpha(pixels: Pixels) -> Pixels:
-    """Grey or RGB: what alpha says isn't applied, as in Mitsuba."""
+    """The pixels without alpha, grey or RGB: alpha isn't applied, as in Mitsuba."""
     channels = pixels.shape[2]
     if channels > 4:
         raise SceneError(f"must have 1 to 4 channels (grey or RGB, with or without alpha), found {channels}")
@@ -145,13 +145,13 @@ def numbers_of(texels: TensorXf) -> Pixels:
 
 
 def tensor(pixels: NDArray[Any]) -> TensorXf:
-    """An array as a tensor, which would otherwise share the caller's memory."""
+    """A tensor of a copy of the array, so that the caller's memory isn't shared."""
     with np.errstate(over="ignore"):
         return TensorXf(np.array(pixels, np.float32, order="C"))
 
 
 def rounded(pixels: Pixels) -> Pixels:
-    """To half precision."""
+    """The pixels rounded to half precision, as float32."""
     with np.errstate(over="ignore"):
         return pixels.astype(np.float16).astype(np.float32)
 

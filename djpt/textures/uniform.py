@@ -1,4 +1,4 @@
-"""The same number everywhere."""
+"""Constant numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["UniformTexture"]
 
 
 class UniformTexture(Texture):
-    """One number; what numbers become where a plugin asks for a scalar, such as a roughness.
+    """One number; numbers become this where a plugin asks for a scalar, such as a roughness.
 
     Parameters: `value` (required).
     """

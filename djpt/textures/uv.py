@@ -39,7 +39,7 @@ class UVTexture(Texture):
         self._place()
 
     def _place(self) -> None:
-        """The rows of `to_uv` as kernels read them."""
+        """Compute the rows of `to_uv` that kernels read."""
         matrix = self.to_uv.matrix
         self.to_u, self.to_v = (as_vector(matrix[i, [0, 1, 3]]) for i in range(2))
 
@@ -64,12 +64,12 @@ class UVTexture(Texture):
             self._place()
 
     def uv(self, si: Any) -> Point2f:
-        """Where to look: the surface's uv, mapped."""
+        """The place of the lookup: the surface's uv, mapped by `to_uv`."""
         u, v = si.uv.x, si.uv.y
         return Point2f(affine(self.to_u, u, v), affine(self.to_v, u, v))
 
     def chain(self, gradient: Vector2f) -> Vector2f:
-        """A gradient by what `uv` returns as one by the surface's uv."""
+        """A gradient by the result of `uv`, converted to one by the surface's uv (the chain rule)."""
         return Vector2f(
             gradient.x * self.to_u.x + gradient.y * self.to_v.x,
             gradient.x * self.to_u.y + gradient.y * self.to_v.y,
@@ -77,7 +77,7 @@ class UVTexture(Texture):
 
 
 def affine(row: Vector3f, u: Float, v: Float) -> Float:
-    """One coordinate of the mapped point."""
+    """One coordinate of the mapped point: the product of a row with (u, v, 1)."""
     return row.x * u + (row.y * v + row.z)
 
 

@@ -22,7 +22,7 @@ class Snippet:
 
     def run(self, names: dict[str, Any]) -> None:
         """Execute Python in the namespace `names`; tracebacks show the line of the Markdown file."""
-        exec(compile("\n" * self.line + self.code, str(self.path), "exec"), names)
+        exec(compile("\n" * self.line + self.code, str(self.path), "exec", dont_inherit=True), names)
 
 
 def snippets(path: str, language: str = "python") -> list[Snippet]:

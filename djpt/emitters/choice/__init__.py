@@ -1,4 +1,4 @@
-"""Which emitter to sample: one way of choosing per file."""
+"""The choice of the emitter to sample: one way of choosing per file."""
 
 from collections.abc import Sequence
 

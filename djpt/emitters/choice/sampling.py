@@ -21,7 +21,7 @@ class MetLight:
     """The light of a surface, or of the sky, that a ray has met."""
 
     radiance: Color3f
-    """What it sends along the ray."""
+    """The radiance that it sends along the ray."""
     pdf: Float
     """The density per unit solid angle with which light sampling would have chosen the ray's direction."""
 
@@ -71,7 +71,7 @@ class LightSampling:
     def at_vertex(
         self, ref: Reference, ray: Ray3f, si: SurfaceInteraction3f, sample: Point2f, active: Bool
     ) -> tuple[MetLight, LightSample]:
-        """What a path vertex asks of the emitters: the light that `ray`, coming from `ref`, met at `si`; and a sample.
+        """All that a path vertex needs of the emitters: the light that `ray` from `ref` met at `si`, and a sample.
 
         Lanes that aren't `active` need no sample. A lone environment is looked up once for both.
         """

@@ -24,7 +24,7 @@ NOWHERE = 0xFFFFFFFF
 """In place of a link: no emitter can be chosen."""
 
 FROM_INFINITY = 0x40000000
-"""In the place of an emitter: the other bits say which of those that the tree doesn't hold."""
+"""In the place of an emitter from infinity: the other bits are its number among those."""
 
 PLACE = FROM_INFINITY - 1
 
@@ -39,7 +39,7 @@ class Descent:
 
 
 class TreeChoice(EmitterChoice):
-    """Descends a tree of lights, at every node to a child with probability in proportion to its importance.
+    """Emitters by descending a tree of lights, at every node to a child in proportion to its importance.
 
     Importance is estimated from a node's bounds for the point and the normal: see `djpt.emitters.choice.tree_nodes`.
     Light from infinity isn't in the tree: each such emitter, and the tree as a whole, are chosen by their
@@ -149,7 +149,7 @@ class TreeChoice(EmitterChoice):
 
 
 def refined(u: Float, left: Float, inverse: Float) -> Float:
-    """What is left of `u` after a choice of some probability, with new bits below those that were used up.
+    """The rest of `u` after a choice of some probability, with new bits below those that were used up.
 
     Random numbers have 23 bits; the choice among 1000 emitters leaves 13, too few to place points by.
     """

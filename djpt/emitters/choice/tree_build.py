@@ -44,7 +44,7 @@ class Lights:
 
     @staticmethod
     def of(bounds: Sequence[LightBounds], weights: Floats) -> Lights:
-        """Some emitters, of which each one's power counts `weights` times."""
+        """The bounds of some emitters, the power of each one multiplied by its weight."""
         theta_o, theta_e = np.array([b.theta_o for b in bounds]), np.array([b.theta_e for b in bounds])
         power = np.array([b.power for b in bounds]) * weights
         return Lights(
@@ -58,7 +58,7 @@ class Lights:
 
     @staticmethod
     def empty(*shape: int) -> Lights:
-        """Zeros."""
+        """Arrays of zeros."""
         vectors, numbers = [np.zeros((*shape, 3)) for _ in range(3)], [np.zeros(shape) for _ in range(3)]
         return Lights(vectors[0], vectors[1], vectors[2], numbers[0], numbers[1], numbers[2])
 
@@ -90,17 +90,17 @@ class Tree:
     """
 
     rank: Ints
-    """By light."""
+    """The rank of each light's leaf."""
     children: Lights
     """The left and the right child of each inner node, (n, 2); row 0 is unused."""
     links: NDArray[np.uint32]
-    """What the children are, (n, 2): the number of an inner node, or LEAF and a light."""
+    """The children, (n, 2): the number of an inner node, or LEAF and a light."""
     root: int
     """A link."""
 
 
 def build(lights: Lights) -> Tree:
-    """The tree over some lights, at least one."""
+    """Build the tree over some lights, at least one."""
     n = len(lights.intensity)
     order = np.arange(n)
     tree = Tree(np.zeros(n, np.int64), Lights.empty(2 * n), np.zeros(2 * n, np.uint32), LEAF)
@@ -139,7 +139,7 @@ def build(lights: Lights) -> Tree:
 
 
 def goes_right(lights: Lights, members: Ints, node: Ints, first: Ints, size: Ints) -> NDArray[np.bool_]:
-    """Which members of some nodes go to the right child. A node's `size` members begin at `first`."""
+    """Mark the members of some nodes that go to the right child. A node's `size` members begin at `first`."""
     center = (lights.low[members] + lights.high[members]) / 2
     low, high = np.minimum.reduceat(center, first), np.maximum.reduceat(center, first)
     extent = high - low
@@ -192,7 +192,7 @@ def best_split(lights: Lights, members: Ints, node: Ints, bins: Ints, nodes: int
 
 @dataclass
 class Bins:
-    """What lies in bins along axes, (nodes, 3, BINS)."""
+    """The contents of bins along axes, (nodes, 3, BINS)."""
 
     count: Ints
     intensity: Floats
@@ -201,7 +201,7 @@ class Bins:
     axis: Floats
     """Sums of axes, not normalised."""
     theta_o: Floats
-    """About the sum's direction."""
+    """Angle of the cone of normals about the direction of `axis`."""
     theta_e: Floats
 
     def reversed(self) -> Bins:
@@ -251,5 +251,5 @@ def arc_cosine(x: Floats) -> Floats:
 
 
 def unit(v: Floats) -> Floats:
-    """Vectors made unit vectors; zeros stay."""
+    """Vectors scaled to unit length; zeros stay."""
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30))

@@ -47,7 +47,7 @@ among 1000 lights over a floor the variance is then four times larger.
 """
 
 BOUND_SHARE = 0.3
-"""Of a cosine's largest value in the sphere; the rest is its value at the centre.
+"""The share of a cosine's largest value in the sphere; the rest is its value at the centre.
 
 Bounds alone have 1.6 times the variance.
 """
@@ -96,11 +96,11 @@ class Child:
 
     @property
     def link(self) -> UInt32:
-        """See `Tree.links`."""
+        """The number of the child's record, or of its light: see `Tree.links`."""
         return self.words[7]
 
     def importance(self, p: Point3f, n: Vector3f | None, oriented: bool) -> Float:
-        """An estimate of its light at `p`; 0 only if there can't be any.
+        """An estimate of the child's light at `p`; 0 only if there can't be any.
 
         intensity cos(theta_p) cos(theta_r) / dist^2: theta_p from the cone of normals, theta_r from the surface normal,
         on either side. If not `oriented`, all lights shine alike in all directions.
@@ -143,7 +143,7 @@ def typical(at_center: Float, largest: Float) -> Float:
 
 
 def children(words: UInt32, node: UInt32) -> tuple[Child, Child]:
-    """Both children of an inner node, by two packet loads."""
+    """Load both children of an inner node, by two packets."""
     left: Any = dr.gather(ArrayXu, words, node * 2, shape=(WORDS, 1))
     right: Any = dr.gather(ArrayXu, words, node * 2 + 1, shape=(WORDS, 1))
     return Child(list(left)), Child(list(right))

@@ -11,7 +11,7 @@ __all__ = ["UniformChoice"]
 
 
 class UniformChoice(EmitterChoice):
-    """Every emitter with probability 1 / n, as Mitsuba does."""
+    """Every emitter with probability 1 / n, as in Mitsuba."""
 
     def choose(self, p: Point3f, n: Vector3f | None, u: Float) -> tuple[UInt32, Float, Float]:
         if self.count == 1:

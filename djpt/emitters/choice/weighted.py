@@ -16,7 +16,7 @@ __all__ = ["WeightedChoice"]
 
 
 class WeightedChoice(EmitterChoice):
-    """Emitter i with probability w_i / sum w, by inversion of the cumulative sums, as Mitsuba does.
+    """Emitter i with probability w_i / sum w, by inversion of the cumulative sums, as in Mitsuba.
 
     The weights are the emitters' `sampling_weight`s, or those times their power.
     """
