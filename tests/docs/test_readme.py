@@ -41,9 +41,14 @@ def commands() -> list[str]:
     return [line for line in lines if line.startswith("djpt ")]
 
 
+SMALLER = {"gallery": ["--size", "32", "--spp", "4"]}
+"""Options that spare what takes minutes: the pictures of 30 materials are for people to look at."""
+
+
 @pytest.mark.parametrize("command", commands())
 def test_the_commands_run(command: str, tmp_path: Path) -> None:
     arguments = shlex.split(command, comments=True)[1:]
+    arguments += SMALLER.get(arguments[0], [])
     if arguments[0] == "compare":
         pytest.importorskip("mitsuba")
     shutil.copy(ROOT / "scenes" / "cornell_box.xml", tmp_path / "scene.xml")
