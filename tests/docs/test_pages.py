@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 from pathlib import Path
 from typing import Any
@@ -59,3 +60,9 @@ def test_links_lead_somewhere(page: str) -> None:
     folder = (ROOT / page).parent
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
         assert target.startswith("https://") or (folder / target).exists(), target
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "](#djpt" in (ROOT / page).read_text()])
+def test_references_name_what_there_is(page: str) -> None:
+    for name in re.findall(r"\]\(#(djpt[\w.]+)\)", (ROOT / page).read_text()):
+        pkgutil.resolve_name(name)
