@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.metadata import distribution
 
 import djpt
 
@@ -16,7 +17,14 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"djpt {version}"
 
-myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+# The pages need no network. Of MathJax one file is enough: it draws formulas as SVG, which needs no fonts,
+# which browsers don't load for pages that are opened from a disk.
+MATHJAX = distribution("sphinx-mathjax-offline").locate_file("sphinx-mathjax-offline/static/mathjax/tex-svg.js")
+html_static_path = ["_static", str(MATHJAX)]
+html_css_files = ["pages.css"]
+mathjax_path = "tex-svg.js"
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence", "attrs_block"]
 myst_heading_anchors = 3
 
 # Docstrings put code between single backquotes.

@@ -17,11 +17,12 @@ class Glass(Dielectric):
     """A `dielectric` whose two lobes can be shown one at a time, and whose reflectance can be Schlick's.
 
     Parameters: those of `dielectric`, and
-        fresnel: `exact` (default) or `schlick`, see `djpt.materials.fresnel.fresnel_schlick`.
-        reflection, transmission: whether the lobe is there (default true; not both false). A lobe that is left alone
-            is always sampled, and its weight is what it has of the whole: F or 1 - F (times eta_ti^2). So the images
-            of both parts of one interface add up to that of glass. Refraction alone at equal indices shows the scene
-            behind unchanged; where light would be totally reflected, it is black.
+
+    * `fresnel`: `exact` (default) or `schlick`, see `djpt.materials.fresnel.fresnel_schlick`.
+    * `reflection`, `transmission`: whether the lobe is there (default true; not both false). A lobe that is left alone
+      is always sampled, and its weight is what it has of the whole: F or 1 - F (times eta_ti^2). So the images
+      of both parts of one interface add up to that of glass. Refraction alone at equal indices shows the scene
+      behind unchanged; where light would be totally reflected, it is black.
     """
 
     statics = ("absorbs", "fresnel", "reflection", "transmission")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 from pathlib import Path
 from typing import Any
@@ -30,11 +31,18 @@ def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.slow
 def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
-    for module in ("sphinx", "myst_parser", "furo"):
+    for module in ("sphinx", "myst_parser", "furo", "sphinx-mathjax-offline"):
         pytest.importorskip(module)
     done = run_python("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(tmp_path / "html"))
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "html" / "index.html").exists()
+    pages = [path.read_text() for path in (tmp_path / "html").rglob("*.html")]
+    fetched = [
+        found
+        for page in pages
+        for found in re.findall(r"<(?:script|img|link)[^>]*(?:src|href)=\"(https?:[^\"]*)", page)
+    ]
+    assert pages and not fetched, "the pages need a network"
+    assert (tmp_path / "html" / "_static" / "tex-svg.js").exists(), "formulas stay TeX without MathJax"
 
 
 PACKAGES = ["integrators", "materials", "shapes", "emitters", "rfilters", "samplers", "sensors", "films"]
@@ -52,3 +60,9 @@ def test_links_lead_somewhere(page: str) -> None:
     folder = (ROOT / page).parent
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
         assert target.startswith("https://") or (folder / target).exists(), target
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "](#djpt" in (ROOT / page).read_text()])
+def test_references_name_what_there_is(page: str) -> None:
+    for name in re.findall(r"\]\(#(djpt[\w.]+)\)", (ROOT / page).read_text()):
+        pkgutil.resolve_name(name)

@@ -72,9 +72,34 @@ def test_links_lead_somewhere() -> None:
     assert len(targets) > 5
 
 
-def test_the_plugins_named_in_the_readme_exist() -> None:
+KINDS = {
+    "Shapes": ["shape"],
+    "Materials": ["bsdf"],
+    "Lights": ["emitter"],
+    "Cameras": ["sensor"],
+    "Samplers": ["sampler"],
+    "Films, filters": ["film", "rfilter"],
+    "Integrators": ["integrator"],
+}
+
+
+@pytest.mark.parametrize("row", [*KINDS, "Textures", "Media"])
+def test_the_table_of_plugins_is_true(row: str) -> None:
     from djpt.description.registry import registered
 
-    text = (ROOT / "README.md").read_text()
-    paragraph = text[text.index("* Shapes:") : text.index("* Gradients")]
-    assert set(re.findall(r"`(\w+)`", paragraph)) <= set(registered())
+    line = next(x for x in (ROOT / "README.md").read_text().splitlines() if re.match(rf"\| \[?{row}\b", x))
+    both, only_here, missing = (set(re.findall(r"`(\w+)`", cell)) for cell in line.strip("|").split("|")[1:])
+    assert both | only_here <= set(registered())
+    assert not missing & set(registered())
+    if row in KINDS:
+        assert both | only_here == {name for kind in KINDS[row] for name in registered(kind)}
+    mitsuba = pytest.importorskip("mitsuba")
+    theirs = {path.stem for path in (Path(mitsuba.__file__).parent / "plugins").iterdir()}
+    # Two of its integrators are in Python.
+    assert both - {"prb", "prb_basic"} <= theirs
+    assert missing <= theirs and not only_here & theirs
+
+
+def test_the_changelog_and_the_citation_name_this_version() -> None:
+    assert f"\n## [{djpt.__version__}] - " in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\nversion: {djpt.__version__}\n" in (ROOT / "CITATION.cff").read_text()

@@ -1,0 +1,38 @@
+"""Make the pictures of the README and of the documentation: ``python docs/figures [NAME ..]``."""
+
+from __future__ import annotations
+
+import djpt  # noqa: F401 # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import sys
+
+import box
+import cards
+import estimators
+import illumination
+import observers
+import proof
+import slopes
+import surfaces
+from places import IMAGES
+
+FIGURES = {
+    name: getattr(module, name)
+    for module in (proof, box, surfaces, illumination, observers, estimators, slopes, cards)
+    for name in module.__all__
+}
+"""All figures by name; `cards` comes last, as it is cut from the others."""
+
+
+def main() -> None:
+    """Make all pictures, or those named on the command line."""
+    IMAGES.mkdir(exist_ok=True)
+    names = sys.argv[1:] or list(FIGURES)
+    unknown = [name for name in names if name not in FIGURES]
+    if unknown:
+        sys.exit(f"no figure {', '.join(unknown)}; there are: {', '.join(FIGURES)}")
+    for name in names:
+        FIGURES[name]()
+
+
+if __name__ == "__main__":
+    main()

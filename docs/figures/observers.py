@@ -1,0 +1,74 @@
+"""Cameras, samplers and tone mapping."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import djpt
+from djpt import ScalarTransform4f as T
+from places import IMAGES
+
+__all__ = ["cameras", "samplers", "tonemapping"]
+
+
+def cameras() -> None:
+    """The stage before a row of small lamps: a pinhole, two lenses and no perspective, in one batch."""
+    place = T().look_at(origin=[0.6, -7.5, 2.6], target=[0, 0, 0.85], up=[0, 0, 1])
+    lens = {"type": "thinlens", "fov": 26, "aperture_radius": 0.3, "to_world": place}
+    views = {
+        "pinhole": {"type": "perspective", "fov": 26, "to_world": place},
+        "near": {**lens, "focus_distance": 6.5},
+        "far": {**lens, "focus_distance": 8.9},
+        "parallel": {"type": "orthographic", "to_world": place @ T().scale([1.9, 1.9, 1])},
+    }
+    film = {"type": "hdrfilm", "width": 4 * 240, "height": 240, "rfilter": {"type": "box"}}
+    scene = djpt.scenes.stage()
+    scene["sensor"] = {"type": "batch", "film": film, **views}
+    for i, x in enumerate(np.linspace(-1.6, 1.6, 5)):
+        color = {"type": "rgb", "value": [[24, 13, 5], [5, 12, 24]][i % 2]}
+        lamp = {"type": "sphere", "center": [float(x), 1.2, 2.0], "radius": 0.02}
+        scene[f"lamp{i}"] = {**lamp, "emitter": {"type": "area", "radiance": color}}
+    djpt.write(IMAGES / "cameras.png", djpt.render(djpt.load_dict(scene), spp=2048))
+
+
+def samplers() -> None:
+    """A sphere under a white sky at 4 samples per pixel with three samplers, magnified; below, the same blurred."""
+    rows: list[list[np.ndarray]] = [[], []]
+    clay = {"type": "rgb", "value": [0.7, 0.3, 0.15]}
+    for sampler in ({"type": "independent"}, {"type": "sobol"}, {"type": "sobol", "blue_noise": True}):
+        film = {"type": "hdrfilm", "width": 80, "height": 60, "rfilter": {"type": "box"}}
+        place = T().look_at(origin=[0, 1.2, 4], target=[0, -0.1, 0], up=[0, 1, 0])
+        scene = {
+            "type": "scene",
+            "sensor": {"type": "perspective", "fov": 36, "to_world": place, "film": film, "sampler": sampler},
+            "sky": {"type": "constant", "radiance": 0.9},
+            "floor": {"type": "rectangle", "to_world": T().translate([0, -0.7, 0]).rotate([1, 0, 0], -90).scale(30)},
+            "ball": {"type": "sphere", "radius": 0.7, "bsdf": {"type": "diffuse", "reflectance": clay}},
+        }
+        image = np.array(djpt.render(djpt.load_dict(scene), spp=4))
+        weights = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+        blurred = np.pad(image, ((5, 5), (5, 5), (0, 0)), mode="edge")
+        for axis in (0, 1):
+            blurred = np.apply_along_axis(np.convolve, axis, blurred, weights / weights.sum(), mode="valid")
+        for row, picture in zip(rows, (image, blurred), strict=True):
+            row.append(np.kron(picture, np.ones((4, 4, 1))))
+    picture = np.concatenate([np.concatenate(row, axis=1) for row in rows])
+    djpt.write(IMAGES / "samplers.png", picture.astype(np.float32))
+
+
+def tonemapping() -> None:
+    """One image of bright and dark parts under the four operators, side by side."""
+    glowing: dict[str, Any] = {"dim": {"type": "constant", "radiance": 0.08}}
+    for i, (x, color) in enumerate([(-0.1, [90, 14, 5]), (1.65, [12, 20, 90]), (-1.4, [70, 55, 30])]):
+        glowing[f"bulb{i}"] = {
+            "type": "sphere",
+            "center": [x, -1.0, 0.22],
+            "radius": 0.22,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": color}},
+        }
+    image = np.array(djpt.render(djpt.load_dict(djpt.scenes.stage(glowing, size=240)), spp=2048))
+    gap = np.ones((image.shape[0], 8, 3), np.float32)
+    shown = [djpt.tonemap(image, operator, exposure=-1.0) for operator in ("srgb", "reinhard", "aces", "agx")]
+    djpt.write(IMAGES / "tonemapping.png", np.concatenate([x for one in shown for x in (gap, one)][1:], axis=1))

@@ -1,0 +1,51 @@
+"""Derivatives, and what they are good for."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from unittest.mock import patch
+
+import drjit as dr
+import numpy as np
+
+import djpt
+from djpt.images.image import Image
+from djpt.validation.ladder.strips import Panel, strip
+from djpt.validation.report import difference_picture
+from places import IMAGES, LADDER, ROOT
+
+__all__ = ["albedo", "derivatives"]
+
+
+def albedo() -> None:
+    """What the albedo example writes."""
+    with patch.object(sys, "argv", ["albedo.py", "--out", str(IMAGES / "albedo.png")]):
+        runpy.run_path(str(ROOT / "examples" / "albedo.py"), run_name="__main__")
+
+
+def derivatives() -> None:
+    """The room, and how each pixel depends on one number: red where more of it means more light, blue where less."""
+    description = LADDER["room"](216)
+    description["copper"]["bsdf"]["alpha"] = 0.2
+    scene = djpt.load_dict(description)
+    image = np.array(djpt.render(scene, spp=2048), np.float32)
+    panels = [Panel("the image", "path, 8 edges", Image(image).srgb())]
+    for key, title, subtitle in (
+        ("red.reflectance.value", "derivative", "by the red paint"),
+        ("large-sphere.bsdf.reflectance.value", "derivative", "by the mirror's reflectance"),
+        ("copper.bsdf.alpha.value", "derivative", "by the copper's roughness"),
+    ):
+        params = djpt.traverse(scene)
+        change = djpt.Float(0)
+        dr.enable_grad(change)
+        params[key] = params[key] + change
+        params.update()
+        rendered = djpt.render(scene, params, spp=2048)
+        dr.forward(change)
+        derivative = np.array(dr.grad(rendered), np.float32)
+        scale = float(np.quantile(np.abs(derivative.mean(axis=2)), 0.99))
+        panels.append(Panel(title, subtitle, difference_picture(derivative, np.zeros_like(derivative), scale)))
+        params[key] = dr.detach(params[key])
+        params.update()
+    djpt.write(IMAGES / "derivatives.png", strip(panels))
