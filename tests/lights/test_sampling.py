@@ -1,6 +1,6 @@
 """What emitters claim of themselves: densities, weights, power, and the rays that leave them.
 
-All parameter sets of tests/kit/emitters.py are tested, and all shapes of tests/sampling/test_claims.py that can shine.
+All parameter sets of tests/kit/emitters.py are tested, and all shapes of tests/kit/plugins.py that can shine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from djpt.types import Float, Point2f, Point3f, UInt32
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
-from tests.sampling.test_claims import examples, lit, looked_at, reference
+from tests.kit.one_light import lit, looked_at, reference
+from tests.kit.plugins import examples
 
 COUNT = 2**18
 RAYS = 2**16

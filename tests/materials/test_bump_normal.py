@@ -107,13 +107,6 @@ def call(bsdf: Any, method: Any) -> Any:
     return ensemble.call(UInt32(0), lookup, method, None)
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 def described(map_: str, nested: str, **keys: Any) -> dict[str, Any]:
     return {**maps()[map_], "nested": NESTED[nested], **keys}
 

@@ -145,13 +145,6 @@ class TheirQuery(Query):
         self.si, self.albedo = si, wide(self.bsdf.eval_diffuse_reflectance(si))
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 @pytest.mark.parametrize("description", NESTED.values(), ids=NESTED)
 def test_answers_are_mitsubas(description: dict[str, Any], mi: Any) -> None:
     mine, theirs = Query(description), TheirQuery(description, mi)
