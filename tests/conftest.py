@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import pytest
 
-import djpt  # noqa: F401
+import djpt  # noqa: F401 isort: skip
+import drjit as dr
 
 pytest.register_assert_rewrite("tests.kit")
+
+# Processes that run tests side by side (`pytest -n`) share the processors.
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    dr.set_thread_count(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import numpy as np
 
 from djpt.types import Float
 
-__all__ = ["floats", "numbers"]
+__all__ = ["floats", "numbers", "rows"]
 
 LINE = 64
 """Bytes that Dr.Jit's own memory is aligned to."""
@@ -27,6 +27,11 @@ def floats(values: Any) -> Float:
     aligned = memory[start : start + values.nbytes].view(np.float32)
     aligned[:] = values
     return Float(aligned)
+
+
+def rows(values: Any) -> tuple[Float, ...]:
+    """The rows of a matrix in aligned memory: the components of a vector per lane."""
+    return tuple(floats(row) for row in values)
 
 
 def numbers(value: Any) -> np.ndarray:
