@@ -21,13 +21,6 @@ TALL_CROP = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 def camera(film: dict[str, Any] | None = None, **entries: Any) -> Any:
     film = {"type": "hdrfilm", **(WIDE if film is None else film)}
     return djpt.load_dict({"type": "perspective", "film": film, **entries})

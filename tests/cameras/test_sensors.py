@@ -64,13 +64,6 @@ PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
 BOX = {"type": "box"}
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 def as_mitsuba(mi: Any, node: Any) -> Any:
     """A description with Mitsuba's transforms."""
     if isinstance(node, dict):

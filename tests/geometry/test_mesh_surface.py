@@ -21,13 +21,6 @@ TURNED = T().translate([1, 2, 3]).rotate([1, 2, 0], 50).scale([1, 2, 0.5])
 MIRRORED = T().translate([0, 0, 1]).scale([-1, 1, 2])
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 def weights(faces: int, seed: int = 1) -> tuple[Array, Array]:
     """Faces and barycentric weights (2, N)."""
     rng = np.random.default_rng(seed)

@@ -14,7 +14,8 @@ import djpt
 from djpt.errors import ParameterError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
-from tests.kit.mesh_scenes import ball, ball_file, gallery, kernels
+from tests.kit.kernels import kernels
+from tests.kit.mesh_scenes import ball, ball_file, gallery
 from tests.kit.meshes import write_binary_ply
 from tests.kit.renders import pixels
 

@@ -18,13 +18,6 @@ T = ScalarTransform4f
 UNIT = [2 / 7, 3 / 7, 6 / 7]
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 BUILDERS = {
     "identity": lambda t: t(),
     "translate": lambda t: t().translate([1, -2, 3.5]),

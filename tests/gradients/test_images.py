@@ -16,12 +16,11 @@ import pytest
 import djpt
 from djpt.gradients import leaves as replay
 from djpt.integrators import Integrator
+from tests.kit.image_gradients import ALBEDO, RADIANCE, SEED, SPP, Experiment
 from tests.kit.renders import box, lights, pixels, theirs, two_sided
 
-SEED, SPP = 3, 16
 PRB = {"type": "prb", "max_depth": 5, "rr_depth": 1000}
 PLAIN = {"type": "plain_direct"}
-ALBEDO, RADIANCE = "red.reflectance.value", "light.emitter.radiance.value"
 
 
 class PlainDirect(Integrator):
@@ -37,85 +36,6 @@ class PlainDirect(Integrator):
 
 
 djpt.register_integrator("plain_direct", PlainDirect)
-
-
-class Experiment:
-    """A loss of an image as a function of some parameters: sum(weights * image)."""
-
-    def __init__(self, description: dict[str, Any], names: list[str], spp: int = SPP, **options: Any) -> None:
-        self.description, self.names = description, names
-        self.scene = djpt.load_dict(description)
-        self.params = djpt.traverse(self.scene)
-        self.options = {"spp": spp, "seed": SEED, "seed_grad": SEED, **options}
-        self.values = {name: np.array(self.params[name], np.float64).ravel() for name in names}
-        shape = self.image().shape
-        self.weights = np.random.default_rng(1).uniform(0.5, 1.5, shape).astype(np.float32)
-
-    def image(self) -> Any:
-        return djpt.render(self.scene, self.params, **self.options)
-
-    def loss(self) -> Any:
-        return dr.sum(self.image().array * djpt.Float(self.weights.ravel()))
-
-    def assign(self, name: str, value: np.ndarray) -> None:
-        self.params[name] = djpt.Color3f(*value.tolist())
-        self.params.update()
-
-    def reverse(self) -> dict[str, np.ndarray]:
-        """Gradients by every component of every parameter."""
-        self._attach()
-        dr.backward(self.loss())
-        result = {name: np.array(dr.grad(self.params[name]), np.float64).ravel() for name in self.names}
-        self._detach()
-        return result
-
-    def forward(self, name: str, component: int) -> np.ndarray:
-        """The derivative of the image by one component."""
-        self._attach()
-        tangent = np.zeros(3)
-        tangent[component] = 1
-        dr.set_grad(self.params[name], djpt.Color3f(*tangent.tolist()))
-        result = pixels(dr.forward_to(self.image()))
-        self._detach()
-        return result
-
-    def differences(self, name: str, component: int) -> np.ndarray:
-        """The same by central differences of width 2 h."""
-        images = []
-        h = 0.02 * max(1.0, abs(self.values[name][component]))
-        for sign in (1, -1):
-            value = self.values[name].copy()
-            value[component] += sign * h
-            self.assign(name, value)
-            images.append(pixels(self.image()).astype(np.float64))
-        self.assign(name, self.values[name])
-        return (images[0] - images[1]) / (2 * h)
-
-    def check(self, tolerance: float = 2e-3) -> None:
-        """Reverse, forward and finite differences agree."""
-        reverse = self.reverse()
-        largest = max(np.abs(gradient).max() for gradient in reverse.values())
-        assert largest > 0
-        for name in self.names:
-            scale = np.abs(reverse[name]).max()
-            for component in range(3):
-                by_difference = self.differences(name, component)
-                slope = float(np.sum(by_difference * self.weights))
-                assert reverse[name][component] == pytest.approx(slope, rel=tolerance, abs=tolerance * scale)
-            forward = self.forward(name, 2)
-            error = np.abs(forward - by_difference)
-            assert np.mean(error > 0.01 * np.abs(by_difference).max() + 1e-6) < 0.002
-            assert float(np.sum(forward * self.weights)) == pytest.approx(reverse[name][2], rel=1e-4, abs=1e-4 * scale)
-
-    def _attach(self) -> None:
-        for name in self.names:
-            dr.enable_grad(self.params[name])
-            self.params.set_dirty(name)
-        self.params.update()
-
-    def _detach(self) -> None:
-        for name in self.names:
-            self.assign(name, self.values[name])
 
 
 # ---------------------------------------------------------------- parameters

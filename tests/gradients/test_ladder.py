@@ -10,7 +10,7 @@ import pytest
 import djpt
 from djpt.integrators import Integrator
 from djpt.transforms import ScalarTransform4f as T
-from tests.gradients.test_images import ALBEDO, RADIANCE, Experiment
+from tests.kit.image_gradients import ALBEDO, RADIANCE, Experiment
 from tests.kit.renders import box, spheres
 
 # Paths end by chance with probabilities that don't depend on albedos, so that those of finite differences agree.

@@ -1,25 +1,197 @@
-"""Gradients of an image by every parameter of every material, against finite differences.
+"""Derivatives by each parameter of each material: of its values, and of images of it, against finite differences.
 
-Differences of two images with one seed are noisy: a parameter moves the samples as well, and a choice that flips
-moves them far. Derivatives keep the samples where they are. Both have the same mean.
+Images tell little of parameters that make one place brighter and another darker: values are compared direction by
+direction, where nothing averages out. Differences of two images with one seed are noisy: a parameter moves the samples
+as well, and a choice that flips moves them far. Derivatives keep the samples where they are. Both have the same mean.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
+import drjit as dr
 import numpy as np
 import pytest
 
+import djpt
 from djpt import ParamFlags
-from tests.kit.materials import NAMES, bsdf, first_of_each
+from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.types import Float, Point2f, UInt32, Vector3f
+from djpt.warp import square_to_uniform_sphere
+from tests.kit.chi_squared import uniform
+from tests.kit.material_ball import ball
+from tests.kit.materials import NAMES, bsdf, cases, first_of_each, in_kernel, interaction
 from tests.kit.slopes import Slopes, numbers
-from tests.materials.test_same_seed import ball
+
+# ---------------------------------------------------------------- values, direction by direction
+
+
+COUNT, ROWS, CHOICES = 4096, 32, 2**15
+
+
+def like(parameter: Any, value: np.ndarray) -> Any:
+    """Numbers as a parameter."""
+    kind, value = type(parameter), np.asarray(value, np.float32)
+    return kind(value) if value.ndim > 1 else kind(*np.atleast_1d(value).tolist())
+
+
+class BSDFSlopes:
+    """Derivatives by the parameters, one direction each: of `eval`, or of what delta lobes carry."""
+
+    def __init__(self, name: str) -> None:
+        self.bsdf = djpt.load_dict(bsdf(name))
+        self.params = djpt.traverse(self.bsdf)
+        self.keys = [key for key in self.params if self.params.flags(key) & ParamFlags.Differentiable]
+        rng = np.random.default_rng(3)
+        # Off the ends of all ranges, so that there is room for a step on both sides; lobes that are off are on then.
+        self.at = {key: 0.85 * numbers(self.params[key]) + 0.05 for key in self.keys}
+        self.along = {
+            key: rng.uniform(0.5, 1, value.shape) * np.maximum(1, np.abs(value)) for key, value in self.at.items()
+        }
+        self.put(self.at)
+        self.si = surface()
+        self.wo = self.directions()
+
+    def directions(self) -> Vector3f:
+        """Half of them random, half of them sampled, which finds narrow lobes."""
+        x, y, s1, a, b = uniform(COUNT, 5, seed=2)
+        bs, weight = in_kernel(self.bsdf).sample(BSDFContext(), self.si, s1, Point2f(x, y))
+        sampled = (dr.max(weight) > 0) & (dr.arange(UInt32, COUNT) % 2 == 0)
+        wo = dr.select(sampled, bs.wo, square_to_uniform_sphere(Point2f(a, b)))
+        dr.eval(wo)
+        return wo
+
+    def put(self, values: dict[str, np.ndarray]) -> None:
+        for key, value in values.items():
+            self.params[key] = like(self.params[key], value)
+        self.params.update()
+
+    def value(self, delta: bool) -> Any:
+        """The function that is differentiated."""
+        material = in_kernel(self.bsdf)
+        return delta_power(material) if delta else material.eval(BSDFContext(), self.si, self.wo)
+
+    def derivative(self, key: str, delta: bool, alone: bool = False) -> np.ndarray:
+        """By automatic differentiation, all parameters attached or one `alone`: all have one kernel between them."""
+        attached = [key] if alone else self.keys
+        for other in attached:
+            dr.enable_grad(self.params[other])
+            self.params.set_dirty(other)
+        self.params.update()
+        result = self.value(delta)
+        for other in attached:
+            tangent = like(self.params[other], self.along[other] * (other == key))
+            dr.make_opaque(tangent)
+            dr.set_grad(self.params[other], tangent)
+        slope = dr.forward_to(result, flags=dr.ADFlag.ClearEdges | dr.ADFlag.AllowNoGrad)
+        found = np.array(slope, np.float64)
+        self.put({other: self.at[other] for other in attached})
+        return found
+
+    def difference(self, key: str, delta: bool, step: float) -> np.ndarray:
+        """By a central difference."""
+        ends = []
+        for sign in (1, -1):
+            self.put({key: self.at[key] + sign * step * self.along[key]})
+            ends.append(np.array(self.value(delta), np.float64))
+        self.put({key: self.at[key]})
+        return (ends[0] - ends[1]) / (2 * step)
+
+
+def surface() -> SurfaceInteraction3f:
+    """Random points, seen from everywhere."""
+    a, b, u, v = uniform(COUNT, 4, seed=1)
+    si = interaction(square_to_uniform_sphere(Point2f(a, b)), width=COUNT)
+    si.uv = Point2f(u, v)
+    return si
+
+
+def delta_power(material: Any) -> Any:
+    """What delta lobes carry: the mean of their weights, for some directions."""
+    a, b, u, v = (dr.repeat(x, CHOICES) for x in uniform(ROWS, 4, seed=4))
+    si = interaction(square_to_uniform_sphere(Point2f(a, b)), width=ROWS * CHOICES)
+    si.uv = Point2f(u, v)
+    s1 = dr.tile((dr.arange(Float, CHOICES) + 0.5) / CHOICES, ROWS)
+    bs, weight = material.sample(BSDFContext(), si, s1, Point2f(0.5))
+    weight = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, 0)
+    return dr.block_sum(weight, CHOICES) / CHOICES
+
+
+COARSE = "RoughPlastic"
+"""Its coat is tabulated, and the tables' derivatives are differences over 10 % of alpha: good to 1 or 2 %."""
+
+
+def close(slopes: BSDFSlopes, key: str, delta: bool, factor: float = 1.0, alone: bool = False) -> tuple[bool, str]:
+    """Do nearly all derivatives agree? `factor` makes them wrong."""
+    plain = np.array(slopes.value(delta), np.float64)
+    if delta:
+        # Means jump by this much where a choice changes.
+        step = 2e-2
+        noise: Any = 0.8 / CHOICES / step * np.ones_like(plain)
+    else:
+        step = 4e-3
+        noise = 1e-6 / step * np.abs(plain) + 1e-7
+    exact = factor * slopes.derivative(key, delta, alone)
+    found, wider = (slopes.difference(key, delta, h) for h in (step, 2 * step))
+    exact, found, wider, noise = np.broadcast_arrays(exact, found, wider, noise)
+    # Neither curvature nor a jump spoils what has the same slope for both steps.
+    clear = np.abs(found - wider) <= 0.01 * np.abs(found) + 2 * noise
+    coarse = type(slopes.bsdf).__name__ == COARSE
+    wrong = np.abs(exact - found) > (0.03 if coarse else 0.02) * np.abs(found) + 2 * noise
+    telling = clear & (np.abs(found) > 100 * noise)
+    shares = [np.mean(wrong[part]) if part.any() else 0.0 for part in (clear, telling)]
+    text = f"{key}: {telling.sum()} telling, {shares[1]:.4f} wrong; {shares[0]:.4f} of all; {clear.mean():.3f} clear"
+    return bool(np.isfinite(exact).all() and max(shares) < (0.06 if coarse else 0.02) and clear.mean() > 0.5), text
+
+
+def lobes(bsdf: Any) -> list[bool]:
+    """Which functions the BSDF has: smooth ones (False), deltas (True)."""
+    return [
+        delta for delta, flag in ((False, BSDFFlags.Smooth), (True, BSDFFlags.Delta)) if has_flag(bsdf.flags(), flag)
+    ]
+
+
+@pytest.mark.parametrize("name", cases())
+def test_every_parameter_of_a_bsdf(name: str) -> None:
+    slopes = BSDFSlopes(name)
+    verdicts = [close(slopes, key, delta) for key in slopes.keys for delta in lobes(slopes.bsdf)]
+    print(name, *(text for _, text in verdicts), sep="\n  ")
+    assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
+
+
+@pytest.mark.parametrize("factor", [1.05, -1.0])
+@pytest.mark.parametrize(
+    ("name", "key", "delta"),
+    [
+        ("diffuse-bitmap", "reflectance.data", False),
+        ("roughconductor-brushed", "alpha_u.value", False),
+        ("roughdielectric-polished", "eta", False),
+        ("roughplastic-ggx", "alpha", False),
+        ("principled-everything", "anisotropic.value", False),
+        ("principled-coated", "clearcoat_gloss.value", False),
+        ("phong-glossy", "exponent.value", False),
+        ("normalmap-gold", "normalmap.data", False),
+        ("mask-metal", "opacity.data", True),
+        ("thindielectric-tinted", "eta", True),
+        ("plastic-colour", "eta", True),
+    ],
+)
+def test_wrong_derivatives_of_a_bsdf_fail(name: str, key: str, delta: bool, factor: float) -> None:
+    """The test's power; and parameters that are attached alone."""
+    slopes = BSDFSlopes(name)
+    assert close(slopes, key, delta, alone=True)[0]
+    assert not close(slopes, key, delta, factor, alone=True)[0]
+
+
+# ---------------------------------------------------------------- images of a ball
+
 
 JUMPS = {"roughdielectric-ggx": {"ball.bsdf.eta"}, "roughdielectric-bubble": {"ball.bsdf.eta"}}
 """GGX has facets at right angles to the surface: refraction by them ends abruptly at directions that move with the
 index, which differentiating at a fixed direction can't see. The parameter is flagged `Discontinuous`."""
 
 
-class MaterialSlopes(Slopes):
+class ImageSlopes(Slopes):
     """By the parameters of a material on a ball."""
 
     size, spp, seeds = 24, 256, (8, 40)
@@ -46,8 +218,8 @@ class MaterialSlopes(Slopes):
 
 
 @pytest.mark.parametrize("name", first_of_each(NAMES))
-def test_every_parameter(name: str) -> None:
-    slopes, exact = MaterialSlopes(name), {}
+def test_every_parameter_in_an_image(name: str) -> None:
+    slopes, exact = ImageSlopes(name), {}
     verdicts = [slopes.check(key, exact) for key in slopes.keys]
     print(name, *(text for _, text in verdicts), sep="\n  ")
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
@@ -56,7 +228,7 @@ def test_every_parameter(name: str) -> None:
 @pytest.mark.parametrize("name", first_of_each(NAMES))
 def test_schedules_agree(name: str) -> None:
     """The same samples in another order."""
-    pair = [MaterialSlopes(name, schedule) for schedule in ("flat", "wave")]
+    pair = [ImageSlopes(name, schedule) for schedule in ("flat", "wave")]
     if not pair[0].keys:
         pytest.skip("no parameter has a gradient")
     flat, wave = (slopes.attached(1) for slopes in pair)
@@ -76,6 +248,6 @@ def test_schedules_agree(name: str) -> None:
         ("principledthin-everything", "ball.bsdf.sheen_tint.value", 1.05),
     ],
 )
-def test_wrong_derivatives_fail(name: str, key: str, factor: float) -> None:
+def test_wrong_derivatives_of_an_image_fail(name: str, key: str, factor: float) -> None:
     """The test's power."""
-    assert not MaterialSlopes(name).check(key, {}, factor)[0]
+    assert not ImageSlopes(name).check(key, {}, factor)[0]

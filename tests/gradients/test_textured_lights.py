@@ -11,8 +11,8 @@ import pytest
 import djpt
 from djpt.types import Float, TensorXf
 from tests.kit.emitters import RECTANGLE
+from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene
-from tests.kit.mesh_scenes import kernels
 
 SIZE = 24
 KEY = "light.emitter.radiance.data"

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 import djpt
+from tests.kit.arrays import floats, numbers
 
 __all__ = ["PLANE", "SPHERE", "Domain", "Partition", "p_value", "probability_of_counts", "uniform"]
 
@@ -27,11 +28,11 @@ class Domain:
 
 def _direction(cos: np.ndarray, phi: np.ndarray) -> Any:
     sin = np.sqrt(np.maximum(0, 1 - cos**2))
-    return djpt.Vector3f(*(x.astype(np.float32) for x in (sin * np.cos(phi), sin * np.sin(phi), cos)))
+    return djpt.Vector3f(*(floats(x) for x in (sin * np.cos(phi), sin * np.sin(phi), cos)))
 
 
 def _cylinder(d: Any) -> tuple[np.ndarray, np.ndarray]:
-    x, y, z = np.array(d, np.float64)
+    x, y, z = numbers(d)
     # Near the pole float32 knows x and y better than z.
     z = np.where(z > 0.9, np.sqrt(np.maximum(0, 1 - x * x - y * y)), np.clip(z, -1, 1))
     return z, np.mod(np.arctan2(y, x), 2 * np.pi)
@@ -43,8 +44,8 @@ SPHERE = Domain((-1, 0), (1, 2 * np.pi), _direction, _cylinder)
 PLANE = Domain(
     (-1, -1),
     (1, 1),
-    lambda x, y: djpt.Point2f(x.astype(np.float32), y.astype(np.float32)),
-    lambda p: tuple(np.array(p, np.float64)),
+    lambda x, y: djpt.Point2f(floats(x), floats(y)),
+    lambda p: tuple(numbers(p)),
 )
 """The square [-1, 1]^2."""
 
@@ -52,7 +53,7 @@ PLANE = Domain(
 def uniform(count: int, dimensions: int = 2, seed: int = 0) -> list[Any]:
     """Independent uniform numbers, one Float per dimension."""
     u = np.random.default_rng(seed).random((dimensions, count), dtype=np.float32)
-    return [djpt.Float(row) for row in u]
+    return [floats(row) for row in u]
 
 
 def p_value(

@@ -9,6 +9,8 @@ from typing import Any
 
 from tests.kit.processes import ROOT
 
+__all__ = ["snippets"]
+
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 

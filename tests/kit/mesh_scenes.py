@@ -14,7 +14,7 @@ from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Color3f
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 
-__all__ = ["PATH", "ball", "ball_file", "diffuse", "gallery", "kernels", "sheet_file", "uv_texture"]
+__all__ = ["PATH", "ball", "ball_file", "diffuse", "gallery", "sheet_file", "uv_texture"]
 
 PATH = {"type": "path", "max_depth": 6, "rr_depth": 3}
 
@@ -149,12 +149,3 @@ def uv_texture(scene: dict[str, Any], *names: str) -> dict[str, Any]:
     for name in names:
         scene[name]["bsdf"] = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": {"type": "stripes"}}}
     return scene
-
-
-def kernels(action: Any) -> set[Any]:
-    """Hashes of the kernels that `action` launches."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        action()
-        dr.sync_thread()
-        return {entry["hash"] for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT}

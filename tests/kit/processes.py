@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+__all__ = ["ROOT", "compile_library", "old_llvm", "run_python"]
+
 ROOT = Path(__file__).resolve().parents[2]
 DECIDING = ("DRJIT_LIBLLVM_PATH", "DJPT_LLVM_DIRS", "DJPT_LLVM_CHOSEN", "DJPT_VARIANT", "PYTHONPATH")
 

@@ -14,10 +14,10 @@ from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, Point3f
 from tests.kit.emitters import SPOT, entry
+from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene
-from tests.kit.mesh_scenes import kernels
+from tests.kit.one_light import lit
 from tests.kit.renders import pixels
-from tests.sampling.test_claims import lit
 
 SHEARED = T([[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 CHECKERBOARD = {"type": "checkerboard"}

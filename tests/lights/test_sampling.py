@@ -1,6 +1,6 @@
 """What emitters claim of themselves: densities, weights, power, and the rays that leave them.
 
-All parameter sets of tests/kit/emitters.py are tested, and all shapes of tests/sampling/test_claims.py that can shine.
+All parameter sets of tests/kit/emitters.py are tested, and all shapes of tests/kit/plugins.py that can shine.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from djpt.description import registry
 from djpt.frame import Frame3f
 from djpt.records import EmitterFlags, has_flag
 from djpt.types import Float, Point2f, Point3f, TensorXf, UInt32
+from tests.kit.arrays import numbers, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
-from tests.sampling.test_claims import examples, lit, looked_at, reference
+from tests.kit.one_light import lit, looked_at, reference
+from tests.kit.plugins import examples
 
 COUNT = 2**18
 RAYS = 2**16
@@ -63,6 +65,7 @@ class TestDirections:
         # The density is that of a narrow cone: look there closely.
         focus = Frame3f.from_normal(dr.normalize(dr.detach(dr.mean(ds.d, axis=1))))
         towards = focus.to_local(ds.d)
+        dr.eval(towards, weight)
         lowest = float(np.array(towards.z).min())
         domain = SPHERE if lowest < 0.9 else type(SPHERE)(
             (1 - 1.2 * (1 - lowest), 0), (1, 2 * np.pi), SPHERE.point, SPHERE.coordinates
@@ -81,26 +84,28 @@ class TestDirections:
         ds, weight = scene.sample_emitter_direction(reference(), Point2f(*uniform(4096, seed=3)), False)
         if np.array(ds.delta).any():
             pytest.skip("a delta emitter has no density")
-        lit_up = np.broadcast_to(np.array(dr.max(weight) > 0), (4096,))
-        assert lit_up.mean() > 0.1
-        product = np.array(weight) * np.array(ds.pdf)
         _, radiance, _ = looked_at(scene, ds.d)
-        radiance = np.broadcast_to(np.array(radiance), (3, 4096))
+        again, inverse, bright = scene.pdf_emitter_direction(reference(), ds), ds.pdf * ds.weight, dr.max(weight) > 0
+        dr.eval(ds, weight, radiance, again, inverse, bright)
+        lit_up = np.broadcast_to(np.array(bright), (4096,))
+        assert lit_up.mean() > 0.1
+        product = numbers(weight) * np.array(ds.pdf)
+        radiance = np.broadcast_to(numbers(radiance), (3, 4096))
         # Rays that graze an edge may miss.
         agree = np.isclose(product, radiance, rtol=1e-3).all(axis=0)
         assert agree[lit_up].mean() > 0.995
-        again, pdf = (np.broadcast_to(x, (4096,)) for x in (scene.pdf_emitter_direction(reference(), ds), ds.pdf))
+        again, pdf, inverse = (np.broadcast_to(np.array(x), (4096,)) for x in (again, ds.pdf, inverse))
         np.testing.assert_allclose(again[lit_up], pdf[lit_up], rtol=2e-3)
-        inverse = np.broadcast_to(np.array(ds.pdf * ds.weight), (4096,))
         np.testing.assert_allclose(inverse[lit_up], 1, rtol=1e-4)
 
     def test_record_is_consistent(self, light: dict[str, Any] | str) -> None:
         scene = scene_of(light)
         ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
-        np.testing.assert_allclose(np.linalg.norm(np.array(ds.d), axis=0), 1, atol=1e-5)
-        np.testing.assert_allclose(np.linalg.norm(np.array(ds.n), axis=0), 1, atol=1e-5)
+        dr.eval(ds)
+        np.testing.assert_allclose(np.linalg.norm(numbers(ds.d), axis=0), 1, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(numbers(ds.n), axis=0), 1, atol=1e-5)
         if np.isfinite(np.array(ds.dist)).all():
-            np.testing.assert_allclose(np.array(ds.d) * np.array(ds.dist), np.array(ds.p), rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(numbers(ds.d) * np.array(ds.dist), numbers(ds.p), rtol=1e-4, atol=1e-4)
 
 
 def rim_of_a_sphere(rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
@@ -172,13 +177,15 @@ def test_no_point_of_space_gives_nonsense(name: str) -> None:
     scene = lit(light=entry(name))
     rng = np.random.default_rng(2)
     points = np.concatenate([[[-2, 3, 2.5], [0, 0, 0], [1e6, -1e6, 1e6]], rng.normal(0, 4, (500, 3))]).T
-    p = Point3f(*(Float(x.astype(np.float32)) for x in points))
+    p = Point3f(*rows(points))
     emitter = scene.emitter_ptr(UInt32(0))
     ds, weight = emitter.sample_direction(p, Point2f(*uniform(503)))
-    found = np.array(weight)
+    density = emitter.pdf_direction(p, ds)
+    dr.eval(weight, density)
+    found = numbers(weight)
     assert np.isfinite(found).all()
     assert found.min() >= 0
-    pdf = np.array(emitter.pdf_direction(p, ds))
+    pdf = np.array(density)
     assert np.isfinite(pdf).all()
     assert pdf.min() >= 0
 
@@ -216,7 +223,8 @@ def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarr
     """Rays of the first emitter, their weights (3, count), and the numbers that made them."""
     u = uniform(count, 4, seed)
     ray, weight = scene.emitter_ptr(UInt32(0)).sample_ray(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
-    return ray, np.broadcast_to(np.array(weight, np.float64), (3, count)), u
+    dr.eval(ray, weight)
+    return ray, np.broadcast_to(numbers(weight), (3, count)), u
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -259,14 +267,14 @@ def test_rays_are_mitsubas(name: str) -> None:
     described = djpt.validation.to_mitsuba({"type": "scene", "light": entry(name), "ball": BALL})
     with djpt.validation.bridge._variant():
         scene = mi.load_dict(described)
-        numbers = [mi.Float(np.array(x)) for x in u]
-        other, expected = scene.emitters()[0].sample_ray(0, 0, mi.Point2f(*numbers[:2]), mi.Point2f(*numbers[2:]))
-        theirs = [np.broadcast_to(np.array(x), (3, 4096)) for x in (other.o, other.d, expected)]
+        other, expected = scene.emitters()[0].sample_ray(0, 0, mi.Point2f(*u[:2]), mi.Point2f(*u[2:]))
+        dr.eval(other, expected)
+        theirs = [np.broadcast_to(numbers(x), (3, 4096)) for x in (other.o, other.d, expected)]
     # Mitsuba moves rays off the surface that they leave.
     scale = 1 + np.abs(theirs[0]).max()
-    np.testing.assert_allclose(np.broadcast_to(np.array(ray.o), (3, 4096)), theirs[0], atol=1e-4 * scale)
+    np.testing.assert_allclose(np.broadcast_to(numbers(ray.o), (3, 4096)), theirs[0], atol=1e-4 * scale)
     length = np.linalg.norm(theirs[1], axis=0)
-    close = np.abs(np.broadcast_to(np.array(ray.d), (3, 4096)) - theirs[1] / length).max(axis=0) < 1e-4
+    close = np.abs(np.broadcast_to(numbers(ray.d), (3, 4096)) - theirs[1] / length).max(axis=0) < 1e-4
     assert close.mean() > 0.998
     agree = np.isclose(weight, theirs[2], rtol=1e-3, atol=1e-5 * theirs[2].max()).all(axis=0)
     assert agree.mean() > 0.998
@@ -290,7 +298,7 @@ def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     p = Point3f(r * dr.cos(phi), Float(GROUND), r * dr.sin(phi))
     ds, light = scene.emitter_ptr(UInt32(0)).sample_direction(p, Point2f(u[2], u[3]))
     # Lights hide nothing of themselves here: those that could are convex, and only their front sends light.
-    second = np.array(light * (dr.select(ds.d.y > 0, ds.d.y, 0) * (math.pi * radius**2)), np.float64)
+    second = numbers(light * (dr.select(ds.d.y > 0, ds.d.y, 0) * (math.pi * radius**2)))
     second = np.broadcast_to(second, (3, count))
     assert first.mean() > 0
     for a, b in zip(first, second, strict=True):
@@ -312,7 +320,7 @@ def test_bounds_hold_the_light(name: str) -> None:
     if bounds is None:
         return
     ray, weight, _ = rays_of(scene, 4096)
-    o, d = (np.broadcast_to(np.array(x, np.float64), (3, 4096)).T for x in (ray.o, ray.d))
+    o, d = (np.broadcast_to(numbers(x), (3, 4096)).T for x in (ray.o, ray.d))
     assert (o >= bounds.low - 1e-5).all()
     assert (o <= bounds.high + 1e-5).all()
     assert np.linalg.norm(bounds.axis) == pytest.approx(1)

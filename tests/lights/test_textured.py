@@ -17,13 +17,14 @@ from djpt.frame import Frame3f
 from djpt.textures.bitmap import Bitmap
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, Point3f, TensorXf
+from tests.kit.bitmaps import TEXELS, TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, Domain, p_value, uniform
 from tests.kit.emitters import RECTANGLE, UNLIKE_MITSUBA, entry
+from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene
-from tests.kit.mesh_scenes import kernels
+from tests.kit.one_light import lit, looked_at, reference
+from tests.kit.plugins import EXAMPLES, SHEARED
 from tests.kit.renders import ours, theirs
-from tests.sampling.test_claims import EXAMPLES, SHEARED, lit, looked_at, reference
-from tests.textures.test_sampling import TEXELS, TURNED, bitmap
 
 COUNT = 2**16
 CONE = {"type": "cone", "apex": [0.5, 0.2, 1.2], "axis": [0, 1, 1], "angle": 30}

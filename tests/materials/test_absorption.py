@@ -10,7 +10,9 @@ import pytest
 
 import djpt
 from djpt.transforms import ScalarTransform4f as T
+from djpt.types import Float
 from tests.kit.renders import ours, pixels
+from tests.kit.smooth_materials import wide
 
 SIGMA = [0.2, 0.5, 0.9]
 
@@ -132,3 +134,37 @@ def test_clear_glass_costs_nothing() -> None:
     clear = djpt.load_dict(scene([0, 0, 6], sky=SKY, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}))
     assert clear.integrator().start(clear).body is None
     assert np.isfinite(pixels(djpt.render(clear, spp=4))).all()
+
+
+# ---------------------------------------------------------------- asked without a scene
+
+
+@pytest.mark.parametrize("name", ["dielectric", "glass"])
+def test_absorption_is_exponential(name: str) -> None:
+    rgb = [0.0, 0.5, 2.0]
+    bsdf = djpt.load_dict({"type": name, "absorption": {"type": "rgb", "value": rgb}})
+    assert bsdf.absorbs
+    distances = np.array([0.0, 0.3, 4.0, 1e4])
+    found = wide(bsdf.transmittance(Float(distances)), 4)
+    np.testing.assert_allclose(found, np.exp(-np.outer(rgb, distances)), rtol=1e-5)
+    params = djpt.traverse(bsdf)
+    assert params.flags("absorption.value") & djpt.ParamFlags.Differentiable
+    params["absorption.value"] = [1, 1, 1]
+    params.update()
+    np.testing.assert_allclose(wide(bsdf.transmittance(Float(1.0)), 1), np.exp(-1), rtol=1e-6)
+
+
+def test_clear_glass_absorbs_nothing() -> None:
+    bsdf = djpt.load_dict({"type": "glass"})
+    assert not bsdf.absorbs
+    np.testing.assert_array_equal(wide(bsdf.transmittance(Float(5.0)), 1), 1)
+    assert list(djpt.traverse(bsdf)) == ["eta"]
+
+
+def test_derivative_of_absorption() -> None:
+    bsdf = djpt.load_dict({"type": "dielectric", "absorption": 0.7})
+    params = djpt.traverse(bsdf)
+    dr.enable_grad(params["absorption.value"])
+    params.update()
+    dr.backward(bsdf.transmittance(Float(2.0)))
+    np.testing.assert_allclose(wide(dr.grad(params["absorption.value"]), 1).ravel(), -2 * np.exp(-1.4), rtol=1e-5)

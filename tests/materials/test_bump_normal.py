@@ -17,6 +17,7 @@ from djpt.records import BSDFContext, SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
+from tests.kit.arrays import floats
 from tests.kit.renders import ours, theirs
 
 COUNT = 4000
@@ -58,7 +59,7 @@ MAPS = tuple(maps())
 
 
 def array(v: np.ndarray) -> Vector3f:
-    return Vector3f(*(Float(np.ascontiguousarray(x, np.float32)) for x in v.T))
+    return Vector3f(*(floats(x) for x in v.T))
 
 
 class Surfaces:
@@ -88,13 +89,14 @@ class Surfaces:
 
     def ours(self) -> SurfaceInteraction3f:
         frame = Frame3f(array(self.s), array(self.t), array(self.shading))
-        uv, zero = Point2f(Float(self.uv[0]), Float(self.uv[1])), UInt32(0)
+        uv, zero = Point2f(floats(self.uv[0]), floats(self.uv[1])), UInt32(0)
         n, du, dv, wi = (array(v) for v in (self.n, self.dp_du, self.dp_dv, self.wi))
         return SurfaceInteraction3f(Float(1), Vector3f(0), n, frame, uv, du, dv, wi, zero, zero, Bool(True))
 
     def theirs(self, mi: Any) -> Any:
         si = dr.zeros(mi.SurfaceInteraction3f, len(self.n))
-        si.n, si.uv, si.wi = mi.Normal3f(array(self.n)), mi.Point2f(self.uv), mi.Vector3f(array(self.wi))
+        si.uv = mi.Point2f(*(floats(x) for x in self.uv))
+        si.n, si.wi = mi.Normal3f(array(self.n)), mi.Vector3f(array(self.wi))
         si.sh_frame = mi.Frame3f(*(mi.Vector3f(array(v)) for v in (self.s, self.t, self.shading)))
         si.dp_du, si.dp_dv = mi.Vector3f(array(self.dp_du)), mi.Vector3f(array(self.dp_dv))
         return si
@@ -105,13 +107,6 @@ def call(bsdf: Any, method: Any) -> Any:
     ensemble, lookup = Ensemble([bsdf]), Detached()
     lookup.prepare(ensemble.leaves())
     return ensemble.call(UInt32(0), lookup, method, None)
-
-
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
 
 
 def described(map_: str, nested: str, **keys: Any) -> dict[str, Any]:
@@ -129,12 +124,14 @@ def test_values_and_samples_are_mitsubas(map_: str, nested: str, flipped: bool, 
     description = described(map_, nested, flip_invalid_normals=flipped, use_shadowing_function=shadowed)
     surfaces = Surfaces()
     bsdf, reference = djpt.load_dict(description), mi.load_dict(djpt.validation.to_mitsuba(description))
-    si, wo, sample = surfaces.ours(), array(surfaces.wo), Point2f(*(Float(x) for x in surfaces.sample2))
-    first = Float(surfaces.sample1)
+    si, wo, sample = surfaces.ours(), array(surfaces.wo), Point2f(*(floats(x) for x in surfaces.sample2))
+    first = floats(surfaces.sample1)
     value, pdf, bs, weight = call(bsdf, lambda b: b.eval_pdf_sample(BSDFContext(), si, wo, first, sample))
     their_si, context = surfaces.theirs(mi), mi.BSDFContext()
     their_value, their_pdf = reference.eval_pdf(context, their_si, mi.Vector3f(wo))
-    their_bs, their_weight = reference.sample(context, their_si, mi.Float(first), mi.Point2f(surfaces.sample2))
+    their_bs, their_weight = reference.sample(context, their_si, mi.Float(first), mi.Point2f(sample))
+    dr.eval(value, pdf, bs, weight)
+    dr.eval(their_value, their_pdf, their_bs, their_weight)
     assert bsdf.flags() == int(reference.flags())
 
     def same(found: Any, expected: Any, where: Any = True) -> None:
@@ -189,19 +186,20 @@ def test_densities_count_what_is_sampled(map_: str, nested: str) -> None:
     bsdf, one = djpt.load_dict(described(map_, nested)), Surfaces(6)
     count = 1 << 14
     random = np.random.default_rng(0).random((5, count)).astype(np.float32)
-    floats = [Float(x) for x in random]
+    u = [floats(x) for x in random]
     for i in range(6):
         point = one.ours()
         pick = [dr.gather(type(v), v, UInt32(i)) for v in (point.n, point.uv, point.dp_du, point.dp_dv, point.wi)]
         frame = dr.gather(Frame3f, point.sh_frame, UInt32(i))
         zero = UInt32(0)
         si = SurfaceInteraction3f(Float(1), Vector3f(0), pick[0], frame, *pick[1:], zero, zero, Bool(True))
-        wo = square_to_uniform_sphere(Point2f(floats[0], floats[1]))
-        value, pdf, bs, weight = bsdf.eval_pdf_sample(BSDFContext(), si, wo, floats[2], Point2f(floats[3], floats[4]))
+        wo = square_to_uniform_sphere(Point2f(u[0], u[1]))
+        value, pdf, bs, weight = bsdf.eval_pdf_sample(BSDFContext(), si, wo, u[2], Point2f(u[3], u[4]))
+        again, density = bsdf.eval_pdf(BSDFContext(), si, bs.wo)
+        dr.eval(value, pdf, bs, weight, again, density)
         kept = np.array(bs.pdf) > 0
         assert np.mean(np.array(pdf)) * 4 * np.pi == pytest.approx(kept.mean(), abs=0.04)
         assert np.mean(np.array(value)) * 4 * np.pi == pytest.approx(np.mean(np.array(weight)), abs=0.04)
-        again, density = bsdf.eval_pdf(BSDFContext(), si, bs.wo)
         ratio = np.array(again)[0][kept] / np.array(density)[kept]
         np.testing.assert_allclose(ratio, np.array(weight)[0][kept], rtol=2e-3, atol=1e-4)
 

@@ -15,6 +15,7 @@ from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.validation import agreement
 from djpt.validation.bridge import to_mitsuba
 from djpt.warp import square_to_uniform_sphere
+from tests.kit.arrays import floats, numbers, rows
 from tests.kit.renders import box, ours, pixels
 
 COUNT = 4096
@@ -81,10 +82,10 @@ def interaction(wi: Any, uv: Any) -> SurfaceInteraction3f:
         p=Point3f(0),
         n=z,
         sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
-        uv=Point2f(uv),
+        uv=Point2f(*rows(uv)),
         dp_du=Vector3f(1, 0, 0),
         dp_dv=Vector3f(0, 1, 0),
-        wi=Vector3f(wi),
+        wi=Vector3f(*rows(wi)),
         shape_index=UInt32(0),
         face=UInt32(0),
         valid=dr.full(Bool, True, COUNT),
@@ -102,15 +103,17 @@ class Query:
         self.si = interaction(self.wi, self.uv)
         self.args = BSDFContext(), self.si
         value, pdf, bs, weight = self.bsdf.eval_pdf_sample(
-            *self.args, Vector3f(self.wo), Float(self.s1), Point2f(self.s2)
+            *self.args, Vector3f(*rows(self.wo)), floats(self.s1), Point2f(*rows(self.s2))
         )
+        delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
+        dr.eval(value, pdf, bs, weight, delta)
         self.value, self.pdf, self.weight = wide(value), wide(pdf), wide(weight)
         self.sampled = {name: wide(getattr(bs, name)) for name in ("wo", "pdf", "eta", "sampled_type")}
-        self.delta = np.broadcast_to(np.array(has_flag(bs.sampled_type, BSDFFlags.Delta)), (COUNT,))
+        self.delta = np.broadcast_to(np.array(delta), (COUNT,))
 
 
 def wide(x: Any) -> np.ndarray:
-    array = np.array(x, np.float64)
+    array = numbers(x)
     return np.broadcast_to(array, (len(array), COUNT) if dr.depth_v(x) > 1 else (COUNT,))
 
 
@@ -126,20 +129,15 @@ class TheirQuery(Query):
         self.bsdf = load_theirs(description, mi)
         si = dr.zeros(mi.SurfaceInteraction3f, COUNT)
         si.t, si.n, si.sh_frame = mi.Float(1), mi.Normal3f(0, 0, 1), mi.Frame3f(mi.Normal3f(0, 0, 1))
-        si.wi, si.uv = mi.Vector3f(self.wi), mi.Point2f(self.uv)
+        si.wi, si.uv = mi.Vector3f(*rows(self.wi)), mi.Point2f(*rows(self.uv))
         ctx = mi.BSDFContext()
-        value, pdf = self.bsdf.eval_pdf(ctx, si, mi.Vector3f(self.wo))
-        bs, weight = self.bsdf.sample(ctx, si, mi.Float(self.s1), mi.Point2f(self.s2))
+        value, pdf = self.bsdf.eval_pdf(ctx, si, mi.Vector3f(*rows(self.wo)))
+        bs, weight = self.bsdf.sample(ctx, si, floats(self.s1), mi.Point2f(*rows(self.s2)))
+        albedo = self.bsdf.eval_diffuse_reflectance(si)
+        dr.eval(value, pdf, bs, weight, albedo)
         self.value, self.pdf, self.weight = wide(value), wide(pdf), wide(weight)
         self.sampled = {name: wide(getattr(bs, name)) for name in ("wo", "pdf", "eta", "sampled_type")}
-        self.si, self.albedo = si, wide(self.bsdf.eval_diffuse_reflectance(si))
-
-
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
+        self.si, self.albedo = si, wide(albedo)
 
 
 @pytest.mark.parametrize("description", NESTED.values(), ids=NESTED)
@@ -157,10 +155,12 @@ def test_answers_are_mitsubas(description: dict[str, Any], mi: Any) -> None:
 @pytest.mark.parametrize("description", NESTED.values(), ids=NESTED)
 def test_combined_calls_agree(description: dict[str, Any]) -> None:
     query = Query(description)
-    args, wo = query.args, Vector3f(query.wo)
-    bs, weight = query.bsdf.sample(*args, Float(query.s1), Point2f(query.s2))
-    np.testing.assert_allclose(wide(query.bsdf.eval(*args, wo)), query.value, rtol=1e-6)
-    np.testing.assert_allclose(wide(query.bsdf.pdf(*args, wo)), query.pdf, rtol=1e-6)
+    args, wo = query.args, Vector3f(*rows(query.wo))
+    bs, weight = query.bsdf.sample(*args, floats(query.s1), Point2f(*rows(query.s2)))
+    value, pdf = query.bsdf.eval(*args, wo), query.bsdf.pdf(*args, wo)
+    dr.eval(bs, weight, value, pdf)
+    np.testing.assert_allclose(wide(value), query.value, rtol=1e-6)
+    np.testing.assert_allclose(wide(pdf), query.pdf, rtol=1e-6)
     np.testing.assert_allclose(wide(weight), query.weight, rtol=1e-5)
     for name, values in query.sampled.items():
         np.testing.assert_allclose(wide(getattr(bs, name)), values, rtol=1e-5, atol=1e-6)
@@ -180,10 +180,16 @@ def test_samples_add_up(description: dict[str, Any]) -> None:
     grid = (np.stack(np.meshgrid(np.arange(n), np.arange(n))).reshape(2, -1) + 0.5).astype(np.float32) / n
     # One lobe number per point, stratified over the whole range.
     s1 = ((np.random.default_rng(3).permutation(COUNT) + 0.5) / COUNT).astype(np.float32)
-    bs, weight = query.bsdf.sample(*query.args, Float(s1), Point2f(grid))
-    delta = np.broadcast_to(np.array(has_flag(bs.sampled_type, BSDFFlags.Delta)), (COUNT,))
+    points = Point2f(*rows(grid))
+    bs, weight = query.bsdf.sample(*query.args, floats(s1), points)
+    value, lobe = (
+        query.bsdf.eval(*query.args, square_to_uniform_sphere(points)),
+        has_flag(bs.sampled_type, BSDFFlags.Delta),
+    )
+    dr.eval(bs, weight, value, lobe)
+    delta = np.broadcast_to(np.array(lobe), (COUNT,))
     smooth_part = np.where(delta, 0, wide(weight)).mean(axis=1)
-    integral = wide(query.bsdf.eval(*query.args, square_to_uniform_sphere(Point2f(grid)))).mean(axis=1) * 4 * np.pi
+    integral = wide(value).mean(axis=1) * 4 * np.pi
     np.testing.assert_allclose(smooth_part, integral, rtol=0.05, atol=5e-3)
     np.testing.assert_array_less(wide(weight).mean(axis=1), 1.001)
     assert (wide(bs.pdf) >= 0).all()

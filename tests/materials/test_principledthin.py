@@ -11,8 +11,7 @@ import djpt
 from djpt.dispatch.ensemble import structure
 from djpt.types import Vector3f
 from djpt.validation import agreement
-from tests.kit.renders import box, ours, theirs
-from tests.materials.test_principled import (
+from tests.kit.disney import (
     COLOR,
     MODES,
     WI,
@@ -23,10 +22,12 @@ from tests.materials.test_principled import (
     directions,
     follows_its_density,
     load_both,
-    mi,
     seen_from,
     stays_finite,
 )
+from tests.kit.renders import box, ours, theirs
+
+mi = pytest.importorskip("mitsuba")
 
 EVERYTHING = {
     "spec_trans": 0.6, "diff_trans": 0.8, "anisotropic": 0.3, "spec_tint": 0.7, "sheen": 0.4, "sheen_tint": 0.3,

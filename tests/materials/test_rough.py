@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -10,42 +9,28 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.plugin import Plugin
-from djpt.dispatch.ensemble import Attached, Group
-from djpt.frame import Frame3f
-from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, TransportMode, has_flag
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_sphere
+from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
+from djpt.types import Color3f, Float, Point2f, Vector3f
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
-from tests.kit.renders import box, ours, pixels, theirs
+from tests.kit.kernels import kernels
+from tests.kit.renders import box, ours, theirs
+from tests.kit.rough_materials import (
+    CASES,
+    COUNT,
+    REFLECTING,
+    RGB,
+    assert_close,
+    directions,
+    full,
+    in_kernel,
+    interaction,
+    load,
+    mitsuba_interaction,
+    numbers,
+)
 
 mi = pytest.importorskip("mitsuba")
 
-COUNT = 8192
-RGB = {"type": "rgb", "value": [0.1, 0.5, 0.9]}
-
-REFLECTING: dict[str, dict[str, Any]] = {
-    "metal": {"type": "roughconductor", "material": "Au"},
-    "ggx metal": {"type": "roughconductor", "distribution": "ggx", "alpha": 0.4, "specular_reflectance": RGB},
-    "brushed": {"type": "roughconductor", "alpha_u": 0.05, "alpha_v": 0.4, "eta": RGB, "k": 2.0},
-    "brushed ggx": {"type": "roughconductor", "alpha_u": 0.5, "alpha_v": 0.2, "distribution": "ggx", "material": "Cu"},
-    "all facets": {"type": "roughconductor", "alpha": 0.3, "sample_visible": False},
-    "all ggx facets": {"type": "roughconductor", "alpha": 0.3, "sample_visible": False, "distribution": "ggx"},
-    "plastic": {"type": "plastic", "diffuse_reflectance": RGB},
-    "coloured plastic": {"type": "plastic", "nonlinear": True, "int_ior": 1.9, "specular_reflectance": RGB},
-    "black plastic": {"type": "plastic", "diffuse_reflectance": 0.0},
-    "rough plastic": {"type": "roughplastic", "diffuse_reflectance": RGB},
-    "ggx plastic": {"type": "roughplastic", "distribution": "ggx", "alpha": 0.5, "nonlinear": True, "int_ior": 1.9},
-    "all facets of plastic": {"type": "roughplastic", "alpha": 0.3, "sample_visible": False},
-    "thin plastic": {"type": "roughplastic", "alpha": 0.3, "int_ior": 1.0, "ext_ior": 1.3, "specular_reflectance": RGB},
-}
-CASES = REFLECTING | {
-    "glass": {"type": "roughdielectric"},
-    "ggx glass": {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.5, "specular_transmittance": RGB},
-    "brushed glass": {"type": "roughdielectric", "alpha_u": 0.1, "alpha_v": 0.4, "specular_reflectance": RGB},
-    "all facets of glass": {"type": "roughdielectric", "alpha": 0.3, "sample_visible": False},
-    "bubble": {"type": "roughdielectric", "alpha": 0.3, "int_ior": "air", "ext_ior": "water", "distribution": "ggx"},
-}
 
 MISTAKEN = {"all facets of glass"}
 """Mitsuba 3.9.1 weights what it samples as if it had sampled the given roughness: see `RoughDielectric`."""
@@ -54,64 +39,6 @@ MISTAKEN = {"all facets of glass"}
 @pytest.fixture(autouse=True, scope="module")
 def variant() -> None:
     mi.set_variant("llvm_ad_rgb")
-
-
-# ---------------------------------------------------------------- helpers
-
-
-def numbers(columns: int, seed: int) -> Any:
-    return np.random.default_rng(seed).random((columns, COUNT), dtype=np.float32)
-
-
-def directions(seed: int) -> Any:
-    """Unit vectors over the whole sphere, some of them grazing; (3, COUNT)."""
-    v = np.array(square_to_uniform_sphere(Point2f(numbers(2, seed))))
-    v[2, : COUNT // 8] *= 3e-2
-    return (v / np.linalg.norm(v, axis=0)).astype(np.float32)
-
-
-def owners(plugin: Plugin) -> list[tuple[Plugin, str]]:
-    """All values in a tree of plugins."""
-    nested = [child for name in plugin.children if isinstance(child := getattr(plugin, name), Plugin)]
-    return [(plugin, name) for name in plugin.values] + [found for child in nested for found in owners(child)]
-
-
-def in_kernel(bsdf: Any) -> Any:
-    """The plugin as kernels see it, attached to the gradients of its values."""
-    overrides = {(id(p), name): getattr(p, name) for p, name in owners(bsdf) if dr.grad_enabled(getattr(p, name))}
-    return Group([bsdf], [0]).at(UInt32(0), Attached(overrides))
-
-
-def load(description: dict[str, Any]) -> Any:
-    return in_kernel(djpt.load_dict(description))
-
-
-def interaction(wi: Any) -> SurfaceInteraction3f:
-    """A surface point in its own frame, seen from `wi`."""
-    z = Normal3f(0, 0, 1)
-    frame = Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z)
-    shared = {"dp_du": frame.s, "dp_dv": frame.t, "shape_index": UInt32(0), "face": UInt32(0)}
-    valid = dr.full(Bool, True, np.shape(wi)[1])
-    p, uv = Point3f(0), Point2f(0.3, 0.6)
-    return SurfaceInteraction3f(t=Float(1), p=p, n=z, sh_frame=frame, uv=uv, wi=Vector3f(wi), valid=valid, **shared)
-
-
-def mitsuba_interaction(wi: Any) -> Any:
-    si = dr.zeros(mi.SurfaceInteraction3f, COUNT)
-    si.wi, si.uv = mi.Vector3f(wi), mi.Point2f(0.3, 0.6)
-    return si
-
-
-def full(array: Any) -> Any:
-    array = np.array(array, np.float64)
-    return np.broadcast_to(array, (*array.shape[:-1], COUNT))
-
-
-def assert_close(found: Any, expected: Any, lanes: Any, rtol: float, outliers: float = 2e-3) -> None:
-    """Nearly all lanes agree: rounding is amplified at grazing angles."""
-    found, expected = full(found)[..., lanes], full(expected)[..., lanes]
-    assert np.isfinite(found).all()
-    assert (np.abs(found - expected) > rtol * np.abs(expected) + 1e-5).mean() <= outliers
 
 
 # ---------------------------------------------------------------- against Mitsuba
@@ -264,84 +191,7 @@ def test_smooth_limit_of_rough_plastic() -> None:
     np.testing.assert_allclose(found[:, inner], expected[:, inner], rtol=4e-2)
 
 
-# ---------------------------------------------------------------- derivatives
-
-DERIVATIVES = [
-    ("metal", "alpha.value", 0.3),
-    ("ggx metal", "alpha.value", 0.4),
-    ("brushed", "alpha_u.value", 0.3),
-    ("brushed ggx", "alpha_v.value", 0.3),
-    ("metal", "eta.value", None),
-    ("metal", "k.value", None),
-    ("ggx metal", "specular_reflectance.value", None),
-    ("plastic", "eta", None),
-    ("coloured plastic", "diffuse_reflectance.value", None),
-    ("rough plastic", "alpha", 0.3),
-    ("rough plastic", "eta", None),
-    ("ggx plastic", "alpha", None),
-    ("ggx plastic", "eta", None),
-    ("ggx plastic", "diffuse_reflectance.value", None),
-    ("glass", "alpha.value", 0.3),
-    ("glass", "eta", 1.7),
-    ("ggx glass", "specular_transmittance.value", None),
-]
-
-
-def differing(values: Any, expected: Any) -> float:
-    """The share of numbers that differ by more than 1 %, or 1 % of large ones."""
-    large = np.quantile(np.abs(expected[expected != 0]), 0.9)
-    return float((np.abs(values - expected) > 1e-2 * np.maximum(np.abs(expected), large)).mean())
-
-
-@pytest.mark.parametrize(("name", "key", "value"), DERIVATIVES)
-def test_derivative_of_eval(name: str, key: str, value: float | None) -> None:
-    bsdf = djpt.load_dict(CASES[name])
-    params = djpt.traverse(bsdf)
-    kind = type(params[key])
-    centre = kind(params[key]) if value is None else kind(value)
-    wi, wo = Vector3f(directions(12)), Vector3f(directions(13))
-    si = interaction(np.array(wi))
-
-    def evaluated(x: Any) -> Any:
-        params[key] = x
-        params.update()
-        return in_kernel(bsdf).eval(BSDFContext(), si, wo)
-
-    # Two terms of the derivative of a rough coat by its index nearly cancel, and differences of sums have noise.
-    h = 3e-2 if key == "eta" and "rough" in CASES[name]["type"] else 5e-3
-    expected = (full(evaluated(centre + h)) - full(evaluated(centre - h))) / (2 * h)
-    x = kind(centre)
-    dr.enable_grad(x)
-    result = evaluated(x)
-    dr.set_grad(x, 1)
-    found = full(dr.forward_to(result))
-    assert np.isfinite(found).all()
-    assert differing(found, expected) < 0.01
-    # Backwards, nothing but numbers either.
-    result = evaluated(x)
-    dr.backward(dr.sum(result, axis=None))
-    total = np.array(dr.grad(x)).sum()
-    assert total == pytest.approx(found.sum(), rel=1e-2, abs=1e-3 * np.abs(found).sum())
-
-
-def test_derivative_of_the_mirror() -> None:
-    """Delta lobes are differentiated through their weight: d (F / p) with the chance p held."""
-    bsdf = djpt.load_dict(CASES["plastic"])
-    wi = np.abs(directions(14))
-    eta = Float(1.5)
-    dr.enable_grad(eta)
-    bsdf.eta = eta
-    bs, weight = bsdf.sample(BSDFContext(), interaction(wi), Float(0), Point2f(0.5))
-    assert has_flag(int(np.array(bs.sampled_type)[0]), BSDFFlags.DeltaReflection)
-    dr.set_grad(eta, 1)
-    change = full(dr.forward_to(weight))[0] * full(bs.pdf)
-
-    def mirror(eta: float) -> Any:
-        from djpt.materials.fresnel import fresnel
-
-        return np.array(fresnel(Float(wi[2]), Float(eta))[0], np.float64)
-
-    np.testing.assert_allclose(change, (mirror(1.51) - mirror(1.49)) / 0.02, rtol=2e-3, atol=1e-4)
+# ---------------------------------------------------------------- special directions
 
 
 SPECIAL = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.6, 0, 0.8), (-0.6, 0, 0.8), (0.6, 0, -0.8)])
@@ -375,41 +225,6 @@ def test_special_directions_give_numbers(name: str) -> None:
     dr.eval([dr.grad(params[key]) for key in params])
     for key in params:
         assert np.isfinite(np.array(dr.grad(params[key]))).all(), key
-
-
-@pytest.mark.parametrize(
-    ("bsdf", "key", "value", "h"),
-    [
-        ({"type": "roughconductor", "material": "Au"}, "alpha.value", 0.4, 1e-2),
-        ({"type": "roughplastic"}, "alpha", 0.4, 1e-2),
-        ({"type": "roughplastic", "alpha": 0.3}, "eta", 1.5, 3e-2),
-        ({"type": "roughdielectric", "alpha": 0.3}, "eta", 1.5, 5e-2),
-        # The chances of the lobes change with the colour, and with them single samples: a large step.
-        ({"type": "plastic"}, "diffuse_reflectance.value", 0.5, 0.2),
-    ],
-)
-def test_derivative_of_an_image(bsdf: dict[str, Any], key: str, value: float, h: float) -> None:
-    """Of a wall and what it is lit by: further bounces would move with the parameters, differences see that."""
-
-    def back_wall(scene: dict[str, Any]) -> None:
-        scene["back"]["bsdf"] = bsdf
-
-    integrator = {"type": "prb", "max_depth": 2, "rr_depth": 100}
-    scene = djpt.load_dict(box(16, integrator=integrator, edit=back_wall))
-    params = djpt.traverse(scene)
-    key = f"back.bsdf.{key}"
-    kind = type(params[key])
-
-    def image(x: Any) -> Any:
-        params[key] = x
-        params.update()
-        return djpt.render(scene, params, spp=256, seed=1)
-
-    expected = (pixels(image(kind(value + h))).sum() - pixels(image(kind(value - h))).sum()) / (2 * h)
-    x = kind(value)
-    dr.enable_grad(x)
-    dr.backward(dr.sum(image(x), axis=None))
-    assert np.array(dr.grad(x)).sum() == pytest.approx(expected, rel=0.05)
 
 
 # ---------------------------------------------------------------- edits and messages
@@ -467,15 +282,6 @@ def test_wrong_edits(name: str, key: str, value: float, message: str) -> None:
         params[key] = value
 
 
-def compiled(action: Callable[[], Any]) -> set[str]:
-    """Hashes of the kernels that `action` launches."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        dr.eval(action())
-        dr.sync_thread()
-        return {kernel["hash"] for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT}
-
-
 def test_an_edit_compiles_no_kernel() -> None:
     scene = djpt.load_dict(box(8, edit=four_materials))
     params = djpt.traverse(scene)
@@ -490,6 +296,6 @@ def test_an_edit_compiles_no_kernel() -> None:
         return djpt.render(scene, params, spp=1)
 
     # What else is pending joins the first kernel.
-    before = compiled(render) | compiled(render)
+    before = kernels(render) | kernels(render)
     params.update(edits)
-    assert compiled(render) <= before
+    assert kernels(render) <= before

@@ -16,6 +16,7 @@ from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
 from djpt.types import Float, Point2f, Vector3f
 from djpt.validation.statistics import sidak
 from djpt.warp import square_to_uniform_sphere
+from tests.kit.arrays import floats, numbers
 from tests.kit.chi_squared import Partition, probability_of_counts, uniform
 from tests.kit.materials import NAMES, PLUGINS, SETS, bsdf, cases, in_kernel, interaction, opaque_wi, plugin_of
 
@@ -40,7 +41,7 @@ def loaded(name: str) -> Any:
 
 def wide(x: Any, width: int) -> np.ndarray:
     """Lanes of an array, (width,) or (components, width)."""
-    array = np.array(x, np.float64)
+    array = numbers(x)
     return np.broadcast_to(array, (*array.shape[:-1], width))
 
 
@@ -53,8 +54,8 @@ def drawn(material: Any, wi: Any, count: int, seed: int = 2, ctx: BSDFContext = 
     """(samples, weights, which ones are smooth and not lost)."""
     s1, x, y = uniform(count, 3, seed=seed)
     bs, weight = material.sample(ctx, interaction(opaque_wi(wi)), s1, Point2f(x, y))
-    dr.eval(bs, weight)
     counts = (dr.max(weight) > 0) & (bs.pdf > 0) & has_flag(bs.sampled_type, BSDFFlags.Smooth)
+    dr.eval(bs, weight, counts)
     return bs, wide(weight, count), np.broadcast_to(np.array(counts), (count,))
 
 
@@ -159,7 +160,7 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
     for k in range(2):
         sample = Point2f(Float(x), Float(y))
         dr.enable_grad(sample)
-        dr.set_grad(sample, Point2f(float(k == 0), float(k == 1)))
+        dr.set_grad(sample, Point2f(*(dr.opaque(Float, float(k == i)) for i in range(2))))  # one kernel for both
         wo = material.sample(RADIANCE, si, s1, sample)[0].wo
         columns.append(wide(dr.forward_to(wo, flags=dr.ADFlag.ClearEdges), count).T)
     stretch = np.linalg.norm(np.cross(*columns), axis=1)
@@ -167,6 +168,7 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
     at = [dr.repeat(u, choices) for u in (x, y)]
     other = dr.tile((dr.arange(Float, choices) + 0.5) / choices, count)
     again, weight = material.sample(RADIANCE, si, other, Point2f(*at))
+    dr.eval(again.wo, weight)
     apart = np.abs(wide(again.wo, count * choices).reshape(3, count, choices) - wide(bs.wo, count)[..., None]).max(
         axis=0
     )
@@ -189,7 +191,9 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
 def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
     material, count = loaded(name), 4096
     bs, weight, counts = drawn(material, wi, count)
-    value, pdf = (wide(x, count) for x in material.eval_pdf(RADIANCE, interaction(opaque_wi(wi)), bs.wo))
+    value, pdf = material.eval_pdf(RADIANCE, interaction(opaque_wi(wi)), bs.wo)
+    dr.eval(value, pdf)
+    value, pdf = wide(value, count), wide(pdf, count)
     claimed, kind = wide(bs.pdf, count), np.broadcast_to(np.array(bs.sampled_type), (count,))
     np.testing.assert_allclose(np.linalg.norm(wide(bs.wo, count)[:, weight.max(axis=0) > 0], axis=0), 1, atol=1e-5)
     # Lost samples claim no density that `pdf` doesn't know: mixtures would count on it.
@@ -239,6 +243,7 @@ def test_reciprocity(name: str) -> None:
     wi, wo = square_to_uniform_sphere(Point2f(a, b)), square_to_uniform_sphere(Point2f(c, d))
     there = material.eval(RADIANCE, interaction(wi), wo) / dr.abs(wo.z)
     back = material.eval(IMPORTANCE, interaction(wo), wi) / dr.abs(wi.z)
+    dr.eval(there, back)
     there, back = wide(there, count), wide(back, count)
     equal = np.isclose(there, back, rtol=2e-3, atol=1e-5).all(axis=0)
     reason = NOT_RECIPROCAL.get(name)
@@ -259,12 +264,15 @@ def test_combined_calls_agree(name: str) -> None:
     wo = square_to_uniform_sphere(Point2f(a, b))
     value, pdf, bs, weight = material.eval_pdf_sample(RADIANCE, si, wo, s1, Point2f(x, y))
     alone, alone_weight = material.sample(RADIANCE, si, s1, Point2f(x, y))
+    alone_value, alone_pdf = material.eval(RADIANCE, si, wo), material.pdf(RADIANCE, si, wo)
+    both = material.eval_pdf(RADIANCE, si, wo)
+    dr.eval(value, pdf, bs, weight, alone, alone_weight, alone_value, alone_pdf, both)
     everywhere, sampled = np.full(count, True), wide(dr.max(alone_weight), count) > 0
     for one, other, where in [
-        (value, material.eval(RADIANCE, si, wo), everywhere),
-        (pdf, material.pdf(RADIANCE, si, wo), everywhere),
-        (material.eval_pdf(RADIANCE, si, wo)[0], value, everywhere),
-        (material.eval_pdf(RADIANCE, si, wo)[1], pdf, everywhere),
+        (value, alone_value, everywhere),
+        (pdf, alone_pdf, everywhere),
+        (both[0], value, everywhere),
+        (both[1], pdf, everywhere),
         (weight, alone_weight, everywhere),
         *((getattr(bs, key), getattr(alone, key), sampled) for key in ("wo", "pdf", "eta", "sampled_type")),
     ]:
@@ -310,12 +318,13 @@ def test_special_directions_give_numbers(name: str, ctx: BSDFContext) -> None:
     v = (v / np.linalg.norm(v, axis=1, keepdims=True)).astype(np.float32)
     n, m = len(v), len(EDGES)
     lanes = np.indices((n, n, m, m, m)).reshape(5, -1)
-    wi, wo = (Vector3f(*(Float(np.ascontiguousarray(v[lanes[k], i])) for i in range(3))) for k in (0, 1))
-    s1, x, y = (Float(np.array(EDGES, np.float32)[lanes[k]]) for k in (2, 3, 4))
+    wi, wo = (Vector3f(*(floats(v[lanes[k], i]) for i in range(3))) for k in (0, 1))
+    s1, x, y = (floats(np.array(EDGES)[lanes[k]]) for k in (2, 3, 4))
     value, pdf, bs, weight = material.eval_pdf_sample(ctx, interaction(wi), wo, s1, Point2f(x, y))
     again = material.eval_pdf(ctx, interaction(wi), bs.wo)
+    dr.eval(value, pdf, bs, weight, again)
     for what in (value, pdf, weight, bs.pdf, bs.wo, *again):
-        found = np.array(what)
+        found = numbers(what)
         assert np.isfinite(found).all()
         assert what is bs.wo or found.min() >= 0
 

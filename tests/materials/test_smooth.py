@@ -10,84 +10,28 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.frame import Frame3f
-from djpt.materials.fresnel import fresnel, fresnel_schlick
 from djpt.materials.ior import IOR
 from djpt.materials.metals import METALS
-from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, TransportMode
+from djpt.records import BSDFContext, BSDFFlags, TransportMode
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Vector3f
 from djpt.validation import agreement
 from tests.kit.renders import box, ours, theirs
-
-COUNT = 4096
-GOLD = {"eta": {"type": "rgb", "value": [0.143, 0.375, 1.442]}, "k": {"type": "rgb", "value": [3.983, 2.386, 1.603]}}
-TINTED = {
-    "specular_reflectance": {"type": "rgb", "value": [0.9, 0.5, 0.2]},
-    "specular_transmittance": {"type": "rgb", "value": [0.3, 0.6, 0.8]},
-}
-
-
-def interaction(wi: Any) -> SurfaceInteraction3f:
-    """A surface point in its own frame, seen from `wi`, (3, N)."""
-    z, wi = Vector3f(0, 0, 1), Vector3f(wi)
-    frame = Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z)
-    valid = dr.full(Bool, True, dr.width(wi))
-    return SurfaceInteraction3f(
-        Float(1), Point3f(0), z, frame, Point2f(0.3, 0.6), frame.s, frame.t, wi, UInt32(0), UInt32(0), valid
-    )
-
-
-def from_angles(*degrees: float) -> np.ndarray:
-    """Directions in the plane y = 0 at angles to the normal, (3, N)."""
-    angles = np.radians(degrees)
-    return np.stack([np.sin(angles), 0 * angles, np.cos(angles)])
-
-
-def directions(seed: int = 0) -> np.ndarray:
-    """Unit vectors from all sides, (3, COUNT)."""
-    w = np.random.default_rng(seed).normal(size=(3, COUNT))
-    return w / np.linalg.norm(w, axis=0)
-
-
-def wide(value: Any, width: int) -> np.ndarray:
-    """Components (or one number) per lane as float64; what is uniform is repeated."""
-    array = np.array(value, np.float64)
-    return np.broadcast_to(array, (*array.shape[:-1], width)) if array.ndim else np.full(width, array)
-
-
-def sampled(bsdf: Any, wi: Any, sample1: Any, mode: TransportMode = TransportMode.Radiance) -> dict[str, np.ndarray]:
-    width = np.asarray(wi).shape[1]
-    s1 = Float(np.broadcast_to(sample1, width).copy())
-    bs, weight = bsdf.sample(BSDFContext(mode), interaction(wi), s1, Point2f(0.5, 0.5))
-    found = {"wo": bs.wo, "pdf": bs.pdf, "eta": bs.eta, "type": bs.sampled_type, "weight": weight}
-    found["component"] = bs.sampled_component
-    return {name: wide(value, width) for name, value in found.items()}
-
+from tests.kit.smooth_materials import (
+    ANGLES,
+    CASES,
+    COUNT,
+    GOLD,
+    TINTED,
+    directions,
+    from_angles,
+    interaction,
+    mitsuba,
+    sampled,
+    wide,
+)
 
 # ---------------------------------------------------------------- as in Mitsuba
-
-CASES: dict[str, dict[str, Any]] = {
-    "conductor": {"type": "conductor"},
-    "gold": {"type": "conductor", "material": "Au"},
-    "index": {"type": "conductor", **GOLD, "specular_reflectance": TINTED["specular_reflectance"]},
-    "eta alone": {"type": "conductor", "eta": 1.5},
-    "k alone": {"type": "conductor", "k": 2.5},
-    "dielectric": {"type": "dielectric"},
-    "tinted": {"type": "dielectric", "int_ior": 1.8, "ext_ior": "water", **TINTED},
-    "bubble": {"type": "dielectric", "int_ior": "air", "ext_ior": "Diamond"},
-    "equal": {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.3},
-    "thin": {"type": "thindielectric"},
-    "thin, tinted": {"type": "thindielectric", "int_ior": "pet", "ext_ior": 1.0, **TINTED},
-    "thin bubble": {"type": "thindielectric", "int_ior": 1.0, "ext_ior": 1.5},
-    "null": {"type": "null"},
-}
-
-
-def mitsuba() -> Any:
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("llvm_ad_rgb")
-    return mi
 
 
 @pytest.mark.parametrize("mode", TransportMode)
@@ -185,134 +129,7 @@ def test_no_metal_of_mitsuba_is_missing() -> None:
     assert {path.name.removesuffix(".eta.spd") for path in data.glob("*.eta.spd")} | {"none"} == set(METALS)
 
 
-# ---------------------------------------------------------------- mirror
-
-ANGLES = from_angles(0, 20, 50, 70, 85, 89)
-
-
-def weights(description: dict[str, Any], wi: np.ndarray = ANGLES) -> np.ndarray:
-    return sampled(djpt.load_dict(description), wi, 0.5)["weight"]
-
-
-def test_a_plain_mirror_reflects_everything_but_only_in_front() -> None:
-    found = sampled(djpt.load_dict({"type": "mirror"}), ANGLES, 0.5)
-    np.testing.assert_array_equal(found["weight"], 1)
-    np.testing.assert_allclose(found["wo"], ANGLES * [[-1], [-1], [1]], atol=1e-7)
-    assert not weights({"type": "mirror"}, -ANGLES).any()
-
-
-def test_a_mirror_of_a_metal_is_a_conductor() -> None:
-    np.testing.assert_array_equal(
-        weights({"type": "mirror", "material": "Cu", "reflectance": 0.5}),
-        weights({"type": "conductor", "material": "Cu", "specular_reflectance": 0.5}),
-    )
-
-
-def test_schlicks_mirror_starts_from_its_colour() -> None:
-    colour = np.array([0.9, 0.5, 0.1])[:, None]
-    rgb = {"type": "rgb", "value": colour.ravel().tolist()}
-    found = weights({"type": "mirror", "fresnel": "schlick", "reflectance": rgb})
-    np.testing.assert_allclose(found, colour + (1 - colour) * (1 - ANGLES[2]) ** 5, atol=1e-6)
-
-
-@pytest.mark.parametrize("metal", ["Au", "Ag", "Cu"])
-def test_schlicks_metal_is_near_the_exact_one(metal: str) -> None:
-    exact, short, flat = (
-        weights({"type": "mirror", "material": metal, "fresnel": f}) for f in ("exact", "schlick", "none")
-    )
-    np.testing.assert_allclose(short[:, 0], exact[:, 0], atol=1e-6)
-    assert 1e-3 < np.abs(short - exact).max() < 0.1
-    np.testing.assert_allclose(flat, np.broadcast_to(exact[:, :1], flat.shape), atol=1e-6)
-
-
-def test_parameters_of_a_mirror() -> None:
-    assert list(djpt.traverse(djpt.load_dict({"type": "mirror"}))) == ["reflectance.value"]
-    gold = djpt.traverse(djpt.load_dict({"type": "mirror", "material": "Au"}))
-    assert sorted(gold) == ["eta.value", "k.value", "reflectance.value"]
-
-
-# ---------------------------------------------------------------- glass
-
-BOTH = np.concatenate([ANGLES, -ANGLES], axis=1)
-SAMPLES = np.linspace(0, 0.999, 41)
-
-
-def test_glass_is_a_dielectric() -> None:
-    indices = {"int_ior": 1.5, "ext_ior": 1.0}
-    for sample1 in SAMPLES:
-        glass, plain = (sampled(djpt.load_dict({"type": t, **indices}), BOTH, sample1) for t in ("glass", "dielectric"))
-        for name, value in plain.items():
-            np.testing.assert_array_equal(glass[name], value)
-
-
-@pytest.mark.parametrize(("name", "model"), [("exact", fresnel), ("schlick", fresnel_schlick)])
-def test_lobes_shown_alone_add_up_to_glass(name: str, model: Any) -> None:
-    base = {"type": "glass", "int_ior": 1.5, "ext_ior": 1.0, "fresnel": name}
-    share, _, _, eta_ti = (x.numpy() for x in model(Float(BOTH[2]), Float(1.5)))
-    reflected, refracted = {**base, "transmission": False}, {**base, "reflection": False}
-    for sample1 in (0.01, 0.99):  # the lobe doesn't depend on it
-        a, b = sampled(djpt.load_dict(reflected), BOTH, sample1), sampled(djpt.load_dict(refracted), BOTH, sample1)
-        np.testing.assert_array_equal([a["pdf"], b["pdf"]], 1)
-        np.testing.assert_array_equal(a["type"], int(BSDFFlags.DeltaReflection))
-        np.testing.assert_array_equal(b["type"], int(BSDFFlags.DeltaTransmission))
-        np.testing.assert_allclose(a["weight"], np.tile(share, (3, 1)), atol=1e-6)
-        np.testing.assert_allclose(b["weight"], np.tile((1 - share) * eta_ti**2, (3, 1)), atol=1e-6)
-    both = sampled(djpt.load_dict(base), BOTH, 0.0)
-    np.testing.assert_allclose(both["pdf"], share, atol=1e-7)
-
-
-def test_refraction_alone_at_equal_indices_changes_nothing() -> None:
-    for model in ("exact", "schlick"):
-        pane = {"type": "glass", "int_ior": 1.0, "ext_ior": 1.0, "reflection": False, "fresnel": model}
-        found = sampled(djpt.load_dict(pane), BOTH, 0.5)
-        np.testing.assert_allclose(found["wo"], -BOTH, atol=1e-5)
-        np.testing.assert_array_equal(found["weight"], 1)
-        np.testing.assert_array_equal(found["eta"], 1)
-
-
-def test_equal_indices_never_reflect() -> None:
-    found = sampled(djpt.load_dict({"type": "glass", "int_ior": 1.3, "ext_ior": 1.3}), BOTH, 0.0)
-    np.testing.assert_array_equal(found["type"], int(BSDFFlags.DeltaTransmission))
-    np.testing.assert_array_equal(found["pdf"], 1)
-
-
-def test_flags_of_single_lobes() -> None:
-    for missing, lobe in (("transmission", BSDFFlags.DeltaReflection), ("reflection", BSDFFlags.DeltaTransmission)):
-        assert djpt.load_dict({"type": "glass", missing: False}).flags() & BSDFFlags.Delta == lobe
-
-
-# ---------------------------------------------------------------- absorption, and what passes straight
-
-
-@pytest.mark.parametrize("name", ["dielectric", "glass"])
-def test_absorption_is_exponential(name: str) -> None:
-    rgb = [0.0, 0.5, 2.0]
-    bsdf = djpt.load_dict({"type": name, "absorption": {"type": "rgb", "value": rgb}})
-    assert bsdf.absorbs
-    distances = np.array([0.0, 0.3, 4.0, 1e4])
-    found = wide(bsdf.transmittance(Float(distances)), 4)
-    np.testing.assert_allclose(found, np.exp(-np.outer(rgb, distances)), rtol=1e-5)
-    params = djpt.traverse(bsdf)
-    assert params.flags("absorption.value") & djpt.ParamFlags.Differentiable
-    params["absorption.value"] = [1, 1, 1]
-    params.update()
-    np.testing.assert_allclose(wide(bsdf.transmittance(Float(1.0)), 1), np.exp(-1), rtol=1e-6)
-
-
-def test_clear_glass_absorbs_nothing() -> None:
-    bsdf = djpt.load_dict({"type": "glass"})
-    assert not bsdf.absorbs
-    np.testing.assert_array_equal(wide(bsdf.transmittance(Float(5.0)), 1), 1)
-    assert list(djpt.traverse(bsdf)) == ["eta"]
-
-
-def test_derivative_of_absorption() -> None:
-    bsdf = djpt.load_dict({"type": "dielectric", "absorption": 0.7})
-    params = djpt.traverse(bsdf)
-    dr.enable_grad(params["absorption.value"])
-    params.update()
-    dr.backward(bsdf.transmittance(Float(2.0)))
-    np.testing.assert_allclose(wide(dr.grad(params["absorption.value"]), 1).ravel(), -2 * np.exp(-1.4), rtol=1e-5)
+# ---------------------------------------------------------------- what passes straight
 
 
 @pytest.mark.parametrize("description", CASES.values(), ids=CASES)

@@ -1,7 +1,7 @@
 """Warps, shapes, filters, textures and samplers, tested by what they claim of themselves.
 
 The tests are parametrised over the registry: a new plugin is tested as soon as it is registered.
-If it needs parameters, or has interesting ones, add a line to EXAMPLES. BSDFs and emitters have files of their own:
+Parameters stand in tests/kit/plugins.py. BSDFs and emitters have files of their own:
 tests/materials/test_sampling.py, tests/lights/test_sampling.py.
 """
 
@@ -17,62 +17,12 @@ import pytest
 import djpt
 from djpt import warp
 from djpt.description import registry
-from djpt.frame import Frame3f
-from djpt.records import DirectionSample3f, SurfaceInteraction3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Color3f, Float, Point2f
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
-from tests.kit.meshes import tetrahedron_file
+from tests.kit.one_light import lit, local_frame
+from tests.kit.plugins import examples
 
 COUNT = 2**18
-
-SHEARED = T([[1, 0.5, 0, 0.2], [0, 0.8, 0.3, 0], [0.1, 0, 0.6, 2], [0, 0, 0, 1]])
-BLOB = np.linalg.norm(np.indices((8, 8, 8)) - 3.4, axis=0)[..., None] - 2.5
-
-
-EXAMPLES: dict[str, list[dict[str, Any]]] = {
-    "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
-                  {"to_world": SHEARED, "flip_normals": True}],
-    "cube": [{"to_world": T().translate([0.3, 0, 2.5]).rotate([1, 2, 3], 50).scale([1, 0.5, 0.3])},
-             {"to_world": SHEARED}],
-    "sphere": [{"center": [0.5, 0.2, 2.0]}, {"radius": 3.0, "flip_normals": True}, {"center": [0, 1, 1.2]},
-               {"center": [1, 2, 300.0], "radius": 2.0}],
-    "disk": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
-             {"to_world": SHEARED, "flip_normals": True}],
-    "cylinder": [{"p0": [-1, 0.5, 2], "p1": [1, 0.2, 1.5], "radius": 0.4}, {"flip_normals": True, "p0": [0, 0, -1]}],
-    "cone": [{"apex": [0.5, 0.2, 1.2], "axis": [0, 1, 1], "angle": 30}, {"flip_normals": True, "length": 2.0}],
-    "plane": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
-              {"to_world": SHEARED, "flip_normals": True}],
-    "cuboid": [{"min": [-1, 0.2, 2], "max": [0.5, 0.4, 3]}, {"flip_normals": True}],
-    "implicit": [{"function": lambda p: dr.norm(p) - 0.7, "lipschitz": 1.0, "min": [-0.71] * 3, "max": [0.71] * 3,
-                  "to_world": T().translate([0.5, 0.2, 1.8]).scale([1, 0.5, 1])},
-                 {"function": lambda p: dr.norm(p) - 0.9, "flip_normals": True}],
-    "torus": [{"to_world": T().translate([0.5, 0.2, 1.8]).rotate([1, 0, 0], 50)}],
-    "metaballs": [{"balls": [[-0.5, 0, 2, 0.8], [0.3, 0.2, 2.2, 0.7]]}],
-    "sdfgrid": [{"grid": TensorXf(BLOB.astype(np.float32)), "to_world": T().translate([-0.3, -0.4, 1.2])}],
-    "ply": [{"filename": tetrahedron_file(), "face_normals": True}],
-    # Meshes of other files are sampled by the same code, and these two are no lights.
-    "obj": [], "serialized": [], "shapegroup": [], "instance": [],
-    "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],
-    "mesh_attribute": [],  # only meshes have any: tests/textures/test_lookups.py
-    "spectrum": [{"value": 0.4}],
-    "uniform": [{"value": 0.4}],
-    "gaussian": [{}, {"stddev": 0.8}],
-    "tent": [{}, {"radius": 2.0}],
-    "mitchell": [{}, {"B": 0.1, "C": 0.6}],
-    "lanczos": [{}, {"lobes": 2}],
-}  # fmt: skip
-"""Parameters to test a plugin with, by its name; one empty set if none are given."""
-
-
-def examples(kind: str) -> list[Any]:
-    """All of djpt's own plugins of one kind, with each set of parameters."""
-    names = [name for name, factory in registry.registered(kind).items() if registry.is_own(factory)]
-    return [
-        pytest.param(name, {**values, "type": name}, id=f"{name}{i or ''}")
-        for name in names
-        for i, values in enumerate(EXAMPLES.get(name, [{}]))
-    ]
 
 
 # ---------------------------------------------------------------- warps
@@ -147,46 +97,8 @@ def test_corners_of_the_square_stay_in_the_domain(name: str, arguments: tuple[An
 # ---------------------------------------------------------------- shapes
 
 
-def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
-    """A surface point in its own frame, seen from `wi`."""
-    z = Vector3f(0, 0, 1)
-    return SurfaceInteraction3f(
-        t=Float(1),
-        p=Point3f(0),
-        n=z,
-        sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
-        uv=Point2f(0.3, 0.6),
-        dp_du=Vector3f(1, 0, 0),
-        dp_dv=Vector3f(0, 1, 0),
-        wi=dr.normalize(Vector3f(*wi)),
-        shape_index=UInt32(0),
-        face=UInt32(0),
-        valid=dr.full(Bool, True, width),
-    )
-
-
 def load(description: dict[str, Any]) -> Any:
     return djpt.load_dict(description)
-
-
-def lit(**emitters: Any) -> Any:
-    """A scene with one emitter, and a speck far away."""
-    speck = {"type": "sphere", "center": [5e3, -5e3, -5e3], "radius": 1e-3}
-    return djpt.load_dict({"type": "scene", **emitters, "speck": speck})
-
-
-def reference() -> SurfaceInteraction3f:
-    """The point that light is sampled for: the origin, without a surface to step off."""
-    return local_frame((0, 0, 1))
-
-
-def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
-    """(what a ray from the origin meets, as if sampled; its emitter's radiance; is it an emitter?)."""
-    ray = djpt.Ray3f(Point3f(0), d, Float(dr.inf))
-    si = scene.ray_intersect(ray)
-    ds = DirectionSample3f.between(Point3f(0), ray, si)
-    emitter = si.emitter(scene)
-    return ds, emitter.eval(si), emitter.is_valid()
 
 
 def with_area() -> list[Any]:

@@ -20,13 +20,6 @@ RED = "red.reflectance.value"
 BOX = "large-box.vertex_positions"
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 @pytest.fixture
 def scene() -> Any:
     return djpt.load_dict(djpt.cornell_box())

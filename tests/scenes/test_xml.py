@@ -31,13 +31,6 @@ def transform(operations: str) -> np.ndarray:
     return read_string(shape(f'<transform name="to_world">{operations}</transform>'))["to_world"].matrix
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    module = pytest.importorskip("mitsuba")
-    module.set_variant("llvm_ad_rgb")
-    return module
-
-
 # ---------------------------------------------------------------- the Cornell box
 
 

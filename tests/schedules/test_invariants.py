@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
+from tests.kit.kernels import Watched
 from tests.kit.renders import box, lights, ours, pixels, spheres
 
 PATH = {"type": "path", "max_depth": 5, "rr_depth": 3}
@@ -137,51 +138,6 @@ def test_seeds_differ() -> None:
 
 
 # ---------------------------------------------------------------- no kernel for an edit
-
-
-def compiled(action: Callable[[], Any]) -> set[str]:
-    """Hashes of the kernels that `action` launches."""
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        action()
-        dr.sync_thread()
-        return {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
-
-
-class Watched:
-    """A scene whose kernels are known: `new` says which ones an edit adds."""
-
-    def __init__(self, description: dict[str, Any], gradients: tuple[str, ...] = (), **options: Any) -> None:
-        self.scene = djpt.load_dict(description)
-        self.params = djpt.traverse(self.scene)
-        self.gradients, self.options = gradients, {"spp": 4, **options}
-        self.known: set[str] = set()
-        for _ in range(2):
-            self.new()
-
-    def new(self, **options: Any) -> int:
-        """Render, and count kernels not seen before."""
-        hashes = compiled(lambda: self.render(**options))
-        count = len(hashes - self.known)
-        self.known |= hashes
-        return count
-
-    def render(self, **options: Any) -> None:
-        for name in self.gradients:
-            dr.enable_grad(self.params[name])
-            self.params.set_dirty(name)
-        if self.gradients:
-            self.params.update()
-        image = djpt.render(self.scene, self.params, **{**self.options, **options})
-        if self.gradients:
-            dr.backward(dr.sum(dr.square(image.array)))
-        dr.eval(image)
-
-    def edit(self, **values: Any) -> int:
-        for name, value in values.items():
-            self.params[name] = value
-        self.params.update()
-        return self.new()
 
 
 VALUES: dict[str, list[Any]] = {

@@ -15,13 +15,6 @@ from djpt.images.formats import from_srgb8
 from djpt.types import TensorXf
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    mitsuba = pytest.importorskip("mitsuba")
-    mitsuba.set_variant("llvm_ad_rgb")
-    return mitsuba
-
-
 def numbers(*shape: int) -> np.ndarray:
     return np.random.default_rng(4).uniform(0.05, 0.95, shape).astype(np.float32)
 

@@ -13,25 +13,17 @@ import djpt
 from djpt.distributions import DiscreteDistribution2D
 from djpt.textures.bitmap import Bitmap
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, TensorXf
+from djpt.types import Float, Point2f
+from tests.kit.bitmaps import TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, uniform
-from tests.sampling.test_claims import reference
+from tests.kit.one_light import reference
 
 COUNT = 2**16
-rng = np.random.default_rng(5)
-TEXELS = (6 * rng.random((5, 7, 3)) ** 3).astype(np.float32)
-TEXELS[2, 3] = 0
-
-TURNED = T().translate([0.3, 1, 0]).rotate([0, 0, 1], 40).scale([1.5, -1, 1])
 BITMAPS = {
     f"{kind} {wrap}": {"filter_type": kind, "wrap_mode": wrap}
     for kind, wrap in itertools.product(("bilinear", "nearest"), ("repeat", "mirror", "clamp"))
 }
 MAPPED = {"flipped": {"to_uv": T().translate([0, 1, 0]).scale([1, -1, 1])}, "turned": {"to_uv": TURNED}}
-
-
-def bitmap(texels: np.ndarray = TEXELS, **keys: Any) -> dict[str, Any]:
-    return {"type": "bitmap", "data": TensorXf(texels), "raw": True, **keys}
 
 
 def prepared(**keys: Any) -> Bitmap:

@@ -1,4 +1,4 @@
-"""Each material on a ball: independent images of djpt and Mitsuba agree within their noise."""
+"""Each material on a ball: djpt and Mitsuba agree pixel by pixel at equal seeds, and within the noise at others."""
 
 from __future__ import annotations
 
@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.validation import compare_renderers, mitsuba_renderer
-from tests.kit.materials import bsdf
-from tests.materials.test_same_seed import SHARED, ball
+from djpt.validation import agreement, compare_renderers, mitsuba_renderer
+from tests.kit.material_ball import SHARED, ball
+from tests.kit.materials import bsdf, first_of_each
+from tests.kit.renders import ours, theirs
 
 pytest.importorskip("mitsuba")
+
+
+@pytest.mark.parametrize("name", first_of_each(SHARED))
+def test_equal_pixels(name: str) -> None:
+    image, reference = ours(ball(bsdf(name)), 8, 1), theirs(ball(bsdf(name)), 8, 1)
+    share = agreement(image, reference, 1e-3).share
+    print(f"{name}: {share:.4f}")
+    assert share >= 0.95
+
 
 QUICK = ["roughconductor-gold", "principled-everything", "mask-diffuse", "roughdielectric-glass"]
 

@@ -1,0 +1,52 @@
+"""One light, and the point that it is sampled for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+import djpt
+from djpt.frame import Frame3f
+from djpt.records import DirectionSample3f, SurfaceInteraction3f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+__all__ = ["lit", "local_frame", "looked_at", "reference"]
+
+
+def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
+    """A surface point in its own frame, seen from `wi`."""
+    z = Vector3f(0, 0, 1)
+    return SurfaceInteraction3f(
+        t=Float(1),
+        p=Point3f(0),
+        n=z,
+        sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
+        uv=Point2f(0.3, 0.6),
+        dp_du=Vector3f(1, 0, 0),
+        dp_dv=Vector3f(0, 1, 0),
+        wi=dr.normalize(Vector3f(*wi)),
+        shape_index=UInt32(0),
+        face=UInt32(0),
+        valid=dr.full(Bool, True, width),
+    )
+
+
+def lit(**emitters: Any) -> Any:
+    """A scene with one emitter, and a speck far away."""
+    speck = {"type": "sphere", "center": [5e3, -5e3, -5e3], "radius": 1e-3}
+    return djpt.load_dict({"type": "scene", **emitters, "speck": speck})
+
+
+def reference() -> SurfaceInteraction3f:
+    """The point that light is sampled for: the origin, without a surface to step off."""
+    return local_frame((0, 0, 1))
+
+
+def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
+    """(what a ray from the origin meets, as if sampled; its emitter's radiance; is it an emitter?)."""
+    ray = djpt.Ray3f(Point3f(0), d, Float(dr.inf))
+    si = scene.ray_intersect(ray)
+    ds = DirectionSample3f.between(Point3f(0), ray, si)
+    emitter = si.emitter(scene)
+    return ds, emitter.eval(si), emitter.is_valid()
