@@ -12,7 +12,7 @@ import drjit as dr
 
 pytest.register_assert_rewrite("tests.kit")
 
-from tests.kit.lanes import lanes_from_environment  # noqa: E402: after the line above
+from tests.kit.lanes import lanes_from_environment  # noqa: E402
 
 lanes_from_environment()
 
