@@ -4,6 +4,8 @@
 VENV ?= .venv
 PYTHON ?= python3
 PY := $(VENV)/bin/python
+# Tests run in as many processes as there are processors, up to four; the tests of a file stay together.
+SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
 READY := $(VENV)/.djpt-ready
 
 .PHONY: help setup render gallery test lint format check bench docs clean
@@ -36,7 +38,7 @@ gallery: $(READY)
 	$(PY) -m djpt gallery -o gallery.png
 
 test: $(READY)
-	$(PY) -m pytest -q
+	$(PY) -m pytest -q $(SIDE_BY_SIDE)
 
 lint: $(READY)
 	$(PY) -m ruff check .
@@ -47,7 +49,7 @@ format: $(READY)
 	$(PY) -m ruff check --fix-only --quiet .
 	$(PY) -m ruff format .
 
-check: lint
+check: lint  # one process: some slow tests measure time
 	$(PY) -m pytest -q -m ''
 
 bench: $(READY)

@@ -16,9 +16,10 @@ from tests.kit.lanes import lanes_from_environment  # noqa: E402
 
 lanes_from_environment()
 
-# Processes that run tests side by side (`pytest -n`) share the processors.
+# Processes that run tests side by side (`pytest -n`) share the processors. With a single thread Mitsuba waits for ever
+# for the second when it reads an EXR file.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
-    dr.set_thread_count(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
+    dr.set_thread_count(max(2, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
 
 
 @pytest.fixture(scope="module")

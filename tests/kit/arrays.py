@@ -13,7 +13,7 @@ import numpy as np
 
 from djpt.types import Float
 
-__all__ = ["floats", "numbers", "rows"]
+__all__ = ["floats", "in_numpy", "rows"]
 
 LINE = 64
 """Bytes that Dr.Jit's own memory is aligned to."""
@@ -34,9 +34,9 @@ def rows(values: Any) -> tuple[Float, ...]:
     return tuple(floats(row) for row in values)
 
 
-def numbers(value: Any) -> np.ndarray:
+def in_numpy(value: Any) -> np.ndarray:
     """A number or a vector per lane as (lanes,) or (components, lanes), in double precision."""
-    if dr.depth_v(value) == 1:
+    if dr.depth_v(value) <= 1:
         return np.array(value, np.float64)
     parts = [np.array(part, np.float64) for part in value]
     return np.stack(np.broadcast_arrays(*parts))

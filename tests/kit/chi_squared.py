@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import chi2
 
 import djpt
-from tests.kit.arrays import floats, numbers
+from tests.kit.arrays import floats, in_numpy
 
 __all__ = ["PLANE", "SPHERE", "Domain", "Partition", "p_value", "probability_of_counts", "uniform"]
 
@@ -32,7 +32,7 @@ def _direction(cos: np.ndarray, phi: np.ndarray) -> Any:
 
 
 def _cylinder(d: Any) -> tuple[np.ndarray, np.ndarray]:
-    x, y, z = numbers(d)
+    x, y, z = in_numpy(d)
     # Near the pole float32 knows x and y better than z.
     z = np.where(z > 0.9, np.sqrt(np.maximum(0, 1 - x * x - y * y)), np.clip(z, -1, 1))
     return z, np.mod(np.arctan2(y, x), 2 * np.pi)
@@ -45,7 +45,7 @@ PLANE = Domain(
     (-1, -1),
     (1, 1),
     lambda x, y: djpt.Point2f(floats(x), floats(y)),
-    lambda p: tuple(numbers(p)),
+    lambda p: tuple(in_numpy(p)),
 )
 """The square [-1, 1]^2."""
 

@@ -13,6 +13,7 @@ import djpt
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 
 __all__ = [
@@ -44,7 +45,7 @@ def directions(count: int, seed: int) -> np.ndarray:
 
 def seen_from(wi: Any) -> SurfaceInteraction3f:
     """A surface point in its own frame; `wi` are the columns of (3, n)."""
-    z, wi = Vector3f(0, 0, 1), Vector3f(np.asarray(wi, np.float32))
+    z, wi = Vector3f(0, 0, 1), Vector3f(*rows(wi))
     return SurfaceInteraction3f(
         t=Float(1),
         p=Point3f(0),
@@ -62,7 +63,7 @@ def seen_from(wi: Any) -> SurfaceInteraction3f:
 
 def mitsubas_point(wi: np.ndarray) -> Any:
     si = dr.zeros(mi.SurfaceInteraction3f, wi.shape[1])
-    si.wi, si.uv = mi.Vector3f(wi), mi.Point2f(0.3, 0.6)
+    si.wi, si.uv = mi.Vector3f(*rows(wi)), mi.Point2f(0.3, 0.6)
     return si
 
 
@@ -73,7 +74,7 @@ def load_both(description: dict[str, Any]) -> tuple[Any, Any]:
 
 def share_of_equal(found: Any, wanted: Any, where: Any = True, rtol: float = 1e-4, atol: float = 1e-5) -> float:
     """Share of the lanes in `where` that agree; all that djpt finds must be finite, Mitsuba's NaNs don't count."""
-    found, wanted = np.array(found, np.float64), np.array(wanted, np.float64)
+    found, wanted = in_numpy(found), in_numpy(wanted)
     assert np.isfinite(found).all()
     found, wanted, where = np.broadcast_arrays(found, wanted, where)
     counts = where & np.isfinite(wanted)
@@ -85,12 +86,14 @@ def compare_values(description: dict[str, Any], mode: int, sides: Any = True) ->
     """Eval and pdf for random pairs of directions on the sphere."""
     bsdf, reference = load_both(description)
     wi, wo = directions(COUNT, 1), directions(COUNT, 2)
-    value, pdf = bsdf.eval_pdf(BSDFContext(TransportMode(mode)), seen_from(wi), Vector3f(wo))
+    value, pdf = bsdf.eval_pdf(BSDFContext(TransportMode(mode)), seen_from(wi), Vector3f(*rows(wo)))
     context = mi.BSDFContext(mi.TransportMode(mode))
-    true_value, true_pdf = reference.eval_pdf(context, mitsubas_point(wi), mi.Vector3f(wo))
+    true_value, true_pdf = reference.eval_pdf(context, mitsubas_point(wi), mi.Vector3f(*rows(wo)))
+    dr.eval(value, pdf)
+    dr.eval(true_value, true_pdf)
     assert share_of_equal(value, true_value) >= 0.999
     assert share_of_equal(pdf, true_pdf, sides(wi) if callable(sides) else sides) >= 0.98
-    assert np.array(value).max() > 0
+    assert in_numpy(value).max() > 0
 
 
 def compare_samples(description: dict[str, Any], mode: int, smooth: bool = False) -> None:
@@ -100,8 +103,10 @@ def compare_samples(description: dict[str, Any], mode: int, smooth: bool = False
     bs, weight = bsdf.sample(BSDFContext(TransportMode(mode)), seen_from(wi), s1, Point2f(x, y))
     context = mi.BSDFContext(mi.TransportMode(mode))
     true_bs, true_weight = reference.sample(context, mitsubas_point(wi), mi.Float(s1), mi.Point2f(x, y))
-    lit = np.broadcast_to(np.array(weight), (3, COUNT)).max(axis=0) > 0
-    assert np.mean(lit != (np.nan_to_num(np.array(true_weight)).max(axis=0) > 0)) <= 1e-3
+    dr.eval(bs, weight)
+    dr.eval(true_bs, true_weight)
+    lit = np.broadcast_to(in_numpy(weight), (3, COUNT)).max(axis=0) > 0
+    assert np.mean(lit != (np.nan_to_num(in_numpy(true_weight)).max(axis=0) > 0)) <= 1e-3
     for name in ("sampled_type", "sampled_component"):
         assert share_of_equal(getattr(bs, name), getattr(true_bs, name), lit) >= 0.999
     assert share_of_equal(bs.eta, true_bs.eta, lit) >= 0.999
@@ -172,7 +177,7 @@ def stays_finite(description: dict[str, Any]) -> None:
     """Values, densities, weights and gradients at the poles, on the horizon and between."""
     ends = np.concatenate([CORNERS, directions(24, 9)], axis=1)
     pairs = np.array(list(itertools.product(ends.T, ends.T))).transpose(1, 2, 0)
-    si, wo = seen_from(pairs[0]), Vector3f(pairs[1])
+    si, wo = seen_from(pairs[0]), Vector3f(*rows(pairs[1]))
     bsdf = djpt.load_dict(description)
     params = djpt.traverse(bsdf)
     keys = [key for key in params if params.flags(key) & djpt.ParamFlags.Differentiable]
@@ -180,13 +185,14 @@ def stays_finite(description: dict[str, Any]) -> None:
         dr.enable_grad(params[key])
     params.update()
     edge = np.float32([0, 1e-7, 0.25, 0.5, 1 - 2**-24])
-    s1, x, y = (Float(np.resize(c.ravel(), pairs.shape[2])) for c in np.meshgrid(edge, edge, edge))
+    s1, x, y = (floats(np.resize(c.ravel(), pairs.shape[2])) for c in np.meshgrid(edge, edge, edge))
     for mode in TransportMode:
         value, pdf, bs, weight = bsdf.eval_pdf_sample(BSDFContext(mode), si, wo, s1, Point2f(x, y))
-        for found in (value, pdf, weight, bs.pdf, bs.wo, bs.eta):
-            assert np.isfinite(np.array(dr.detach(found))).all()
-        assert min(np.array(dr.detach(found)).min() for found in (value, pdf, weight, bs.pdf)) >= 0
         dr.backward(dr.sum(value + weight))
+        dr.eval(value, pdf, bs, weight, [dr.grad(params[key]) for key in keys])
+        for found in (value, pdf, weight, bs.pdf, bs.wo, bs.eta):
+            assert np.isfinite(in_numpy(dr.detach(found))).all()
+        assert min(in_numpy(dr.detach(found)).min() for found in (value, pdf, weight, bs.pdf)) >= 0
         for key in keys:
             assert np.isfinite(np.array(dr.grad(params[key]))).all(), key
 

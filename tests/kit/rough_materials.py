@@ -15,6 +15,7 @@ from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
+from tests.kit.arrays import in_numpy, rows
 
 __all__ = [
     "CASES",
@@ -96,17 +97,19 @@ def interaction(wi: Any) -> SurfaceInteraction3f:
     shared = {"dp_du": frame.s, "dp_dv": frame.t, "shape_index": UInt32(0), "face": UInt32(0)}
     valid = dr.full(Bool, True, np.shape(wi)[1])
     p, uv = Point3f(0), Point2f(0.3, 0.6)
-    return SurfaceInteraction3f(t=Float(1), p=p, n=z, sh_frame=frame, uv=uv, wi=Vector3f(wi), valid=valid, **shared)
+    return SurfaceInteraction3f(
+        t=Float(1), p=p, n=z, sh_frame=frame, uv=uv, wi=Vector3f(*rows(wi)), valid=valid, **shared
+    )
 
 
 def mitsuba_interaction(wi: Any) -> Any:
     si = dr.zeros(mi.SurfaceInteraction3f, COUNT)
-    si.wi, si.uv = mi.Vector3f(wi), mi.Point2f(0.3, 0.6)
+    si.wi, si.uv = mi.Vector3f(*rows(wi)), mi.Point2f(0.3, 0.6)
     return si
 
 
 def full(array: Any) -> Any:
-    array = np.array(array, np.float64)
+    array = array if isinstance(array, np.ndarray) else in_numpy(array)
     return np.broadcast_to(array, (*array.shape[:-1], COUNT))
 
 

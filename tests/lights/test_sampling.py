@@ -17,7 +17,7 @@ from djpt.description import registry
 from djpt.frame import Frame3f
 from djpt.records import EmitterFlags, has_flag
 from djpt.types import Float, Point2f, Point3f, TensorXf, UInt32
-from tests.kit.arrays import numbers, rows
+from tests.kit.arrays import in_numpy, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
@@ -89,8 +89,8 @@ class TestDirections:
         dr.eval(ds, weight, radiance, again, inverse, bright)
         lit_up = np.broadcast_to(np.array(bright), (4096,))
         assert lit_up.mean() > 0.1
-        product = numbers(weight) * np.array(ds.pdf)
-        radiance = np.broadcast_to(numbers(radiance), (3, 4096))
+        product = in_numpy(weight) * np.array(ds.pdf)
+        radiance = np.broadcast_to(in_numpy(radiance), (3, 4096))
         # Rays that graze an edge may miss.
         agree = np.isclose(product, radiance, rtol=1e-3).all(axis=0)
         assert agree[lit_up].mean() > 0.995
@@ -102,10 +102,10 @@ class TestDirections:
         scene = scene_of(light)
         ds, _ = scene.sample_emitter_direction(reference(), Point2f(*uniform(1024, seed=4)), False)
         dr.eval(ds)
-        np.testing.assert_allclose(np.linalg.norm(numbers(ds.d), axis=0), 1, atol=1e-5)
-        np.testing.assert_allclose(np.linalg.norm(numbers(ds.n), axis=0), 1, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(in_numpy(ds.d), axis=0), 1, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(in_numpy(ds.n), axis=0), 1, atol=1e-5)
         if np.isfinite(np.array(ds.dist)).all():
-            np.testing.assert_allclose(numbers(ds.d) * np.array(ds.dist), numbers(ds.p), rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(in_numpy(ds.d) * np.array(ds.dist), in_numpy(ds.p), rtol=1e-4, atol=1e-4)
 
 
 def rim_of_a_sphere(rng: np.random.Generator) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
@@ -182,7 +182,7 @@ def test_no_point_of_space_gives_nonsense(name: str) -> None:
     ds, weight = emitter.sample_direction(p, Point2f(*uniform(503)))
     density = emitter.pdf_direction(p, ds)
     dr.eval(weight, density)
-    found = numbers(weight)
+    found = in_numpy(weight)
     assert np.isfinite(found).all()
     assert found.min() >= 0
     pdf = np.array(density)
@@ -224,7 +224,7 @@ def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarr
     u = uniform(count, 4, seed)
     ray, weight = scene.emitter_ptr(UInt32(0)).sample_ray(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
     dr.eval(ray, weight)
-    return ray, np.broadcast_to(numbers(weight), (3, count)), u
+    return ray, np.broadcast_to(in_numpy(weight), (3, count)), u
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -269,12 +269,12 @@ def test_rays_are_mitsubas(name: str) -> None:
         scene = mi.load_dict(described)
         other, expected = scene.emitters()[0].sample_ray(0, 0, mi.Point2f(*u[:2]), mi.Point2f(*u[2:]))
         dr.eval(other, expected)
-        theirs = [np.broadcast_to(numbers(x), (3, 4096)) for x in (other.o, other.d, expected)]
+        theirs = [np.broadcast_to(in_numpy(x), (3, 4096)) for x in (other.o, other.d, expected)]
     # Mitsuba moves rays off the surface that they leave.
     scale = 1 + np.abs(theirs[0]).max()
-    np.testing.assert_allclose(np.broadcast_to(numbers(ray.o), (3, 4096)), theirs[0], atol=1e-4 * scale)
+    np.testing.assert_allclose(np.broadcast_to(in_numpy(ray.o), (3, 4096)), theirs[0], atol=1e-4 * scale)
     length = np.linalg.norm(theirs[1], axis=0)
-    close = np.abs(np.broadcast_to(numbers(ray.d), (3, 4096)) - theirs[1] / length).max(axis=0) < 1e-4
+    close = np.abs(np.broadcast_to(in_numpy(ray.d), (3, 4096)) - theirs[1] / length).max(axis=0) < 1e-4
     assert close.mean() > 0.998
     agree = np.isclose(weight, theirs[2], rtol=1e-3, atol=1e-5 * theirs[2].max()).all(axis=0)
     assert agree.mean() > 0.998
@@ -298,7 +298,7 @@ def test_rays_bring_the_light_that_is_sampled(name: str) -> None:
     p = Point3f(r * dr.cos(phi), Float(GROUND), r * dr.sin(phi))
     ds, light = scene.emitter_ptr(UInt32(0)).sample_direction(p, Point2f(u[2], u[3]))
     # Lights hide nothing of themselves here: those that could are convex, and only their front sends light.
-    second = numbers(light * (dr.select(ds.d.y > 0, ds.d.y, 0) * (math.pi * radius**2)))
+    second = in_numpy(light * (dr.select(ds.d.y > 0, ds.d.y, 0) * (math.pi * radius**2)))
     second = np.broadcast_to(second, (3, count))
     assert first.mean() > 0
     for a, b in zip(first, second, strict=True):
@@ -320,7 +320,7 @@ def test_bounds_hold_the_light(name: str) -> None:
     if bounds is None:
         return
     ray, weight, _ = rays_of(scene, 4096)
-    o, d = (np.broadcast_to(numbers(x), (3, 4096)).T for x in (ray.o, ray.d))
+    o, d = (np.broadcast_to(in_numpy(x), (3, 4096)).T for x in (ray.o, ray.d))
     assert (o >= bounds.low - 1e-5).all()
     assert (o <= bounds.high + 1e-5).all()
     assert np.linalg.norm(bounds.axis) == pytest.approx(1)

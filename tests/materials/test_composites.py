@@ -15,7 +15,7 @@ from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.validation import agreement
 from djpt.validation.bridge import to_mitsuba
 from djpt.warp import square_to_uniform_sphere
-from tests.kit.arrays import floats, numbers, rows
+from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.renders import box, ours, pixels
 
 COUNT = 4096
@@ -113,7 +113,7 @@ class Query:
 
 
 def wide(x: Any) -> np.ndarray:
-    array = numbers(x)
+    array = in_numpy(x)
     return np.broadcast_to(array, (len(array), COUNT) if dr.depth_v(x) > 1 else (COUNT,))
 
 

@@ -11,6 +11,7 @@ import pytest
 import djpt
 from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
 from djpt.types import Color3f, Float, Point2f, Vector3f
+from tests.kit.arrays import floats, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.kernels import kernels
 from tests.kit.renders import box, ours, theirs
@@ -55,8 +56,11 @@ def test_mitsuba_agrees(name: str, mode: TransportMode) -> None:
     si, si_m = interaction(wi), mitsuba_interaction(wi)
     ctx, ctx_m = BSDFContext(mode), mi.BSDFContext(mi.TransportMode(int(mode)))
 
-    bs, weight = bsdf.sample(ctx, si, Float(sample1), Point2f(sample))
+    sample1, sample = floats(sample1), Point2f(*rows(sample))
+    bs, weight = bsdf.sample(ctx, si, sample1, sample)
     bs_m, weight_m = reference.sample(ctx_m, si_m, mi.Float(sample1), mi.Point2f(sample))
+    dr.eval(bs, weight)
+    dr.eval(bs_m, weight_m)
     live = (full(weight_m) != 0).any(axis=0)
     assert live.mean() > 0.3
     np.testing.assert_array_equal((full(weight) != 0).any(axis=0), live)
@@ -70,16 +74,21 @@ def test_mitsuba_agrees(name: str, mode: TransportMode) -> None:
         assert_close(weight, weight_m, live, 1e-3 if description.get("sample_visible", True) else 1e-2, 5e-3)
 
     for directions_o in (wo, np.where(live, full(bs_m.wo), wo).astype(np.float32)):
-        value, pdf = bsdf.eval_pdf(ctx, si, Vector3f(directions_o))
-        value_m, pdf_m = reference.eval_pdf(ctx_m, si_m, mi.Vector3f(directions_o))
+        value, pdf = bsdf.eval_pdf(ctx, si, Vector3f(*rows(directions_o)))
+        value_m, pdf_m = reference.eval_pdf(ctx_m, si_m, mi.Vector3f(*rows(directions_o)))
+        dr.eval(value, pdf)
+        dr.eval(value_m, pdf_m)
         assert_close(value, value_m, slice(None), 1e-4)
         # Mitsuba leaves densities below the horizon unmasked: there the value is 0.
         above = (wi[2] > 0) & (directions_o[2] > 0) if name in REFLECTING else slice(None)
         assert_close(pdf, pdf_m, above, 1e-4, 1e-2)
 
-    together = bsdf.eval_pdf_sample(ctx, si, Vector3f(wo), Float(sample1), Point2f(sample))
-    np.testing.assert_array_equal(full(together[0]), full(bsdf.eval(ctx, si, Vector3f(wo))))
-    np.testing.assert_array_equal(full(together[1]), full(bsdf.pdf(ctx, si, Vector3f(wo))))
+    towards = Vector3f(*rows(wo))
+    together = bsdf.eval_pdf_sample(ctx, si, towards, sample1, sample)
+    value, pdf = bsdf.eval(ctx, si, towards), bsdf.pdf(ctx, si, towards)
+    dr.eval(together, value, pdf)
+    np.testing.assert_array_equal(full(together[0]), full(value))
+    np.testing.assert_array_equal(full(together[1]), full(pdf))
     np.testing.assert_array_equal(full(together[3]), full(weight))
 
 

@@ -16,7 +16,7 @@ from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
 from djpt.types import Float, Point2f, Vector3f
 from djpt.validation.statistics import sidak
 from djpt.warp import square_to_uniform_sphere
-from tests.kit.arrays import floats, numbers
+from tests.kit.arrays import floats, in_numpy
 from tests.kit.chi_squared import Partition, probability_of_counts, uniform
 from tests.kit.materials import NAMES, PLUGINS, SETS, bsdf, cases, in_kernel, interaction, opaque_wi, plugin_of
 
@@ -41,7 +41,7 @@ def loaded(name: str) -> Any:
 
 def wide(x: Any, width: int) -> np.ndarray:
     """Lanes of an array, (width,) or (components, width)."""
-    array = numbers(x)
+    array = in_numpy(x)
     return np.broadcast_to(array, (*array.shape[:-1], width))
 
 
@@ -324,7 +324,7 @@ def test_special_directions_give_numbers(name: str, ctx: BSDFContext) -> None:
     again = material.eval_pdf(ctx, interaction(wi), bs.wo)
     dr.eval(value, pdf, bs, weight, again)
     for what in (value, pdf, weight, bs.pdf, bs.wo, *again):
-        found = numbers(what)
+        found = in_numpy(what)
         assert np.isfinite(found).all()
         assert what is bs.wo or found.min() >= 0
 
