@@ -7,7 +7,7 @@ from djpt.images.sheets import captioned_sheet
 from djpt.validation.ladder.strips import samples
 from places import IMAGES
 
-__all__ = ["cornell_box", "spheres", "spp"]
+__all__ = ["cornell_box", "spp"]
 
 
 def cornell_box() -> None:
@@ -16,13 +16,6 @@ def cornell_box() -> None:
     description["sensor"]["film"].update(width=400, height=400)
     image = djpt.render(djpt.load_dict(description), spp=2048)
     djpt.write(IMAGES / "cornell_box.png", image)
-
-
-def spheres() -> None:
-    """The variant with two spheres."""
-    description = djpt.scenes.cornell_box_spheres()
-    image = djpt.render(djpt.load_dict(description), spp=1024)
-    djpt.write(IMAGES / "spheres.png", image)
 
 
 def spp() -> None:

@@ -10,8 +10,7 @@ import drjit as dr
 import numpy as np
 
 import djpt
-from djpt.images.image import Image
-from djpt.validation.ladder.strips import Panel, strip
+from djpt.images.sheets import Tile, captioned_sheet, shown
 from djpt.validation.report import difference_picture
 from places import IMAGES, LADDER, ROOT
 
@@ -30,7 +29,7 @@ def derivatives() -> None:
     description["copper"]["bsdf"]["alpha"] = 0.2
     scene = djpt.load_dict(description)
     image = np.array(djpt.render(scene, spp=2048), np.float32)
-    panels = [Panel("the image", "path, 8 edges", Image(image).srgb())]
+    tiles = [Tile("the image", "path, 8 edges", shown(image))]
     for key, title, subtitle in (
         ("red.reflectance.value", "derivative", "by the red paint"),
         ("large-sphere.bsdf.reflectance.value", "derivative", "by the mirror's reflectance"),
@@ -45,7 +44,7 @@ def derivatives() -> None:
         dr.forward(change)
         derivative = np.array(dr.grad(rendered), np.float32)
         scale = float(np.quantile(np.abs(derivative.mean(axis=2)), 0.99))
-        panels.append(Panel(title, subtitle, difference_picture(derivative, np.zeros_like(derivative), scale)))
+        tiles.append(Tile(title, subtitle, difference_picture(derivative, np.zeros_like(derivative), scale)))
         params[key] = dr.detach(params[key])
         params.update()
-    djpt.write(IMAGES / "derivatives.png", strip(panels))
+    djpt.write(IMAGES / "derivatives.png", captioned_sheet(tiles))
