@@ -105,9 +105,10 @@ class Area(Emitter):
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         if not self.follows_texture:
             return dr.select(dr.dot(ds.d, ds.n) < 0, self.shape.pdf_direction(ref, ds), 0)
+        cos = -dr.dot(ds.d, ds.n)
         pdf = self._pdf_texture(ds.uv)
-        pdf *= dr.square(ds.dist) * dr.rcp(self.shape.cosine(ds))
-        return dr.select((dr.dot(ds.d, ds.n) < 0) & dr.isfinite(pdf), pdf, 0)
+        pdf *= dr.square(ds.dist) * dr.rcp(cos)
+        return dr.select((cos > 0) & dr.isfinite(pdf), pdf, 0)
 
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True

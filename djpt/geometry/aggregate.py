@@ -223,7 +223,7 @@ class Geometry:
 
     def _analytic_surface(self, ray: Ray3f, t: Float, face: UInt32, lookup: Lookup, full: bool) -> Surface:
         p = ray(t)
-        n, frame = self._frame(face, p, lookup)
+        n, frame = self._frame(face, p, ray.d, lookup)
         uv, dp_du, dp_dv = Point2f(0), Vector3f(0), Vector3f(0)
         if full and self.analytic_shapes:
             local = self.unrolled.local_face(face)
@@ -232,13 +232,13 @@ class Geometry:
             )
         return Surface(p, n, frame, uv, dp_du, dp_dv, Point2f(0))
 
-    def _frame(self, face: UInt32, p: Point3f, lookup: Lookup) -> tuple[Vector3f, Frame3f]:
+    def _frame(self, face: UInt32, p: Point3f, d: Vector3f, lookup: Lookup) -> tuple[Vector3f, Frame3f]:
         """Geometric normal and shading frame: looked up by number for flat faces, computed by curved shapes."""
         flat = any(group not in self._curved for group in self.surfaces.groups)
         result: Any = self.unrolled.frame(face) if flat else None
         for group in self._curved:
             shape = group.at(self.surfaces.slots(group, self.unrolled.shape_of(face)), lookup)
-            curved = shape.frame_at(p)
+            curved = shape.frame_at(p, d)
             # Curved faces have the lowest numbers, so this is one range test.
             here = is_one_of(face, self.unrolled.faces_of(group.indices))
             result = curved if result is None else dr.select(here, curved, result)

@@ -61,8 +61,6 @@ class Shape(Plugin):
     """Whether the area is known, so that points can be sampled uniformly; else only directions are."""
     has_parameterization: ClassVar[bool] = False
     """Whether each (u, v) of the unit square belongs to one point, so that `eval_parameterization` exists."""
-    least_cosine: ClassVar[float] = 0.0
-    """The least cosine between a ray and the normal at its hit that counts: see `cosine`."""
     canonical: ClassVar[str | None] = None
     """The name in `djpt.geometry.canonical` of the shape that `to_world` maps to this one; None if there is none."""
     of_triangles: ClassVar[bool] = False
@@ -143,9 +141,9 @@ class Shape(Plugin):
         """The unit direction of dp/du at a surface point, perpendicular to the normal; for curved shapes."""
         raise NotImplementedError
 
-    def frame_at(self, p: Point3f) -> tuple[Vector3f, Frame3f]:
-        """The geometric normal and the shading frame at a surface point; for curved shapes."""
-        n, s = self.normal_at(p), self.tangent_at(p)
+    def frame_at(self, p: Point3f, d: Vector3f) -> tuple[Vector3f, Frame3f]:
+        """The geometric normal and the shading frame at a surface point that a ray along `d` has hit; for curved shapes."""
+        n, s = tilted(self.normal_at(p), d), self.tangent_at(p)
         return n, Frame3f(s, dr.cross(n, s), n)
 
     def surface_area(self) -> Float:
@@ -173,19 +171,8 @@ class Shape(Plugin):
 
     def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         """The density of `sample_direction` at `ds`, per unit solid angle at `ref`."""
-        pdf = dr.square(ds.dist) * dr.rcp(self.cosine(ds) * self.surface_area())
+        pdf = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.surface_area())
         return dr.select(dr.isfinite(pdf), pdf, 0)
-
-    def cosine(self, ds: DirectionSample3f) -> Float:
-        """abs(cos) at the hit `ds` of a ray, for densities by area; at least `least_cosine`.
-
-        A ray that grazes a curved surface solves a quadratic whose discriminant, R^2 cos^2, is a difference of numbers
-        near R^2: float32 gives 0 or at least 2^-24 R^2. In the first case the cosine of the hit is a rounding error,
-        which may be thousands of times too small, and so the density as many times too large. Hence the bound 2^-12
-        for surfaces that solve one.
-        """
-        cos = dr.abs(dr.dot(ds.d, ds.n))
-        return dr.maximum(cos, self.least_cosine) if self.least_cosine else cos
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         """The texture coordinates and dp/du, dp/dv at a point of the surface."""
@@ -194,6 +181,23 @@ class Shape(Plugin):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         """Mitsuba's number of the primitive at a point; 0 for shapes of a single primitive."""
         return UInt32(0)
+
+
+GRAZING = 2**-12
+"""The least cosine that float32 knows of a ray and a curved surface."""
+
+
+def tilted(n: Vector3f, d: Vector3f) -> Vector3f:
+    """The normal of a curved surface where a ray along `d` hits it, turned until abs(cos) is at least `GRAZING`.
+
+    Where a ray grazes a sphere, the discriminant R^2 cos^2 of its hit is a difference of numbers near R^2: float32
+    gives 0 or at least 2^-24 R^2. If it is 0, the hit lies where the ray is closest to the centre, and the cosine there
+    is a rounding error, thousands of times too small; so densities by area, which divide by it, would be as many times
+    too large. To turn the normal by 2^-12 is to move the hit along the ray within the rounding of its place.
+    """
+    cos = dr.dot(n, d)
+    turn = dr.select(dr.abs(cos) < GRAZING, dr.mulsign(Float(GRAZING), cos) - cos, 0)
+    return dr.fma(d, turn, n)
 
 
 def towards(ps: PositionSample3f, inverse_pdf: Float, ref: Point3f) -> DirectionSample3f:

@@ -26,7 +26,6 @@ class Revolution(Shape):
     `to_world` maps the unit shape about +z to the world; subclasses declare the attributes below as `values`.
     """
 
-    least_cosine = 2**-12
     center: Vector3f
     axis_x: Vector3f
     axis_y: Vector3f

@@ -37,7 +37,6 @@ class Sphere(Shape):
 
     closed = True
     has_parameterization = True
-    least_cosine = 2**-12
     canonical = "sphere"
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
@@ -193,7 +192,7 @@ class Sphere(Shape):
         cos = dr.safe_sqrt(1 - sin_squared)
         outside = dist_squared > dr.square(self.radius * self._shrunk())
         in_cone = dr.rcp(2 * math.pi * sin_squared * dr.rcp(1 + cos))
-        in_area = dr.square(ds.dist) * dr.rcp(self.cosine(ds) * self.area)
+        in_area = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.area)
         return dr.select(outside, in_cone, dr.select(dr.isfinite(in_area), in_area, 0))
 
     def _shrunk(self) -> float:
