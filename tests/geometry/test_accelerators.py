@@ -18,6 +18,7 @@ from djpt.geometry.accelerators.grid import UniformGrid
 from djpt.geometry.accelerators.kdtree import KdTree
 from djpt.records import Ray3f
 from djpt.types import Float, Point3f, UInt32, Vector3f
+from tests.kit.arrays import floats, rows
 from tests.kit.processes import ROOT, run_python
 from tests.kit.triangle_soups import SOUPS, sphere
 
@@ -45,12 +46,13 @@ def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> tuple[ND
 
 
 def ray_of(o: NDArray[np.float32], d: NDArray[np.float32], maxt: Any = np.inf) -> Ray3f:
-    return Ray3f(Point3f(*o.T.copy()), Vector3f(*d.T.copy()), Float(maxt))
+    return Ray3f(Point3f(*rows(o.T)), Vector3f(*rows(d.T)), floats(maxt) if np.ndim(maxt) else Float(maxt))
 
 
 def answers(structure: Accelerator, ray: Ray3f) -> tuple[NDArray[Any], ...]:
-    t, face = structure.closest(ray)
-    return t.numpy(), face.numpy(), structure.any_hit(ray).numpy()
+    (t, face), any_hit = structure.closest(ray), structure.any_hit(ray)
+    dr.eval(t, face, any_hit)
+    return t.numpy(), face.numpy(), any_hit.numpy()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -18,6 +18,7 @@ from djpt.shapes import Instance, ShapeGroup
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Point3f, Vector3f
 from djpt.validation import agreement
+from tests.kit.arrays import in_numpy, rows
 from tests.kit.mesh_scenes import ball_file, diffuse, gallery, sheet_file, uv_texture
 from tests.kit.renders import pixels, theirs
 
@@ -159,9 +160,12 @@ FIELDS = ("t", "p", "n", "uv", "dp_du", "dp_dv", "sh_frame.s", "sh_frame.t", "sh
 def compare(mi: Any, scene: dict[str, Any], tolerance: float, fields: tuple[str, ...] = FIELDS) -> None:
     """Equal surface points, but for rays that graze an edge."""
     o, d = rays_at(scene, 1000)
-    a = djpt.load_dict(scene).ray_intersect(Ray3f(Point3f(o), Vector3f(d)))
+    ray = Ray3f(Point3f(*rows(o)), Vector3f(*rows(d)))
+    a = djpt.load_dict(scene).ray_intersect(ray)
     reference = mi.load_dict(djpt.validation.to_mitsuba(scene), optimize=False)
-    b = reference.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
+    b = reference.ray_intersect(mi.Ray3f(mi.Point3f(ray.o), mi.Vector3f(ray.d)))
+    dr.eval(a)
+    dr.eval(b)
     hit, expected = np.array(a.is_valid()), np.array(b.is_valid())
     assert 0.2 < expected.mean() < 1
     assert np.mean(hit != expected) < 1e-3
@@ -170,7 +174,7 @@ def compare(mi: Any, scene: dict[str, Any], tolerance: float, fields: tuple[str,
         x, y = a, b
         for part in name.split("."):
             x, y = getattr(x, part), getattr(y, part)
-        x, y = (np.atleast_2d(np.array(v, np.float64))[:, both] for v in (x, y))
+        x, y = (np.atleast_2d(in_numpy(v))[:, both] for v in (x, y))
         error = np.abs(x - y).max(axis=0) / np.maximum(1, np.abs(y).max(axis=0))
         assert np.mean(error > tolerance) < 2e-3, (name, np.quantile(error, [0.5, 0.9, 0.99]))
     np.testing.assert_array_equal(np.array(a.shape_index)[~hit], 0)
