@@ -142,7 +142,7 @@ class Shape(Plugin):
         raise NotImplementedError
 
     def frame_at(self, p: Point3f, d: Vector3f) -> tuple[Vector3f, Frame3f]:
-        """The geometric normal and the shading frame at a surface point that a ray along `d` has hit; for curved shapes."""
+        """The geometric normal and shading frame of a curved shape at a surface point that a ray along `d` has hit."""
         n, s = tilted(self.normal_at(p), d), self.tangent_at(p)
         return n, Frame3f(s, dr.cross(n, s), n)
 
