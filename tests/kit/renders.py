@@ -93,7 +93,7 @@ def two_sided(scene: dict[str, Any]) -> None:
 
 
 def grey_room(scene: dict[str, Any]) -> None:
-    """Every surface on both sides the same grey, so that no camera ray meets black."""
+    """Make every surface the same grey on both sides, so that no camera ray meets black."""
     for node in scene.values():
         if isinstance(node, dict) and node["type"] in ("rectangle", "cube"):
             node["bsdf"] = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": 0.5}}
