@@ -76,7 +76,7 @@ def lights(*names: str) -> Edit:
 
 
 def spheres(scene: dict[str, Any]) -> None:
-    """Two spheres in place of the boxes, one turned and two-sided."""
+    """Put two spheres in place of the boxes, one turned and two-sided."""
     del scene["small-box"], scene["large-box"]
     red, white = {"type": "ref", "id": "red"}, {"type": "ref", "id": "white"}
     turned = T().translate([-0.4, -0.5, -0.2]).rotate([0.6, 0.8, 0], 30).scale(0.5)
@@ -85,7 +85,7 @@ def spheres(scene: dict[str, Any]) -> None:
 
 
 def two_sided(scene: dict[str, Any]) -> None:
-    """Different materials on the two sides of a sphere and of a flipped wall."""
+    """Put different materials on the two sides of a sphere and of a flipped wall."""
     spheres(scene)
     front, back = ({"type": "diffuse", "reflectance": albedo} for albedo in (0.2, 0.7))
     scene["small-sphere"]["bsdf"] = {"type": "twosided", "front": front, "back": back}
