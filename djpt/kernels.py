@@ -71,7 +71,7 @@ def as_vector(v: NDArray[np.float64]) -> Vector3f:
 
 
 def wide(record: Any, lanes: int) -> Any:
-    """A record, list or tuple of arrays with all of them at full width.
+    """A record, list or tuple of arrays in which all arrays have full width.
 
     Loop state must not start as variables of width 1: the loop would be compiled for them and again at full
     width. None and what isn't a Dr.Jit array stay as they are.

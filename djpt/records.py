@@ -108,7 +108,7 @@ class BSDFContext:
             )
 
     def is_enabled(self, type: BSDFFlags, component: int = 0) -> bool:
-        """True: all lobes are always wanted."""
+        """Always true, since BSDFs are always asked for all lobes."""
         return True
 
 
@@ -142,7 +142,7 @@ class PreliminaryIntersection3f:
     prim_uv: Point2f | None = None
     """Barycentric weights of the second and third corner of a mesh's triangle; 0 for other shapes."""
     near: Any = None
-    """The hit as the search for triangles has seen it: see `djpt.geometry.query.Near`."""
+    """The hit in the coordinates of the search for triangles: see `djpt.geometry.query.Near`."""
 
     def is_valid(self) -> Bool:
         """True where something was hit."""
@@ -312,8 +312,8 @@ class EmissionSample:
 
         weight = radiance cos / (pdf_position pdf_direction)
 
-    In place of radiance cos, lights at a point have their intensity (W sr^-1), and lights whose direction is a
-    delta what crosses a unit of area (W m^-2). The probability of choosing the emitter isn't included.
+    In place of radiance cos, lights at a point have their intensity (W sr^-1), and lights of a single direction
+    their power per area (W m^-2). The probability of choosing the emitter isn't included.
     """
 
     ray: Ray3f
@@ -333,12 +333,12 @@ class EmissionSample:
     finite: Bool
     """False for light from infinity: its rays start somewhere outside of the scene."""
     delta: Bool
-    """True where the density of position or direction is a delta, which a 1 stands for."""
+    """True where position or direction has a delta distribution, whose density is given as 1."""
 
 
 @dataclass
 class BSDFSample3f:
-    """A direction sampled from a BSDF; without arguments one that leads nowhere.
+    """A direction sampled from a BSDF; without arguments, a sample without a direction.
 
     In scripts, fields may be given Python numbers: the engine converts them.
     """
@@ -367,5 +367,5 @@ class BSDFSample3f:
 
     @staticmethod
     def none() -> BSDFSample3f:
-        """The sample that goes nowhere."""
+        """A sample without a direction: `wo` and `pdf` are 0."""
         return BSDFSample3f()

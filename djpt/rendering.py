@@ -92,8 +92,8 @@ def centres(job: Job) -> TensorXf:
 def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tuple[str, ...]:
     """Names of the channels of what `render` returns with the same arguments.
 
-    ``("R", "G", "B")`` and the like for colours, then those of the integrator's AOVs: what
-    `djpt.write` takes as `channels`.
+    First those of the colour, such as ``("R", "G", "B")``, then those of the integrator's AOVs.
+    `djpt.write` takes them as `channels`.
     """
     film = find_sensor(scene, sensor).film
     estimator = find_integrator(scene, integrator)
@@ -126,7 +126,7 @@ def make_job(
 
 
 def find_sensor(scene: Scene, sensor: Any) -> Sensor:
-    """A sensor of the scene by number, or one from elsewhere, told how large the scene is."""
+    """The sensor to render: one of the scene, by number, or another one, which is told how large the scene is."""
     if not isinstance(scene, Scene):
         raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
     sensors = scene.sensors()
@@ -168,7 +168,7 @@ def whole(value: Any) -> int | None:
 
 
 def check_count(name: str, value: Any) -> int:
-    """Whole and not negative, or RenderError."""
+    """The value as an int; raises `RenderError` unless it is whole and not negative."""
     count = whole(value)
     if count is None or count < 0:
         raise RenderError(f"'{name}' must be a whole number, 1 or more (0 = default), found {value!r}")
@@ -176,7 +176,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def check_seed(name: str, value: Any) -> int:
-    """Whole and of 32 bits, or RenderError."""
+    """The value as an int; raises `RenderError` unless it is whole and fits into 32 bits."""
     seed = whole(value)
     if seed is None or not 0 <= seed < 2**32:
         raise RenderError(f"'{name}' must be a whole number with 0 <= {name} < 2^32, found {value!r}")

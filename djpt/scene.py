@@ -100,14 +100,14 @@ class Scene(Plugin):
         self.media = AbsorbingMedia(self.bsdfs, self.geometry, self.bsdf_of_shape)
 
     def ensembles(self) -> tuple[Ensemble[BSDF], Ensemble[Emitter]]:
-        """All plugins whose values a path vertex looks up: BSDFs and emitters."""
+        """The plugins whose values a path vertex looks up: BSDFs and emitters."""
         return self.bsdfs, self.lights
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
 
     def bounding_sphere(self) -> tuple[np.ndarray, float]:
-        """The sphere about the box about all shapes, a little enlarged: centre (3,) and radius."""
+        """A sphere around the bounding box of all shapes, slightly enlarged: centre (3,) and radius."""
         return self.geometry.bounding_sphere()
 
     def _set_bounds(self) -> None:
@@ -133,10 +133,10 @@ class Scene(Plugin):
             callback.put(name, plugin)
 
     def refresh(self, changed: Sequence[Plugin]) -> None:
-        """Some plugins' parameters have changed: renew what was derived from them."""
+        """Renew what was derived from the parameters of the `changed` plugins."""
         assert isinstance(self.lookup, Detached)
         self.lookup.forget()
-        # A lobe that was 0 and isn't any more is new code.
+        # A lobe that an edit turns on is new code.
         if not self.bsdfs.is_current():
             self._use_bsdfs(self.bsdfs.plugins)
         if not self.lights.is_current():
@@ -262,19 +262,19 @@ class Scene(Plugin):
         return is_inside(self.geometry, p, active)
 
     def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
-        """The part of `light` (default 1) that arrives through the segment of a `shadow_ray`.
+        """The part of `light` (default 1) that arrives along the segment of a `shadow_ray`.
 
-        Nothing if a surface stands between, else the share that media leave. Faster than `ray_test`: shapes that
-        can't shadow anything are left out.
+        It is 0 behind a surface, else the share that media leave. Faster than `ray_test`: shapes that can't shadow
+        anything are left out.
         """
         free = ~self.geometry.blocked(ray)
         return dr.select(free, self.left_by_media(ray, Color3f(1) if light is None else light), 0)
 
     def light_between(self, ray: Ray3f, light: Color3f, through_lights: bool = False) -> Color3f:
-        """The part of `light` that arrives through the segment of a ray between any two points.
+        """The part of `light` that arrives along the segment of a ray between any two points.
 
-        Unlike `light_through` it leaves out no shape: walls around everything and a lone lamp hide things, too, from a
-        camera behind them or from another surface. With `through_lights` shapes that emit hide nothing.
+        Unlike `light_through` it leaves out no shape, because the walls around a scene and a single lamp can hide a
+        surface from a camera or from another surface. With `through_lights` shapes that emit hide nothing.
         """
         if through_lights:
             free = ~self.closest_hit(ray, through_lights=Bool(True)).is_valid()
@@ -331,7 +331,7 @@ class Scene(Plugin):
         )
 
     def revisit(self, p: Point3f, d: Vector3f, face: UInt32) -> SurfaceInteraction3f:
-        """The surface point `p` of a face again, as a ray of direction `d` met it: for vertices that were stored.
+        """The surface interaction at a stored point `p` of a face, as for a ray of direction `d`.
 
         A face that belongs to an instance can't be revisited: its number doesn't say which instance.
         """
@@ -353,7 +353,7 @@ class Scene(Plugin):
         return dr.select(si.valid, self._light_of_face.at(si.face), UInt32(self._light_on_miss))
 
     def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
-        """The emitter seen at `si`: the shape's, or the environment on a miss."""
+        """The emitter seen at `si`: that of the shape, or the environment on a miss."""
         return self.emitter_ptr(self.emitter_index_at(si))
 
     def emitter_ptr(self, index: UInt32) -> EmitterPtr:
@@ -384,8 +384,8 @@ class Scene(Plugin):
     ) -> tuple[DirectionSample3f, Color3f]:
         """Choose an emitter, sample a direction towards it; weight = radiance / pdf.
 
-        `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then
-        stretched for use in the emitter. With `test_visibility` the weight counts what arrives.
+        `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then stretched
+        for use in the emitter. With `test_visibility` the weight is 0 behind surfaces, and includes absorption.
         """
         light = self.light_sampling.sample(Reference(ref.p, ref.n), sample, active)
         if test_visibility:

@@ -22,12 +22,12 @@ __all__ = ["AOV"]
 
 
 def vector(v: Vector3f) -> list[Float]:
-    """Three channels."""
+    """The components of a vector, as three channels."""
     return [v.x, v.y, v.z]
 
 
 def pair(v: Vector2f) -> list[Float]:
-    """Two channels."""
+    """The components of a vector, as two channels."""
     return [v.x, v.y]
 
 
@@ -56,7 +56,7 @@ VARIABLES: dict[str, tuple[str, Variable]] = {
 """Name of a variable -> names of its channels, and its value."""
 
 DIFFERENTIALS = ("duv_dx", "duv_dy")
-"""Variables of Mitsuba's that need ray differentials, which djpt's cameras don't make."""
+"""Mitsuba's variables that need ray differentials, which djpt's cameras don't make."""
 
 
 class AOV(NestingIntegrator):
@@ -116,13 +116,13 @@ class AOV(NestingIntegrator):
         return self.seen(scene.ray_intersect(ray), ray)
 
     def seen(self, si: SurfaceInteraction3f, ray: Ray3f) -> list[Float]:
-        """The channels of all variables."""
+        """The channels of all variables at a surface point."""
         valid = si.is_valid()
         return [dr.select(valid, c, 0) for _, kind in self.variables for c in VARIABLES[kind][1](si, ray)]
 
 
 def parse(text: str, node: str) -> list[tuple[str, str]]:
-    """``name:variable, ..`` as pairs."""
+    """Parse ``name:variable, ..`` into pairs; raise `SceneError` if it isn't a list of known variables."""
     result: list[tuple[str, str]] = []
     for item in text.split(","):
         name, colon, kind = (part.strip() for part in item.partition(":"))

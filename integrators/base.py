@@ -43,11 +43,11 @@ class Integrator(Plugin):
     needs_light = False
     """True if every image is black without an emitter: `render` then refuses."""
     shows_delta = True
-    """True if light gets around by mirrors and panes; else `check_scene` warns of such materials."""
+    """True if mirrors and panes are followed; else `check_scene` warns of such materials."""
     samples_lights = True
     """True if emitters are asked for directions; else `check_scene` warns of those that no path meets."""
     starts_at_lights = False
-    """True if rays are traced from emitters: those that shine in one direction only are seen in no other way."""
+    """True if rays are traced from emitters: the only way to show those that shine in one direction only."""
     differentiable = True
     """True if its code can be differentiated; else `render` refuses parameters with gradients."""
     emitter_choice = "uniform"
@@ -85,7 +85,7 @@ class Integrator(Plugin):
         return ()
 
     def unfiltered_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
-        """The values of these channels along `ray`."""
+        """The values of the channels `unfiltered_names` along `ray`."""
         return []
 
 
@@ -101,7 +101,7 @@ class PathState:
     """
 
     keeps: ClassVar[tuple[str, ...]] = ("p", "n")
-    """Fields that need no reset where a new path begins: the previous vertex, never looked at before there is one."""
+    """Fields that need no reset where a new path begins: the previous vertex isn't read before there is one."""
 
     p: Point3f
     """The previous vertex, before rays were moved off its surface."""
@@ -112,15 +112,15 @@ class PathState:
     eta: Float | None
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
-    """Vertices so far."""
+    """The number of vertices so far."""
     n: Normal3f | None = None
     """Geometric normal of the previous vertex; None if the choice of emitters doesn't look at it."""
     covered: Bool | None = None
-    """True once a vertex was met that isn't a mere opening (a null interface); None in scenes without such."""
+    """True once a vertex was met that isn't a null interface; None in scenes without null interfaces."""
 
     @property
     def reference(self) -> Reference:
-        """The previous vertex, as light sampling asked for light there."""
+        """The previous vertex as the reference point of light sampling."""
         return Reference(self.p, self.n)
 
     def restarted(self: State, ended: Bool, fresh: State) -> State:
@@ -143,9 +143,9 @@ class Vertex:
     emitted: Color3f
     """Light from the vertex itself, weighted against light sampling."""
     reflected: Color3f
-    """Light of the sampled emitter, as if nothing stood between: `Scene.light_through` has the rest."""
+    """Light of the sampled emitter before visibility is tested: see `Scene.light_through`."""
     shadow_ray: Ray3f
-    """The way from the vertex to that emitter."""
+    """The ray from the vertex to the sampled emitter."""
     weight: Color3f
     """f abs(cos) / pdf of the sampled direction."""
     ray: Ray3f
@@ -171,7 +171,7 @@ class PathIntegrator(Integrator):
 
     @property
     def longest_path(self) -> int:
-        """Vertices of the longest path; -1: unbounded."""
+        """The number of vertices of the longest path; -1: unbounded."""
         return -1
 
     def start(self, scene: Scene) -> PathState:
@@ -189,7 +189,7 @@ class PathIntegrator(Integrator):
         return state.depth == 0 if self.hide_emitters else None
 
     def path_passes_lights(self, state: PathState, shadow: Bool) -> Bool | None:
-        """`passes_lights`, where the next ray isn't a shadow ray."""
+        """True where the next ray, if it isn't a shadow ray, ignores shapes that emit; None if no ray does."""
         through = self.passes_lights(state)
         return None if through is None else through & ~shadow
 
@@ -201,7 +201,7 @@ class PathIntegrator(Integrator):
     def advance(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
-        """`vertex`, after what media took from the light between the previous vertex and this one."""
+        """Process a hit by `vertex`, with the absorption between the previous vertex and this one included."""
         passed = scene.transmittance(ray, si.t)
         v = self.vertex(scene, sampler, replace(state, throughput=state.throughput * passed), ray, si)
         v.weight = v.weight * passed

@@ -28,9 +28,9 @@ class Distributed(Integrator):
 
     Estimates L = Le + 1/m sum of w_e f Le V / p_e + 1/n sum of f abs(cos) / p L(next), where the Le of the next
     surface is weighted by w_b; w_e and w_b are the power heuristic of m p_e against n p. Soft shadows, blurred
-    reflections and refractions, depth of field (with a `thinlens`) come from where the rays are sent.
+    reflections and refractions, depth of field (with a `thinlens`) come from the choice of the rays.
 
-    The work grows as split^max_depth: good for the first bounces, hopeless for many. Leaves out paths of more than
+    The work grows as split^max_depth: practical for a few bounces only. Leaves out paths of more than
     `max_depth` edges.
 
     Parameters: `split` (rays that go on from a surface, 1 to 16, default 4), `light_samples` (1 to 16, default 4),
@@ -123,7 +123,7 @@ class Walk:
     branch: Branch
     sampler: SampleStream
     size: UInt32
-    """Branches on the stack."""
+    """The number of branches on the stack."""
     radiance: Color3f
     covered: Bool
     active: Bool

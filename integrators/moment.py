@@ -33,8 +33,8 @@ class Moment(NestingIntegrator):
 
     Nested integrators, at least one, under any key `name`. The channels: the colour of the first one; per integrator
     its own AOVs as ``name.channel`` and the colour as ``name.X``, ``name.Y``, ``name.Z`` (CIE XYZ: `Y` is the
-    luminance); then the second moments of all these, called ``m2_`` and the same name. All are filtered as colours are.
-    Names and values are Mitsuba's for the first integrator; further ones see the numbers that they would see alone.
+    luminance); then the second moments of all these, with ``m2_`` before the name. All are filtered as colours are.
+    Names and values are Mitsuba's for the first integrator; further ones draw the random numbers they would draw alone.
 
     `djpt.variance` computes the variance of each pixel from such an image.
     """
@@ -67,7 +67,7 @@ class Moment(NestingIntegrator):
 def variance(image: Any, channels: Sequence[str], spp: int) -> TensorXf:
     """The estimated variance of the pixels of an image that a `moment` integrator rendered.
 
-    Var = (E[x^2] - E[x]^2) / (spp - 1): of the pixel, that is of the mean of `spp` independent samples, without bias.
+    Var = (E[x^2] - E[x]^2) / (spp - 1), an unbiased estimate for the mean of `spp` independent samples.
     Its square root is the standard error. It holds for the box filter (others mix the samples of neighbours) and for
     the `independent` sampler (for stratified samples it is too large).
 
@@ -84,7 +84,7 @@ def variance(image: Any, channels: Sequence[str], spp: int) -> TensorXf:
     """
     if spp < 2:
         raise RenderError(f"a variance takes at least 2 samples per pixel, found {spp}")
-    # Differences of large numbers: in double precision.
+    # In double precision, because these are differences of large numbers.
     values = np.asarray(image.numpy() if hasattr(image, "numpy") else image, np.float64)
     names = list(channels)
     if values.ndim != 3 or values.shape[2] != len(names):

@@ -43,14 +43,14 @@ class NestingIntegrator(Integrator):
             callback.put(f"integrator_{i}", integrator)
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        # Not for itself: what it can't show is what its integrators can't.
+        # It has no blind spots of its own, only those of the nested integrators.
         for _, integrator in self.nested:
             integrator.check_scene(scene, sensor)
 
     def samples(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> list[tuple[Color3f, Bool, list[Float]]]:
-        """One sample of each nested integrator; every one sees the numbers that it would see alone."""
+        """One sample of each nested integrator, from the random numbers that it would draw alone."""
         return [
             integrator.sample(scene.choosing_emitters(integrator.emitter_choice), sampler.clone(), ray, active)
             for _, integrator in self.nested

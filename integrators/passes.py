@@ -30,15 +30,15 @@ class LightPath:
     flux: Color3f
     """Emitted radiance times cosine over the density, times the product of f abs(cos) / p and of what media left."""
     unit: Float
-    """1 / the largest component of the flux at the emitter: roulette goes by what is left of it."""
+    """1 / the largest component of the flux at the emitter: Russian roulette depends on the flux times this."""
     eta: Float | None
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
-    """Edges so far."""
+    """The number of edges so far."""
 
 
 class Walks(Protocol):
-    """The means of a pass: the image to be made, and walks through the scene."""
+    """What a pass works with: the image to be made, and walks through the scene."""
 
     @property
     def scene(self) -> Scene:
@@ -85,7 +85,7 @@ class PassIntegrator(Integrator):
     differentiable = False
 
     from_camera: Integrator | None = None
-    """Finds the light that the passes leave out; None: they leave out nothing."""
+    """The integrator for light that the passes leave out; None if they leave out nothing."""
 
     def begin(self, walks: Walks) -> Any:
         """The state before the first pass."""
@@ -96,5 +96,5 @@ class PassIntegrator(Integrator):
         raise NotImplementedError
 
     def color(self, walks: Walks, state: Any) -> Color3f:
-        """The image that a state stands for, one entry per pixel of the crop window, row by row."""
+        """The image that a state represents, one entry per pixel of the crop window, row by row."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""Path tracing as in a first lecture: bounce about until a light is hit."""
+"""Path tracing as in a first lecture: paths go in random directions until they hit a light."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ class PathNaive(UnidirectionalPath):
         both = smooth & mirrors
         follows = mirrors & (~smooth | (sampler.next_1d() < 0.5))
         scattered = value * dr.select(pdf > 0, dr.rcp(pdf), 0)
-        # The coin's side that follows mirrors has nothing to show for the other lobes.
+        # Where mirrors are followed, samples of the other lobes count nothing.
         mirrored = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), mirrored, 0)
         weight = dr.select(follows, mirrored, scattered) * dr.select(both, Float(2), 1)
         chosen = BSDFSample3f(
             wo=dr.select(follows, bs.wo, wo),
             pdf=dr.select(follows, bs.pdf, pdf),
-            # Known for mirrored directions only; roulette is right with any number.
+            # Known for mirrored directions only; roulette stays unbiased with any number.
             eta=dr.select(follows, bs.eta, 1),
             sampled_type=dr.select(follows, bs.sampled_type, UInt32(int(BSDFFlags.DiffuseReflection))),
             sampled_component=bs.sampled_component,

@@ -22,7 +22,7 @@ __all__ = ["PathNEE"]
 
 
 class PathNEE(UnidirectionalPath):
-    """Next event estimation: every vertex asks one light.
+    """Next event estimation: one light is sampled at every vertex.
 
     Estimates L = Le_0 + sum over vertices k of T_k f Le V / p_e, T_k the product of f abs(cos) / (p q), where q is the
     constant chance of surviving a vertex. Every kind of path is counted once, without weights: light that a path

@@ -14,7 +14,7 @@ __all__ = ["PRB"]
 class PRB(Path):
     """`path` under the name and with the defaults of Mitsuba's differentiable path tracer.
 
-    Gradients of both come from path replay (`djpt.gradients.leaves`): D. Vicini, S. Speierer and W. Jakob,
+    Gradients of both come from path replay (`djpt.gradients.replay`): D. Vicini, S. Speierer and W. Jakob,
     "Path Replay Backpropagation", SIGGRAPH 2021. Sampling decisions are detached.
 
     Parameters: as `path`, with `max_depth` 6 by default. Russian roulette starts one vertex

@@ -23,7 +23,7 @@ class PRBBasic(UnidirectionalPath):
     """BSDF sampling alone: no light sampling, no weights, no Russian roulette.
 
     Estimates L = sum over vertices k of T_k Le_k, T_k the product of f abs(cos) / p of the sampled directions. Its
-    gradients come from path replay, as those of `prb`: this is the version to read first.
+    gradients come from path replay, like those of `prb`: this is the version to read first.
 
     Leaves out point, spot and directional lights: no path meets them.
 

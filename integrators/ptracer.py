@@ -38,11 +38,11 @@ class LightVertex:
     splat: Color3f
     """The light that the film receives there, per area of the window, if nothing stands between."""
     shadow_ray: Ray3f
-    """The way from the vertex to the camera."""
+    """The ray from the vertex to the camera."""
     path: LightPath
-    """The path that goes on."""
+    """The state of the path that goes on."""
     active: Bool
-    """True where it goes on."""
+    """True where the path goes on."""
 
 
 class ParticleTracer(PassIntegrator):
@@ -55,8 +55,8 @@ class ParticleTracer(PassIntegrator):
     W being the share of the film that an area at y_k covers. Light that comes straight from an emitter is found
     from the camera's side, as `path` with `max_depth` 1 finds it.
 
-    Strong where light reaches the eye by way of a small light, glass and a diffuse surface: caustics. Leaves out
-    what the camera sees in a mirror or through smooth glass: no light path hits its lens by chance.
+    Strong at caustics: light of a small emitter that reaches a diffuse surface through glass. Leaves out what the
+    camera sees in a mirror or through smooth glass: no light path hits the lens by chance.
 
     Parameters: `max_depth` (edges of the longest path, that to the camera included, -1 = unbounded, default -1),
     `rr_depth` (Russian roulette starts there, default 5), `hide_emitters`, `emitter_choice` (`uniform`, default,
@@ -74,7 +74,7 @@ class ParticleTracer(PassIntegrator):
         self.rr_depth = props.integer("rr_depth", 5, low=1)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
         shown = {"max_depth": min(self.max_depth, 1) if self.max_depth >= 0 else 1, "hide_emitters": self.hide_emitters}
-        # Light that comes straight from an emitter.
+        # For light that comes straight from an emitter.
         self.from_camera = Path(Properties("path", f"{props.node}.straight", shown))
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
@@ -167,9 +167,9 @@ class ParticleTracer(PassIntegrator):
 
 
 def brightness(scene: Scene) -> float:
-    """The radiance of a surface that sees the lights from afar, roughly: a power of two.
+    """A rough estimate of the radiance in a scene, as a power of two.
 
-    The light of all emitters, spread over a sphere about the scene.
+    It is that of the power of all emitters, spread over a sphere about the scene.
     """
     low, high = scene.bbox()
     radius = max(float(np.linalg.norm(np.array(high) - np.array(low))) / 2, 1e-6)

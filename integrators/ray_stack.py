@@ -15,23 +15,23 @@ __all__ = ["Branch", "RayStack", "branch", "camera_branch"]
 
 @dataclass
 class Branch:
-    """A ray to be followed, and what its light counts."""
+    """A ray to be followed, and the weight of its light."""
 
     o: Point3f
     d: Vector3f
     maxt: Float
     medium: UInt32
-    """The medium that it runs through; any number in scenes without media."""
+    """The medium that the ray runs through; any number in scenes without media."""
     p: Point3f
     """The surface point that it leaves, before it was moved off the surface."""
     n: Normal3f
-    """Geometric normal there."""
+    """Geometric normal at `p`."""
     throughput: Color3f
     """The factor of its radiance in the image."""
     bsdf_pdf: Float
     """Density of its direction; 0 if light sampling couldn't have found it (camera, delta)."""
     depth: UInt32
-    """Surfaces before it."""
+    """The number of surfaces before this ray."""
 
     @property
     def ray(self) -> Ray3f:
@@ -40,7 +40,7 @@ class Branch:
 
     @property
     def reference(self) -> Reference:
-        """The surface point, as light sampling asked for light there."""
+        """The surface point that the ray leaves, as the reference point of light sampling."""
         return Reference(self.p, self.n)
 
 
@@ -56,7 +56,7 @@ def branch(ray: Ray3f, p: Point3f, n: Normal3f, throughput: Color3f, bsdf_pdf: F
 
 
 class RayStack:
-    """Per lane: the last branch that was pushed is the first to be popped.
+    """A stack of branches for each lane.
 
     The branches lie in memory of the lane's own; how many there are belongs to the state of the loop.
     """
@@ -65,12 +65,12 @@ class RayStack:
         self._memory: Any = dr.alloc_local(Branch, max(1, capacity))
 
     def push(self, size: UInt32, branch: Branch, active: Bool) -> UInt32:
-        """The size with one branch more, where `active`. It must fit."""
+        """Push a branch where `active`, if there is room, and return the new size."""
         self._memory.write(branch, size, active)
         return dr.select(active, size + 1, size)
 
     def pop(self, size: UInt32, active: Bool) -> tuple[UInt32, Branch, Bool]:
-        """The size with one branch less, that branch, and where there was one; elsewhere nothing changes."""
+        """Pop a branch where `active`, and return the new size, the branch, and where there was one."""
         some = active & (size > 0)
         size = dr.select(some, size - 1, size)
         return size, self._memory.read(size, some), some

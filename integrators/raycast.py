@@ -1,4 +1,4 @@
-"""Ray casting: what is seen, and how it is turned."""
+"""Ray casting: the first visible surface, shaded by its orientation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Raycast"]
 
 
 def headlight(si: SurfaceInteraction3f) -> Color3f:
-    """A lamp at the eye that doesn't fade: albedo (at most 1) times cosine. Mirrors and panes are white."""
+    """Light from a lamp at the eye that doesn't fade: albedo (at most 1) times cosine. Mirrors and panes are white."""
     bsdf = si.bsdf()
     albedo = dr.select(has_flag(bsdf.flags(), BSDFFlags.Smooth), bsdf.eval_diffuse_reflectance(si), 1)
     return Color3f(*(minimum(c, Float(1)) for c in albedo)) * dr.abs(si.wi.z)
@@ -42,7 +42,7 @@ class Raycast(Integrator):
     `headlight`: L = albedo abs(cos theta), theta between the normal and the direction to the eye. `normal`:
     L = (n + 1) / 2, n the shading normal in world space. Where nothing is met: the environment, else black.
 
-    Leaves out lights, shadows, reflections and everything that is indirect; needs one ray per sample.
+    Leaves out lights, shadows, reflections and all indirect light; needs one ray per sample.
 
     Parameters: `shading` (`headlight` or `normal`, default `headlight`), `hide_emitters` (which hides the environment).
 

@@ -24,7 +24,7 @@ __all__ = ["UnidirectionalPath", "roulette"]
 UNBOUNDED = 0xFFFFFFFF
 
 MAX_BOUNCES = 32
-"""Images that one render gives at most."""
+"""The largest number of images by bounces that one render gives."""
 
 
 class UnidirectionalPath(PathIntegrator):
@@ -47,7 +47,7 @@ class UnidirectionalPath(PathIntegrator):
         self.bounces = props.boolean("bounces", False)
         if self.bounces and not 0 < self.max_depth <= MAX_BOUNCES:
             raise props.error("bounces", f"needs a 'max_depth' from 1 to {MAX_BOUNCES}, found {self.max_depth}")
-        # The images of the bounces are sums of their own: they take another way than the usual one.
+        # Only `wave` has a sum for each bounce, and path replay has none.
         self.differentiable = not self.bounces
         if self.bounces:
             self.schedules = ("wave",)
@@ -112,7 +112,7 @@ class UnidirectionalPath(PathIntegrator):
         )
 
     def covered(self, state: PathState, si: SurfaceInteraction3f, passes: Bool) -> Bool:
-        """True where the path has met a surface, this vertex included, that it didn't merely pass straight through."""
+        """True where the path has met, here or before, a surface that it didn't pass straight through."""
         if state.covered is None:
             return (state.depth > 0) | si.is_valid()
         return state.covered | (si.is_valid() & ~passes)
@@ -127,7 +127,7 @@ class UnidirectionalPath(PathIntegrator):
 def roulette(sampler: SampleStream, throughput: Color3f, eta: Float | None, begins: Bool) -> tuple[Color3f, Bool]:
     """Russian roulette where it `begins`: survive with the probability min(largest throughput eta^2, 0.95).
 
-    Returns the throughput of survivors, and who survives: nobody whose throughput is 0.
+    Returns the throughput, divided by this probability, and where paths survive: nowhere if the throughput is 0.
     """
     largest = maximum(maximum(throughput.x, throughput.y), throughput.z)
     # Radiance that has been refracted is scaled by 1 / eta^2, which says nothing about its importance.

@@ -26,7 +26,7 @@ class PathLoop:
     ray: Ray3f
     sampler: SampleStream
     state: Any
-    """The `PathState`: by name, Dr.Jit would look for the class in this module."""
+    """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""
     radiance: list[Color3f]
     valid: Bool
     active: Bool
@@ -40,9 +40,9 @@ def walk(
     active: Bool | bool = True,
     bounces: int = 0,
 ) -> tuple[list[Color3f], Bool]:
-    """All vertices of one path per lane: radiance, and whether it is covered.
+    """Follow one path per lane to its end, and return its radiance and whether it counts as covered.
 
-    With `bounces` = n, the radiance comes in n parts: by how often light was scattered, 0 to n - 1 times.
+    With `bounces` = n, the radiance comes in n parts, for light that was scattered 0 to n - 1 times.
     """
     lanes = dr.width(ray, sampler)
     start = PathLoop(

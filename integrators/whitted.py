@@ -36,9 +36,8 @@ class Whitted(Integrator):
     with their Fresnel reflectance and transmittance, down to `max_depth` surfaces.
 
     Assumes that lights are points: of an area light a single, fixed point is used (the middle of a rectangle), so
-    shadows are hard. Leaves out all light that reaches a surface by way of another one, so no light behind glass, no
-    caustics, no indirect light; environments are seen, also in mirrors, but don't light surfaces. A rendered
-    pixel has no noise but that of its edges.
+    shadows are hard. Leaves out all light that reaches a surface by way of another one: light behind glass, caustics,
+    indirect light. Environments are seen, also in mirrors, but don't light surfaces. There is noise only at edges.
 
     Parameters: `max_depth` (surfaces that a ray may meet one after the other, default 8), `hide_emitters`.
 
@@ -133,7 +132,7 @@ class Walk:
 
     branch: Branch
     size: UInt32
-    """Branches on the stack."""
+    """The number of branches on the stack."""
     radiance: Color3f
     covered: Bool
     active: Bool

@@ -1,9 +1,9 @@
 """Differentiable images: `render` as an operation that Dr.Jit can differentiate.
 
 The image itself is rendered without derivative tracking. Its derivatives are estimated when
-they are asked for, with samples of their own, in the mode asked for:
+they are asked for, with samples of their own, in one of two modes:
 
-* reverse: from the derivative of a loss by each pixel to one gradient per parameter;
+* reverse: from the derivative of a loss with respect to each pixel to one gradient per parameter;
 * forward: from a change of the parameters to a change of the image.
 
 Integrators that advance vertex by vertex are differentiated by path replay; those that only
@@ -43,7 +43,7 @@ from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 __all__ = ["differentiable", "gradient_seed"]
 
 MAX_ATTACHED_SAMPLES = 2**25
-"""Plain AD holds the graph of all samples at once."""
+"""The largest number of samples for plain AD, which holds the graph of all of them at once."""
 
 
 def gradient_seed(seed: int, seed_grad: int) -> int:
@@ -85,14 +85,14 @@ class Derivative(Protocol):
     """An estimator of an image's derivative."""
 
     def backward(self, image: TensorXf) -> list[Any]:
-        """Gradients of the parameters, from the derivatives by the pixels (H, W, C)."""
+        """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         """The derivative of the image in the direction of `tangents`, one per parameter."""
 
 
 class ImageOp(dr.CustomOp):
-    """An image with its derivative."""
+    """An image and its derivative, as an operation of Dr.Jit."""
 
     def eval(self, values: list[Any], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
         self.derivative = derivative
@@ -111,7 +111,7 @@ class ImageOp(dr.CustomOp):
 
 
 class ReplayDerivative:
-    """Path replay."""
+    """The derivative of an image by path replay."""
 
     def __init__(self, job: Job, schedule: Schedule, parameters: list[Parameter]) -> None:
         assert isinstance(job.scene.lookup, Detached)
@@ -132,7 +132,7 @@ class ReplayDerivative:
             return self._by_samples(over_weights(self.job, adjoints))
 
     def _by_pixels(self, adjoints: list[Float]) -> list[Any]:
-        """Gradients, where all samples of a pixel have the same adjoint: its own, over their number."""
+        """Gradients, if all samples of a pixel have the same adjoint: that of the pixel over their number."""
         job = self.job
         inverse = dr.opaque(Float, 1 / job.spp)
         adjoints = [a * inverse for a in adjoints]
@@ -146,7 +146,7 @@ class ReplayDerivative:
         return add(self._gradients(whole, begin, end, mode_of) for begin, end in ranges(job.spp, register_spp(job)))
 
     def _by_samples(self, adjoints: list[Float]) -> list[Any]:
-        """Gradients, where every sample has an adjoint of its own: what its pixels' are by the filter."""
+        """Gradients, if each sample has its own adjoint: a sum over the pixels in reach of the filter."""
         job = self.job
 
         def of_pass(band: Band, begin: int, end: int) -> list[Any]:
@@ -259,7 +259,7 @@ def on_grid(job: Job, image: TensorXf) -> list[Float]:
 
 
 def over_weights(job: Job, adjoints: list[Float]) -> list[Float]:
-    """Derivatives by the pixels' weighted sums, from those by the pixels."""
+    """Derivatives with respect to the pixels' weighted sums, from those with respect to the pixels."""
     weight = filter_weights(job)
     result = [a * dr.select(weight == 0, 0, dr.rcp(weight)) for a in adjoints]
     dr.eval(result)
@@ -276,7 +276,7 @@ def filter_weights(job: Job) -> Float:
 
 
 def add(parts: Any) -> list[Any]:
-    """The sums over passes, parameter by parameter."""
+    """The gradients, added up over all passes, parameter by parameter."""
     total: list[Any] | None = None
     for part in parts:
         total = part if total is None else [a + b for a, b in zip(total, part, strict=True)]

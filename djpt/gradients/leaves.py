@@ -1,6 +1,6 @@
 """Local automatic differentiation: the derivative of one path vertex.
 
-Path replay (`djpt.gradients.replay`) walks a path twice: first to know its radiance, then
+Path replay (`djpt.gradients.replay`) walks a path twice: first to compute its radiance, then
 vertex by vertex to differentiate it. At a vertex only few expressions depend on parameters,
 so instead of attaching the whole scene, `Leaves` hands the vertex *fresh* AD leaves for
 exactly the values that it looks up. After differentiating that one expression, the leaves'
@@ -77,7 +77,7 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
 
 
 class Numbering:
-    """The parameter that each member of a leaf's group shows; built before kernels are traced."""
+    """The numbers of the parameters that leaves read, for each member of a group; built before kernels are traced."""
 
     def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf]) -> None:
         number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
@@ -87,12 +87,12 @@ class Numbering:
         self.leaves = [leaf for leaf in leaves if any(n is not None for n in self._of_leaf[id(leaf)])]
 
     def of(self, leaf: Leaf) -> list[int | None]:
-        """Per member the number of its parameter, or None."""
+        """The number of the parameter of each member, or None."""
         return self._of_leaf.get(id(leaf), [])
 
 
 class Tangents:
-    """Forward mode: the given changes of the parameters, looked up like the values themselves."""
+    """The given changes of the parameters in forward mode, looked up like the values themselves."""
 
     def __init__(self, numbering: Numbering, changes: Sequence[Any]) -> None:
         self._tables: dict[int, Any] = {}
@@ -123,7 +123,7 @@ class Leaves:
         self._values, self._numbering, self._tangents = values, numbering, tangents
         self.taken: list[tuple[Leaf, UInt32, Any]] = []
         self.read: list[tuple[TableLeaf, UInt32, Any]] = []
-        """Entries of tables: leaf, address, and the entry as an AD leaf."""
+        """The entries of tables that were read: leaf, address, and the entry as an AD leaf."""
 
     def attaches(self, leaf: Leaf) -> bool:
         return any(n is not None for n in self._numbering.of(leaf))
@@ -174,7 +174,7 @@ class LeafTable:
 class Accumulator:
     """The sums of the leaves' gradients: in registers of each lane, or in memory if there are many.
 
-    Those of tables are always summed in memory.
+    Gradients of tables are always summed in memory.
 
     Register sums are added up in a fixed order at the end. Sums in memory are atomic additions,
     whose rounding may differ from run to run.
@@ -189,7 +189,7 @@ class Accumulator:
             self.size += 0 if parameter.is_table else parameter.size
         self.in_registers = sum(not parameter.is_table for parameter in parameters) <= MAX_CHAIN
         self._memory = None if self.in_registers else dr.zeros(Float, self.size)
-        # Members that show no parameter point beyond the end.
+        # Members without a parameter point beyond the end.
         self._start_of = {
             id(leaf): Numbers([self.size if n is None else self._starts[n] for n in numbering.of(leaf)])
             for leaf in numbering.leaves
@@ -202,7 +202,7 @@ class Accumulator:
                 self._buffers[id(leaf)] = (leaf, buffer, dr.zeros(Float, buffer.size))
 
     def start(self) -> list[Float]:
-        """Loop state: one sum per component, or none."""
+        """The sums at the start of the loop: one per component, or none."""
         return [dr.zeros(Float, self._lanes) for _ in range(self.size)] if self.in_registers else []
 
     def add(self, sums: list[Float], leaves: Leaves, active: Bool) -> list[Float]:

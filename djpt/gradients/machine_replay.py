@@ -1,8 +1,8 @@
 """Path replay in the machine schedule.
 
 As in `djpt.gradients.replay` every sample is walked twice. The first walk notes which of its shadow
-rays were free, a bit per vertex, so that the second traces none: it needs to know the visibility of a
-light when it processes the vertex, not some turns later.
+rays were free, a bit per vertex. The second traces none: it must know the visibility of a light when it
+processes the vertex, not some turns later.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from djpt.types import Bool, Color3f, Float, UInt32, UInt64
 __all__ = ["run"]
 
 NOTED = 64
-"""Vertices whose visibility is noted, a power of two; beyond them the second walk traces shadow rays again."""
+"""The number of vertices with a bit, a power of two; beyond them the second walk traces shadow rays again."""
 
 
 @dataclass
@@ -146,7 +146,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
 
 
 def bit(depth: UInt32) -> UInt64:
-    """The bit of a vertex; none beyond NOTED."""
+    """A word in which the bit of a vertex is set; 0 for vertices beyond NOTED."""
     return dr.select(depth < NOTED, UInt64(1) << UInt64(depth & (NOTED - 1)), 0)
 
 

@@ -1,6 +1,6 @@
 """The two modes of path replay: what it does at a vertex in reverse and in forward mode.
 
-Both are methods of the loop in `djpt.gradients.replay`, whatever schedule it runs in.
+The loops in `djpt.gradients.replay` and `djpt.gradients.machine_replay` call them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from djpt.types import Bool, Color3f, Float, UInt32
 __all__ = ["Adjoint", "Forward", "Mode", "Reverse"]
 
 Adjoint = Callable[[UInt32, Bool], Color3f]
-"""Gives the derivative of the loss by the sample stored at a slot, for active lanes."""
+"""Gives the derivative of the loss with respect to the sample stored at a slot, for active lanes."""
 
 
 class Walk(Protocol):
@@ -32,7 +32,7 @@ class Walk(Protocol):
     """First walk: radiance so far. Second walk: radiance still to come."""
     slot: UInt32
     delta: Color3f
-    """Reverse mode: derivative of the loss by the sample. Forward mode: derivative of the sample."""
+    """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     sums: list[Float]
     again: Bool
     """True on the second walk."""
@@ -48,7 +48,7 @@ class Mode:
         raise NotImplementedError
 
     def delta_of(self, slot: UInt32, active: Bool) -> Color3f:
-        """`delta` when a lane begins the sample that is stored at `slot`."""
+        """The `delta` of a lane that begins the sample stored at `slot`."""
         raise NotImplementedError
 
     def view(self, scene: Scene, values: Detached, numbering: Numbering) -> tuple[Leaves, Scene]:
@@ -59,10 +59,10 @@ class Mode:
     def visit(
         self, walk: Walk, leaves: Leaves, v: Vertex, arrived: Color3f, differentiate: Bool
     ) -> tuple[Color3f, Color3f, list[Float]]:
-        """Radiance, delta and sums after a vertex, `arrived` being what its light sample gives.
+        """Radiance, delta and sums after a vertex; `arrived` is the light of its light sample.
 
-        Lanes that `differentiate` are on their second walk: there Lo = emitted + arrived +
-        L weight / detach(weight) is all that depends on parameters, L being the radiance still to come.
+        Lanes that `differentiate` are on their second walk: there only Lo = emitted + arrived +
+        L weight / detach(weight) depends on parameters, where L is the radiance still to come.
         """
         with dr.resume_grad():
             here = v.emitted + arrived
@@ -82,7 +82,7 @@ class Mode:
     ) -> tuple[Color3f, list[Float]]:
         """Delta and sums after the second walk of the lanes that have `finished`.
 
-        `more`: another sample follows; `counts`: the one that has ended is part of the image.
+        `more` is true where another sample follows, `counts` where the one that has ended is part of the image.
         """
         raise NotImplementedError
 
@@ -125,7 +125,7 @@ class Reverse(Mode):
 
 @dataclass
 class Forward(Mode):
-    """Tangents in, one derivative per sample out, to sums or to ``store``."""
+    """Compute the derivative of each sample from the parameters' tangents, for sums or for ``store``."""
 
     label = "replay forward"
     tangents: Tangents

@@ -1,15 +1,15 @@
-"""Path replay in the flat schedule: gradients with the memory of a picture, not of its paths.
+"""Path replay in the flat and the wave schedule: gradients with the memory of a picture, not of its paths.
 
 Every lane computes each of its samples twice with the same random numbers. The first walk
-gives the sample's radiance L. The second subtracts each vertex' contribution, so that at a
-vertex L holds what is still to come through it, and differentiates
+gives the sample's radiance L. The second subtracts the contribution of each vertex, so that at a
+vertex L is the light still to come through it, and differentiates
 
     Lo = emitted + reflected + L weight / detach(weight),
 
 the only expression that depends on the parameters there (D. Vicini, S. Speierer and W. Jakob,
 "Path Replay Backpropagation", SIGGRAPH 2021). Reverse mode adds delta . dLo to the parameters,
-delta being the derivative of the loss by the sample; forward mode adds dLo to the sample's
-derivative.
+where delta is the derivative of the loss with respect to the sample; forward mode adds dLo to
+the sample's derivative.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Lane:
     k: UInt32
     slot: UInt32
     delta: Color3f
-    """Reverse mode: derivative of the loss by the sample. Forward mode: derivative of the sample."""
+    """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     sums: list[Float]
 
 

@@ -25,7 +25,7 @@ __all__ = ["AbsorbingMedia"]
 
 
 class AbsorbingMedia:
-    """The absorbing media of a scene. They have the numbers of their BSDFs; `vacuum` is the number of none."""
+    """The absorbing media of a scene. Each has the number of its BSDF; `vacuum` is the number for no medium."""
 
     def __init__(self, bsdfs: Ensemble[BSDF], geometry: Geometry, bsdf_of_shape: Sequence[int]) -> None:
         self._bsdfs, self._geometry, self._bsdf_of_shape = bsdfs, geometry, bsdf_of_shape
@@ -34,7 +34,7 @@ class AbsorbingMedia:
         self._members = Members(self._absorbing, len(bsdfs))
 
     def __bool__(self) -> bool:
-        """True if the scene has any."""
+        """True if the scene has absorbing media."""
         return bool(self._absorbing)
 
     def around(self, p: np.ndarray | None) -> int:
@@ -42,7 +42,7 @@ class AbsorbingMedia:
         return self.vacuum if p is None else int(self.at(Point3f(*(float(x) for x in p)))[0])
 
     def at(self, p: Point3f) -> UInt32:
-        """The medium that each point lies in. Takes a ray through the scene per body, so only where paths begin."""
+        """The medium that each point lies in. Traces a ray through the scene per body: only where paths begin."""
         medium = UInt32(self.vacuum)
         closed = closed_shapes(self._geometry)
         for bsdf in self._absorbing:

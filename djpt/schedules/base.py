@@ -39,7 +39,7 @@ class Schedule:
         raise RenderError(f"the schedule '{self.name}' has no samples")
 
     def carries_sums(self, job: Job) -> bool:
-        """True if `replay` keeps a pixel's samples in one lane, with sums that go on from pass to pass."""
+        """True if `replay` keeps a pixel's samples in one lane, and carries sums from pass to pass."""
         return False
 
     def replay(

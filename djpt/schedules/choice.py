@@ -21,6 +21,8 @@ NAMES = ("auto", "flat", "machine", "wave")
 def choose(name: str, job: Job) -> Schedule:
     """The schedule with a name, or for `auto` the fastest that is possible.
 
+    An integrator that can't run in `wave`, because it starts at the lights, gets the schedule that it can run in.
+
     Raises:
         RenderError: There is none of that name, or it can't run the job's integrator on the job's scene.
     """

@@ -35,7 +35,7 @@ __all__ = ["Flat"]
 
 
 class Flat(Schedule):
-    """A lane is a pixel, or shares one with others: see above."""
+    """One lane per pixel, or several lanes that share the samples of a pixel."""
 
     name = "flat"
 
@@ -67,7 +67,7 @@ class Flat(Schedule):
         lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
         count = dr.width(lanes.pixel)
         mode = mode_of(count, lanes.pixel)
-        # Plus an opaque zero: Dr.Jit turns a gather of all entries in order into a plain load, which
+        # The opaque zero is needed: Dr.Jit turns a gather of all entries in order into a plain load, which
         # would give images of one sample per pixel a kernel of their own.
         slots = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
         return mode, *replay.run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
@@ -82,13 +82,13 @@ class Lane:
     path: PathState
     radiance: Color3f
     held: Bool | None
-    """True where the path has ended, but the sink couldn't take the sample yet. None: that never happens."""
+    """True where the path has ended, but the sink couldn't take the sample yet; None if it always can."""
     valid: Bool | None
     """True where a held sample counts as covered."""
     offset: Point2f | None
-    """The place of the sample on its pixel; None if the sink doesn't ask."""
+    """The place of the sample on its pixel; None if the sink doesn't need it."""
     k: UInt32
-    """The sample of the pixel that the path belongs to."""
+    """The number of the path's sample, among those of its pixel."""
     sink: list[Any]
 
 

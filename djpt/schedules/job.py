@@ -88,7 +88,7 @@ class Job:
         return image_channels(self.film, self.integrator)
 
     def centre_rays(self) -> Ray3f:
-        """The rays through the centres of the crop's pixels, row by row, and of the lens."""
+        """The rays through the centre of the lens and the centres of the crop's pixels, row by row."""
         width, height = self.film.crop_size
         pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
         row = pixel // columns
@@ -105,7 +105,7 @@ class Job:
         return Float(Int32(pixel - row * self.width_value)), Float(Int32(row))
 
     def begin(self, pixel: UInt32, k: UInt32, x: Float, y: Float) -> tuple[SampleStream, Ray3f, Point2f]:
-        """The k-th sample of a pixel in column `x` and row `y`: its random numbers, camera ray, film offset.
+        """Begin the k-th sample of a pixel in column `x` and row `y`: random numbers, camera ray, film offset.
 
         The offset is the first two numbers of the stream.
         """
@@ -138,7 +138,7 @@ class Job:
         return self.film.tangent_channels(self._measured(color))
 
     def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
-        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
+        """The adjoint of `channels`: the gradient with respect to the colour, from the one of the channels."""
         return self._measured(self.film.color_adjoint(channels))
 
     def _measured(self, color: Color3f) -> Color3f:

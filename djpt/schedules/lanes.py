@@ -1,4 +1,4 @@
-"""Lanes: the samples of the pixels that each computes, one after the other."""
+"""Lanes: which samples each lane computes, and in which order."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from djpt.types import Bool, Float, Int32, UInt32
 __all__ = ["Lanes", "TiledLanes", "TiledSample", "grouped", "interleaved", "lanes_per_pixel", "layered"]
 
 BLOCK = 2**14
-"""Lanes that one thread takes at a time: Dr.Jit's number."""
+"""The number of lanes that one thread of Dr.Jit takes at a time."""
 
 TILE = 4
-"""The pixels of 4 x 4 tiles share a packet of lanes: their rays take similar ways."""
+"""Width and height of the tiles whose pixels share a packet of lanes: their rays take similar ways."""
 
 PACKET = TILE * TILE
 
@@ -123,8 +123,8 @@ class TiledLanes:
         self._taken = dr.opaque(UInt32, PACKET, packets)
 
     def next(self, entry: UInt32, finished: Bool) -> UInt32:
-        """The entry that a lane does next: that of its list which nobody has taken, where it has `finished`."""
-        # The lanes of a packet run in step, on one thread: who gets which entry is always the same.
+        """The entry that a lane does next: where it has `finished`, the first free one of its packet's list."""
+        # The lanes of a packet run in step, on one thread, so each always gets the same entries.
         taken: Any = dr.scatter_inc(self._taken, self._packet, finished)
         result: UInt32 = dr.select(finished, taken, entry)
         return result
@@ -146,21 +146,21 @@ class TiledLanes:
         )
 
     def left(self, entry: UInt32) -> Bool:
-        """True where there is such an entry; False where a lane has nothing left to do."""
+        """True where a packet's list has the entry; False where a lane has nothing left to do."""
         return dr.fma(entry // PACKET, self._share, self._first_k) < self._end
 
 
 @dataclass
 class TiledSample:
-    """A sample of a lane."""
+    """The sample that a lane computes."""
 
     pixel: UInt32
     k: UInt32
     x: Float
-    """Column and row on the grid."""
+    """The column on the grid; `y` is the row."""
     y: Float
     slot: UInt32
     left: Bool
     """True where the entry exists: see `TiledLanes.left`."""
     exists: Bool
-    """True where its pixel is within the band; else the result must not be stored."""
+    """True where the pixel is within the band; else the result must not be stored."""

@@ -27,7 +27,7 @@ class Lane:
     path: LightPath
     sampler: Any
     number: UInt32
-    """The number of the path, among all of the image."""
+    """The number of the path, among all paths of the image."""
 
 
 def walk_light(
@@ -41,8 +41,8 @@ def walk_light(
     """Follow `begin` <= k < `end` light paths for each pixel of the crop window.
 
     `start` gives a path that leaves a light; `vertex` processes a hit (or miss) of its ray, adds what there is to
-    add to the `sinks`, and returns the path that goes on and whether it does. The flux that arrives at a vertex is
-    what media leave of it. Kernels write to `sinks` (any PyTree of Dr.Jit arrays), which are evaluated.
+    add to the `sinks`, and returns the path that goes on and whether it does. Absorption by media is included in the
+    flux that arrives at a vertex. Kernels write to `sinks` (any PyTree of Dr.Jit arrays), which are evaluated.
     """
     scene = job.scene
     width, height = job.film.crop_size

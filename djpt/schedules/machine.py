@@ -36,7 +36,7 @@ __all__ = ["Machine"]
 
 
 class Machine(Schedule):
-    """A lane is a state machine: see above."""
+    """Lanes are state machines, each with a ray that it traces at its own pace."""
 
     name = "machine"
 
@@ -59,11 +59,11 @@ class Lane:
     """Loop state."""
 
     query: Query
-    """The ray on its way through the scene."""
+    """The ray that is being traced."""
     medium: UInt32 | None
-    """The medium that it runs through; None in scenes without media."""
+    """The medium that the ray runs through; None in scenes without media."""
     shadow: Bool
-    """True where it is a shadow ray."""
+    """True where the ray is a shadow ray."""
     pending: Color3f
     """The light that arrives if the shadow ray is free."""
     next_ray: Ray3f
@@ -169,7 +169,7 @@ def store(write: Write, slot: UInt32, channels: list[Float], active: Bool) -> No
 
 
 def aligned_frame(width: int) -> Any:
-    """A little memory per lane, whose only use is that it is there.
+    """A little memory per lane, which is there only for its effect on the kernel.
 
     A kernel that has some keeps its stack aligned to whole cache lines, and with it all registers that
     it has to spill.

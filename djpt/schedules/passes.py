@@ -29,13 +29,13 @@ __all__ = [
 ]
 
 PASS_SAMPLES = 2**26
-"""Samples of one kernel launch when nothing is stored: about a second on two cores."""
+"""The number of samples of one kernel launch when nothing is stored: about a second on two cores."""
 
 STORED_SAMPLES = 2**22
 """Samples whose values are held at once: 64 per pixel of a band keep lanes busy; more would outgrow the caches."""
 
 BAND_PIXELS = 2**16
-"""Pixels of a band when samples are stored."""
+"""The number of pixels of a band when samples are stored."""
 
 AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
 """Adds the samples begin <= k < end of a band to the film's sums."""
@@ -78,7 +78,7 @@ def stepwise_sums(job: Job, step: Callable[[int, int, Any], list[Float]]) -> lis
 
 
 def total(job: Job, sums: list[Float]) -> list[Float]:
-    """The per-pixel sums over a pixel's lanes."""
+    """The sums of each pixel, added up over its lanes."""
     pixels = job.width * job.height
     groups = dr.width(sums[0]) // pixels
     count, pixel = dr.opaque(UInt32, groups), dr.arange(UInt32, pixels)
@@ -120,7 +120,7 @@ def filtered_sums(job: Job, add: AddToFilm, default_spp: int) -> list[Float]:
 
 
 def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> list[Float]:
-    """Samples in memory: gathers from an unevaluated result would run its kernel once per channel."""
+    """Evaluated samples: gathers from an unevaluated result would run its kernel once per channel."""
     values = samples(job, band, begin, end)
     dr.eval(values)
     return values

@@ -24,11 +24,11 @@ from djpt.types import Bool, TensorXf
 __all__ = ["Progressive"]
 
 PASS_PATHS = 2**24
-"""Paths of one pass: about a second on two cores."""
+"""The number of paths of one pass: about a second on two cores."""
 
 
 class Progressive(Schedule):
-    """Runs a `PassIntegrator` pass by pass, and adds what it leaves to a path tracer from the camera."""
+    """Runs a `PassIntegrator` pass by pass, and adds the image of its `from_camera`."""
 
     name = "progressive"
 

@@ -62,7 +62,7 @@ def pixels_of(job: Job, band: Band) -> tuple[UInt32, Int32, Int32, Point2f]:
 
 
 def add_by_pixels(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
-    """Sums[(row tap * taps + column tap) * (channels + 1) + channel]."""
+    """Add samples to `Sums` with the layout [(row tap * taps + column tap) * (channels + 1) + channel]."""
     taps, count = job.film.taps, dr.opaque(UInt32, end - begin)
     pixel, _, _, corner = pixels_of(job, band)
     lanes = dr.width(pixel)
@@ -97,8 +97,8 @@ def add_taps(job: Job, corner: Point2f, offset: Point2f, values: list[Float], fa
 
 
 def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float], list[Float]]:
-    """Weights of a sample for the columns and rows in its reach; `corner` is that of its pixel."""
-    # Distances come from rounded film positions, as in Mitsuba: in the kernel's tail the rounding shows.
+    """Weights of a sample for the columns and rows in its reach; `corner` is the corner of its pixel."""
+    # Distances come from rounded film positions, as in Mitsuba: in the filter's tail the rounding shows.
     position = corner + offset
     taps, weight = job.film.taps, job.film.rfilter.eval
     centers = [i - taps // 2 + 0.5 for i in range(taps)]
@@ -109,7 +109,7 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
 
 
 def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
-    """A pixel collects one sum of every source pixel around it, from each of the source's lanes."""
+    """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes."""
     taps, channels, pixels = job.film.taps, len(image), band.rows * job.width
     reach = taps // 2
     _, column, row, _ = pixels_of(job, Band(0, job.height))
@@ -138,7 +138,7 @@ def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> 
 
 
 def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
-    """Sums[row tap * (channels + 1) + channel]."""
+    """Add samples to `Sums` with the layout [row tap * (channels + 1) + channel]."""
     taps, count = job.film.taps, dr.opaque(UInt32, end - begin)
     reach, channels, weight = taps // 2, len(samples) + 1, job.film.rfilter.eval
     _, column, row, corner = pixels_of(job, band)
@@ -173,7 +173,7 @@ def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int
 
 
 def spread_from_rows(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
-    """A pixel collects one sum of every source row around it, at its own column."""
+    """Collect, for each pixel, one sum of every source row around it, at its own column."""
     taps, channels = job.film.taps, len(image)
     _, column, row, _ = pixels_of(job, Band(0, job.height))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
@@ -192,7 +192,7 @@ def spread_from_rows(job: Job, band: Band, sums: Sums, image: list[Float]) -> li
 
 
 def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-    """The box filter's share of both steps: a pixel's own samples in order, no weights."""
+    """Add up the samples of each pixel in order, without weights: all that the box filter needs."""
     pixels = band.rows * job.width
     lane = dr.arange(UInt32, pixels)
     size, count = dr.opaque(UInt32, pixels), dr.opaque(UInt32, end - begin)
@@ -209,10 +209,10 @@ def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, su
 
 
 def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: int) -> list[Float]:
-    """The transpose: derivatives by the samples begin <= k < end of a band.
+    """The transpose of the reconstruction: derivatives with respect to the samples begin <= k < end of a band.
 
-    `image` holds the derivatives by the weighted sums, that is those by the pixels over the sum
-    of weights. delta_s = sum over pixels j of w_j(s) image_j. Layout [k - begin][pixel] per channel.
+    `image` holds the derivatives with respect to the weighted sums: those with respect to the pixels,
+    divided by the sum of weights. delta_s = sum over pixels j of w_j(s) image_j. Layout [k - begin][pixel] per channel.
     """
     taps = job.film.taps
     reach = taps // 2

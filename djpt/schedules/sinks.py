@@ -61,7 +61,7 @@ class Sink(Protocol):
     def take(
         self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f | None, ready: Bool
     ) -> tuple[list[Any], Finished | None, Bool]:
-        """Take the samples of the lanes that are `ready`; says which were taken."""
+        """Take the samples of the lanes that are `ready`; return the state, what waits, and where one was taken."""
 
     def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
         """Finish an iteration."""
@@ -118,7 +118,7 @@ class FilmSums:
     steps = 2
 
     def __init__(self, job: Job, corner: Point2f, state: list[Float]) -> None:
-        """`corner`: the film position of each lane's pixel."""
+        """Begin with the sums `state`; `corner` is the film position of each lane's pixel."""
         self.state: list[Any] = state
         self._job, self._corner = job, corner
 

@@ -1,8 +1,8 @@
 """The wave schedule: a lane is a sample.
 
-It runs any integrator, `sample` being all that it asks for, and its code can be
-differentiated by plain AD. Paths of different length leave lanes idle; `flat` is faster
-for integrators that advance vertex by vertex.
+It runs any integrator with a method `sample`, and its code can be differentiated by plain AD.
+Paths of different length leave lanes idle; `flat` is faster for integrators that advance
+vertex by vertex.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["Wave"]
 
 
 class Wave(Flat):
-    """A lane is a sample. Paths are replayed as in the flat schedule."""
+    """One lane per sample. Paths are replayed as in the flat schedule."""
 
     name = "wave"
 

@@ -1,4 +1,4 @@
-"""Do samples follow the density that is claimed for them? Pearson's chi-squared test on a grid."""
+"""Pearson's chi-squared test, on a grid, that samples follow the density that is claimed for them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.kit.arrays import floats, in_numpy
 __all__ = ["PLANE", "SPHERE", "Domain", "Partition", "p_value", "probability_of_counts", "uniform"]
 
 SIGNIFICANCE = 1e-5
-"""Of one test: a suite of hundreds then fails falsely less than once in a hundred changes of the random numbers."""
+"""The smallest p-value that passes: a suite of hundreds of tests then fails falsely less than once in 100 times."""
 
 
 class Domain:
@@ -64,7 +64,7 @@ def p_value(
     bins: tuple[int, int] = (20, 24),
     fine: int = 24,
 ) -> tuple[float, float]:
-    """(p-value, integral of the density).
+    """The p-value, and the integral of the density.
 
     `values` are all samples, of which the `valid` ones count. The density is integrated with `fine` x `fine`
     points per bin; the share that its integral lacks must be invalid.
@@ -103,7 +103,7 @@ class Partition:
     """
 
     def __init__(self, directions: Any, share: float = 1 / 200, depth: int = 12) -> None:
-        """Rectangles are split that hold more than this `share` of the directions."""
+        """Split rectangles that hold more than this `share` of the directions."""
         points = _unit_coordinates(directions)
         limit = share * len(points)
         self._leaves: list[np.ndarray] = []  # per level the rectangles that aren't split, as sorted codes
@@ -126,7 +126,7 @@ class Partition:
         self.low, self.high = (SPHERE.low + x * (SPHERE.high - SPHERE.low) for x in (low, high))
 
     def count(self, directions: Any, valid: np.ndarray) -> np.ndarray:
-        """How many directions lie in each rectangle."""
+        """The number of directions in each rectangle."""
         points = _unit_coordinates(directions)[valid]
         parts = []
         for level, leaves in enumerate(self._leaves):
@@ -139,7 +139,7 @@ class Partition:
     def integrate(self, function: Callable[[Any], np.ndarray], tolerance: float = 2e-6, depth: int = 7) -> np.ndarray:
         """Integrals over the rectangles of functions of the direction, (functions, bins), by adaptive Gauss quadrature.
 
-        `tolerance`: of each piece that a rectangle is divided into.
+        `tolerance` is the error allowed for each piece that a rectangle is divided into.
         """
         low, high = self.low, self.high
         bins = np.arange(len(low))
@@ -165,7 +165,7 @@ class Partition:
 
 
 BASE = (16, 32)
-"""Rectangles that a `Partition` starts with."""
+"""The number of rectangles, along both axes, that a `Partition` starts with."""
 
 
 def _unit_coordinates(directions: Any) -> np.ndarray:
@@ -174,7 +174,7 @@ def _unit_coordinates(directions: Any) -> np.ndarray:
 
 
 def _codes(points: np.ndarray, level: int) -> np.ndarray:
-    """Which rectangle of a level each point lies in."""
+    """The code of the rectangle of a level that each point lies in."""
     size = np.array(BASE) << level
     place = np.clip((points * size).astype(np.int64), 0, size - 1)
     return place[:, 0] * size[1] + place[:, 1]
@@ -192,7 +192,7 @@ def _gauss(function: Callable[[Any], np.ndarray], low: np.ndarray, high: np.ndar
 
 
 def probability_of_counts(observed: np.ndarray, lost: int, expected: np.ndarray, error: float = 1e-3) -> float:
-    """The p-value of Pearson's test: counts in bins and of lost samples against the bins' probabilities.
+    """The p-value of Pearson's test of the counts in bins, and of the lost samples, against the bins' probabilities.
 
     Rare bins are pooled, so that counts are nearly normal. The density, or its quadrature, may err by `error` of
     its value.
@@ -203,7 +203,7 @@ def probability_of_counts(observed: np.ndarray, lost: int, expected: np.ndarray,
     cells = [*zip(e[common], observed[common], strict=True), (e[~common].sum(), observed[~common].sum())]
     cells.append((n * max(0.0, 1 - expected.sum()), lost))
     slack = [(error * e) ** 2 for e, _ in cells]
-    # These may be all but empty, by a quadrature that errs.
+    # These cells may be nearly empty, and the quadrature isn't exact.
     slack[-2] += 4
     slack[-1] += 4 + (error * n / 10) ** 2
     parts = [(o - e) ** 2 / (e + s) for (e, o), s in zip(cells, slack, strict=True)]

@@ -1,4 +1,4 @@
-"""Images held against radiance that is known by formula.
+"""Images compared with radiance that is known by formula.
 
 An image passes if Welch's test of its mean, and then that of all pixels, finds nothing but noise (false alarms: 1e-4
 each), or if it is right to 1e-4 of the radiance.
@@ -73,7 +73,7 @@ Array = np.ndarray
 Keys = dict[str, Any]
 BATCHES = 16
 UNIFORM, COSINE = {"type": "path_naive", "hemisphere": "uniform"}, {"type": "path_naive", "hemisphere": "cosine"}
-# Roulette only in `path_nee`, whose is its own.
+# Russian roulette only in `path_nee`, which has its own parameter for it.
 BY_CHANCE: list[Keys] = [{**UNIFORM, "rr_depth": 99}, {**COSINE, "rr_depth": 99}, {"type": "prb_basic"}]
 BY_LIGHT_SAMPLES: list[Keys] = [
     {"type": "path_nee"},
@@ -97,7 +97,7 @@ def render(scene: Keys, integrator: Keys, depth: int, spp: int) -> Batches:
 
 
 def check(images: Batches, expected: Array | float, exact: float = 1e-4) -> None:
-    """The images' mean is `expected` (per pixel and channel, or for all), up to noise or to `exact` of the largest."""
+    """Assert that the mean is `expected` (per pixel and channel, or for all), up to noise or `exact` of the largest."""
     known = Batches()
     for _ in range(2):
         known.add(np.broadcast_to(expected, images.shape))

@@ -1,4 +1,4 @@
-"""What both of Disney's materials are held against: Mitsuba's numbers, their own densities, differences."""
+"""Checks of both of Disney's materials: against Mitsuba, their own densities, and finite differences."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def load_both(description: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def share_of_equal(found: Any, wanted: Any, where: Any = True, rtol: float = 1e-4, atol: float = 1e-5) -> float:
-    """Share of the lanes in `where` that agree; all that djpt finds must be finite, Mitsuba's NaNs don't count."""
+    """The share of the lanes in `where` that agree; djpt's numbers must be finite, Mitsuba's NaNs don't count."""
     found, wanted = in_numpy(found), in_numpy(wanted)
     assert np.isfinite(found).all()
     found, wanted, where = np.broadcast_arrays(found, wanted, where)
@@ -83,7 +83,7 @@ def share_of_equal(found: Any, wanted: Any, where: Any = True, rtol: float = 1e-
 
 
 def compare_values(description: dict[str, Any], mode: int, sides: Any = True) -> None:
-    """Eval and pdf for random pairs of directions on the sphere."""
+    """Compare values and densities with Mitsuba's, for random pairs of directions on the sphere."""
     bsdf, reference = load_both(description)
     wi, wo = directions(COUNT, 1), directions(COUNT, 2)
     value, pdf = bsdf.eval_pdf(BSDFContext(TransportMode(mode)), seen_from(wi), Vector3f(*rows(wo)))
@@ -97,7 +97,7 @@ def compare_values(description: dict[str, Any], mode: int, sides: Any = True) ->
 
 
 def compare_samples(description: dict[str, Any], mode: int, smooth: bool = False) -> None:
-    """The same random numbers, the same lobes, directions, densities and weights."""
+    """Compare samples with Mitsuba's: equal random numbers give equal lobes, directions, densities and weights."""
     bsdf, reference = load_both(description)
     wi, (s1, x, y) = directions(COUNT, 3), uniform(COUNT, 3, seed=4)
     bs, weight = bsdf.sample(BSDFContext(TransportMode(mode)), seen_from(wi), s1, Point2f(x, y))
@@ -130,7 +130,7 @@ def follows_its_density(description: dict[str, Any], wi: Any, fine: int = 32) ->
 
 
 def check_gradients(description: dict[str, Any], off: Any = (), step: float = 1e-3) -> None:
-    """Of every value by each differentiable parameter: AD against differences, lane by lane.
+    """Compare AD with differences, lane by lane, for every value and each differentiable parameter.
 
     Where microfacets begin to face the other way the value jumps: a few lanes may lie there.
     """
@@ -174,7 +174,7 @@ CORNERS = np.array(
 
 
 def stays_finite(description: dict[str, Any]) -> None:
-    """Values, densities, weights and gradients at the poles, on the horizon and between."""
+    """Check values, densities, weights and gradients at the poles, on the horizon and between."""
     ends = np.concatenate([CORNERS, directions(24, 9)], axis=1)
     pairs = np.array(list(itertools.product(ends.T, ends.T))).transpose(1, 2, 0)
     si, wo = seen_from(pairs[0]), Vector3f(*rows(pairs[1]))

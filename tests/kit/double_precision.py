@@ -1,4 +1,4 @@
-"""Closest hits in double precision, by other formulas than the engine's: local distances of all roots."""
+"""Closest hits in double precision, by other formulas than the engine's, from the distances of all roots."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def interpolated(p: Array) -> Array:
 
 
 def grid(o: Array, d: Array) -> Array:
-    """Per cell a cubic along the ray; between its extrema it has one zero at most."""
+    """The first zero of a cubic along the ray in each cell; between its extrema it has one zero at most."""
     planes = np.linspace(0, 1, len(GRID))
     crossings = ((planes[None, None] - o[:, :, None]) / d[:, :, None]).reshape(len(o), -1)
     box = ((np.array([0, 1])[None, None] - o[:, :, None]) / d[:, :, None]).reshape(len(o), 3, 2)
@@ -170,7 +170,7 @@ ORACLES: dict[str, Oracle] = {
     "metaballs": ball,
     "sdfgrid": grid,
 }
-"""All roots in local coordinates, where `to_world` of the plugin starts from: (N, K) with NaNs."""
+"""Functions that give all roots (N, K), with NaNs, in the local coordinates that `to_world` maps from."""
 
 
 def in_local(matrix: Array, o: Array, d: Array) -> tuple[Array, Array]:

@@ -189,7 +189,7 @@ SETS: dict[str, dict[str, Entry]] = {
         "mirrored bitmap": lambda: {"type": "spot", "to_world": MIRRORED, "intensity": 3.0, "texture": image()},
     },
 }
-"""Plugin -> name of the set -> the scene's entry."""
+"""The scene's entry by plugin and name of the set."""
 
 UNLIKE_MITSUBA = {
     "area-turned bitmap rectangle": "Mitsuba 3.9.1 samples a bitmap as if it had no `to_uv`",

@@ -1,4 +1,4 @@
-"""A loss of an image, differentiated in reverse, forwards and by finite differences."""
+"""A loss of an image, differentiated in reverse mode, in forward mode and by finite differences."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Experiment:
         self.params.update()
 
     def reverse(self) -> dict[str, np.ndarray]:
-        """Gradients by every component of every parameter."""
+        """The gradients of all parameters, component by component."""
         self._attach()
         dr.backward(self.loss())
         result = {name: np.array(dr.grad(self.params[name]), np.float64).ravel() for name in self.names}
@@ -48,7 +48,7 @@ class Experiment:
         return result
 
     def forward(self, name: str, component: int) -> np.ndarray:
-        """The derivative of the image by one component."""
+        """The derivative of the image with respect to one component."""
         self._attach()
         tangent = np.zeros(3)
         tangent[component] = 1
@@ -58,7 +58,7 @@ class Experiment:
         return result
 
     def differences(self, name: str, component: int) -> np.ndarray:
-        """The same by central differences of width 2 h."""
+        """The derivative of the image with respect to one component, by central differences of width 2 h."""
         images = []
         h = 0.02 * max(1.0, abs(self.values[name][component]))
         for sign in (1, -1):
@@ -70,7 +70,7 @@ class Experiment:
         return (images[0] - images[1]) / (2 * h)
 
     def check(self, tolerance: float = 2e-3) -> None:
-        """Reverse, forward and finite differences agree."""
+        """Assert that reverse mode, forward mode and finite differences agree."""
         reverse = self.reverse()
         largest = max(np.abs(gradient).max() for gradient in reverse.values())
         assert largest > 0

@@ -1,4 +1,4 @@
-"""Kernels of a chosen width, to see on one machine what others compute.
+"""Kernels of a chosen width, to test on one machine what others compute.
 
 ``DJPT_TEST_LANES=8 python -m pytest`` compiles all kernels as for a processor with AVX2 and without AVX-512. Besides
 the width, its approximate square root differs, so results differ in their last bits.
@@ -15,10 +15,10 @@ from djpt.variants import load_backend
 __all__ = ["VARIABLE", "force_lanes", "lanes_from_environment"]
 
 VARIABLE = "DJPT_TEST_LANES"
-"""Says how many lanes kernels have: 8 or 16. Processes that a test starts don't see to it."""
+"""The environment variable for the number of lanes, 8 or 16. Processes that a test starts ignore it."""
 
 WIDER = {8: ("avx512", "amx", "avx10"), 16: ("amx",)}
-"""Features that processors with so many lanes lack, by how their names begin."""
+"""Features that processors with this number of lanes lack, by the beginnings of their names."""
 PROCESSORS = {8: "haswell", 16: "skylake-avx512"}
 
 

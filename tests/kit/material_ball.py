@@ -16,11 +16,11 @@ MISTAKEN = {
     # Facets are drawn from a rougher surface, and the weights don't know: see `RoughDielectric`.
     "roughdielectric-all facets",
 }
-"""Where Mitsuba 3.9.1 is wrong."""
+"""Materials that Mitsuba 3.9.1 renders wrongly."""
 
 
 SHARED = [name for name in NAMES if plugin_of(name) not in UNKNOWN_TO_MITSUBA and name not in MISTAKEN]
-"""What both renderers can render, and alike."""
+"""Materials that both renderers render alike."""
 
 
 def ball(material: dict[str, Any], size: int = 64, integrator: str = "path") -> dict[str, Any]:

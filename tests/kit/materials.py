@@ -47,7 +47,7 @@ def texels(*shape: int, low: float = 0.1, high: float = 0.9, seed: int = 0) -> n
 
 
 def bitmap(data: np.ndarray, **keys: Any) -> Description:
-    """Numbers as a texture."""
+    """A texture from numbers."""
     return {"type": "bitmap", "data": TensorXf(data), "raw": True, **keys}
 
 
@@ -205,7 +205,7 @@ SETS: dict[str, Callable[[], dict[str, Description]]] = {
         "wide": {"exponent": 0.5, "specular_reflectance": 0.5},
     },
 }  # fmt: skip
-"""By plugin and by what sets it apart. Made anew for each use: Mitsuba empties the tensors that it is given."""
+"""Parameter sets by plugin and name. Made anew for each use: Mitsuba empties the tensors that it is given."""
 
 PLUGINS = [name for name, factory in registry.registered("bsdf").items() if registry.is_own(factory)]
 
@@ -217,7 +217,7 @@ def sets_of(plugin: str) -> dict[str, Description]:
 
 
 NAMES = [name for plugin in PLUGINS for name in sets_of(plugin)]
-"""Of all parameter sets."""
+"""The names of all parameter sets."""
 
 UNKNOWN_TO_MITSUBA = frozenset({"glass", "mirror", "phong", "blinn"})
 
@@ -237,7 +237,7 @@ def cases(names: Iterable[str] = NAMES) -> list[Any]:
 
 
 def first_of_each(names: Iterable[str] = NAMES) -> list[Any]:
-    """The same, all but the first set of each plugin marked as slow."""
+    """Parameter sets as test parameters; all but the first of each plugin are marked as slow."""
     seen: set[str] = set()
     result = []
     for name in names:

@@ -44,7 +44,7 @@ def reference() -> SurfaceInteraction3f:
 
 
 def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
-    """(what a ray from the origin meets, as if sampled; its emitter's radiance; is it an emitter?)."""
+    """What a ray from the origin meets, as if sampled; the radiance of its emitter; whether there is an emitter."""
     ray = djpt.Ray3f(Point3f(0), d, Float(dr.inf))
     si = scene.ray_intersect(ray)
     ds = DirectionSample3f.between(Point3f(0), ray, si)

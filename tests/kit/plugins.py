@@ -1,4 +1,4 @@
-"""Parameters of plugins of all kinds but BSDFs and emitters, for tests that run over the registry.
+"""Parameters of plugins of all kinds except BSDFs and emitters, for tests that run over the registry.
 
 If a plugin needs parameters, or has interesting ones, add a line to EXAMPLES.
 """

@@ -76,7 +76,7 @@ def lights(*names: str) -> Edit:
 
 
 def spheres(scene: dict[str, Any]) -> None:
-    """Two spheres in place of the boxes, one turned and two-sided."""
+    """Put two spheres in place of the boxes, one turned and two-sided."""
     del scene["small-box"], scene["large-box"]
     red, white = {"type": "ref", "id": "red"}, {"type": "ref", "id": "white"}
     turned = T().translate([-0.4, -0.5, -0.2]).rotate([0.6, 0.8, 0], 30).scale(0.5)
@@ -85,7 +85,7 @@ def spheres(scene: dict[str, Any]) -> None:
 
 
 def two_sided(scene: dict[str, Any]) -> None:
-    """Different materials on the two sides of a sphere and of a flipped wall."""
+    """Put different materials on the two sides of a sphere and of a flipped wall."""
     spheres(scene)
     front, back = ({"type": "diffuse", "reflectance": albedo} for albedo in (0.2, 0.7))
     scene["small-sphere"]["bsdf"] = {"type": "twosided", "front": front, "back": back}
@@ -93,7 +93,7 @@ def two_sided(scene: dict[str, Any]) -> None:
 
 
 def grey_room(scene: dict[str, Any]) -> None:
-    """Every surface on both sides the same grey, so that no camera ray meets black."""
+    """Make every surface the same grey on both sides, so that no camera ray meets black."""
     for node in scene.values():
         if isinstance(node, dict) and node["type"] in ("rectangle", "cube"):
             node["bsdf"] = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": 0.5}}

@@ -114,7 +114,7 @@ def full(array: Any) -> Any:
 
 
 def assert_close(found: Any, expected: Any, lanes: Any, rtol: float, outliers: float = 2e-3) -> None:
-    """Nearly all lanes agree: rounding is amplified at grazing angles."""
+    """Assert that nearly all lanes agree: rounding is amplified at grazing angles."""
     found, expected = full(found)[..., lanes], full(expected)[..., lanes]
     assert np.isfinite(found).all()
     assert (np.abs(found - expected) > rtol * np.abs(expected) + 1e-5).mean() <= outliers

@@ -15,18 +15,18 @@ __all__ = ["Slopes", "numbers"]
 class Slopes:
     """The derivative of an image's mean in one direction of one parameter, by AD and by differences.
 
-    A subclass says at which values, and in which directions: `at` and `along`, by key.
+    A subclass sets the values `at` which slopes are taken and the directions `along`, by key.
     """
 
     size = 16
     spp = 64
     step = 0.02
     seeds = (4, 28)
-    """How many images a parameter is judged by, and how many more if they aren't enough."""
+    """The number of images that a parameter is judged by, and the number if these aren't enough."""
 
     def __init__(self, description: dict[str, Any], schedule: str = "auto") -> None:
         self.schedule = schedule
-        # What only turns the hue would cancel in a plain mean.
+        # A change of hue alone would cancel in a plain mean.
         self.weights = djpt.Float([1.5, 1.0, 0.5] * self.size**2)
         self.scene = djpt.load_dict(description)
         self.params = djpt.traverse(self.scene)
@@ -46,7 +46,7 @@ class Slopes:
         return dr.mean(image.array * self.weights)
 
     def attached(self, seed: int) -> dict[str, float]:
-        """All directions at once."""
+        """The slopes in all directions at once, by AD."""
         self.put(self.at)
         for key in self.keys:
             dr.enable_grad(self.params[key])
@@ -67,7 +67,7 @@ class Slopes:
         return (ends[0] - ends[1]) / (2 * self.step)
 
     def check(self, key: str, exact: dict[int, dict[str, float]], factor: float = 1.0) -> tuple[bool, str]:
-        """Are both within 1 % or 3 standard deviations? `factor` makes the derivative wrong."""
+        """Whether both agree within 1 % or 3 sigma; and a message. `factor` makes the derivative wrong."""
         errors: list[float] = []
         slopes: list[float] = []
         for count in self.seeds:

@@ -82,7 +82,7 @@ def directions(seed: int = 0) -> np.ndarray:
 
 
 def wide(value: Any, width: int) -> np.ndarray:
-    """Components (or one number) per lane as float64; what is uniform is repeated."""
+    """The components (or one number) per lane as float64; uniform ones are repeated."""
     array = np.array(value, np.float64)
     return np.broadcast_to(array, (*array.shape[:-1], width)) if array.ndim else np.full(width, array)
 

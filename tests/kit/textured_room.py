@@ -19,7 +19,7 @@ def texels(*shape: int, seed: int = 0) -> np.ndarray:
 
 
 def bitmap(data: Any, **keys: Any) -> dict[str, Any]:
-    """In both renderers' words: Mitsuba wants a tensor."""
+    """A bitmap that both renderers accept: Mitsuba needs a tensor."""
     return {"type": "bitmap", "data": TensorXf(data), "raw": True, **keys}
 
 
