@@ -8,13 +8,14 @@ PY := $(VENV)/bin/python
 SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
 READY := $(VENV)/.djpt-ready
 
-.PHONY: help setup render gallery test lint format check bench docs clean
+.PHONY: help setup render gallery test test-narrow lint format check bench docs clean
 
 help:
 	@echo 'make setup    create $(VENV), install djpt and what its tests need, see to LLVM'
 	@echo 'make render   render the Cornell box to cornell_box.png'
 	@echo 'make gallery  render a ball of each material to gallery.png'
 	@echo 'make test     run the tests (without the slow ones)'
+	@echo 'make test-narrow   some of them again, with kernels as for AVX2'
 	@echo 'make lint     ruff and mypy'
 	@echo 'make format   let ruff format the code and sort the imports'
 	@echo 'make check    lint and all tests'
@@ -39,6 +40,9 @@ gallery: $(READY)
 
 test: $(READY)
 	$(PY) -m pytest -q $(SIDE_BY_SIDE)
+
+test-narrow: $(READY)
+	DJPT_TEST_LANES=8 $(PY) -m pytest -q -m 'narrow and not slow'
 
 lint: $(READY)
 	$(PY) -m ruff check .

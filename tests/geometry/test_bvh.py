@@ -20,6 +20,8 @@ from djpt.geometry.bvh.wide import WideTree, child_leaf, collapse
 from tests.kit.processes import ROOT
 from tests.kit.triangle_soups import SOUPS, exponential, giants_among_dwarfs, sphere
 
+pytestmark = pytest.mark.narrow
+
 METHODS: list[Method] = ["sah", "median", "longest_axis"]
 
 

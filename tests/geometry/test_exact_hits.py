@@ -24,6 +24,8 @@ from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
 from tests.kit.double_precision import GRID, ORACLES, closest
 
+pytestmark = pytest.mark.narrow
+
 Array = np.ndarray
 ULP = 2.0**-23
 LIMIT = 1e-5

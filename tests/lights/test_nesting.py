@@ -12,6 +12,8 @@ from djpt.errors import RenderError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from tests.kit.renders import ours, theirs
 
+pytestmark = pytest.mark.narrow
+
 LIGHT = {"type": "ref", "id": "light"}
 AREA = {"type": "area", "radiance": {"type": "rgb", "value": [3.0, 2.0, 1.0]}}
 METER = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 2, "height": 2, "rfilter": {"type": "box"}}}

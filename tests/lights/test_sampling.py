@@ -160,6 +160,7 @@ def rim_of_a_cylinder(rng: np.random.Generator) -> tuple[dict[str, Any], np.ndar
     return {**shape, "emitter": {"type": "area"}}, d, density
 
 
+@pytest.mark.narrow
 @pytest.mark.parametrize("rim", [rim_of_a_sphere, rim_of_a_cylinder])
 def test_densities_where_rays_graze_a_curved_light(rim: Any) -> None:
     """Rounding decides which of these rays hit, and where: so the mean of the densities counts, not each of them."""

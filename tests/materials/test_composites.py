@@ -140,6 +140,7 @@ class TheirQuery(Query):
         self.si, self.albedo = si, wide(albedo)
 
 
+@pytest.mark.narrow
 @pytest.mark.parametrize("description", NESTED.values(), ids=NESTED)
 def test_answers_are_mitsubas(description: dict[str, Any], mi: Any) -> None:
     mine, theirs = Query(description), TheirQuery(description, mi)
@@ -374,6 +375,7 @@ def furnished(scene: dict[str, Any]) -> None:
     }
 
 
+@pytest.mark.narrow
 @pytest.mark.parametrize("integrator", ["path", "prb"])
 def test_pixels_are_mitsubas(integrator: str, mi: Any) -> None:
     description = box(48, "box", {"type": integrator, "max_depth": 6}, furnished)

@@ -117,6 +117,7 @@ def four_materials(scene: dict[str, Any]) -> None:
     scene["green-wall"]["bsdf"] = {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.3, "distribution": "ggx"}
 
 
+@pytest.mark.narrow
 def test_same_seed_same_pixels() -> None:
     scene = box(32, edit=four_materials)
     found, expected = ours(scene, 8), theirs(scene, 8)

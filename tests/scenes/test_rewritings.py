@@ -17,6 +17,8 @@ from djpt.scenes import SCENES
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation.statistics import Batches, mean_test
 
+pytestmark = pytest.mark.narrow
+
 Description = dict[str, Any]
 NOT_NODES = ("type", "id")
 SIZE = 16

@@ -18,6 +18,8 @@ from djpt.validation import agreement
 from tests.kit.kernels import Watched
 from tests.kit.renders import box, lights, ours, pixels, spheres
 
+pytestmark = pytest.mark.narrow
+
 PATH = {"type": "path", "max_depth": 5, "rr_depth": 3}
 
 
