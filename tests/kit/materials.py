@@ -236,9 +236,9 @@ def cases(names: Iterable[str] = NAMES) -> list[Any]:
     return [pytest.param(name, id=name) for name in names]
 
 
-def first_of_each(names: Iterable[str] = NAMES) -> list[Any]:
-    """The same, all but the first set of each plugin marked as slow."""
-    seen: set[str] = set()
+def first_of_each(names: Iterable[str] = NAMES, long: Iterable[str] = ()) -> list[Any]:
+    """The same, all but the first set of each plugin marked as slow; of plugins that take `long` all of them."""
+    seen = set(long)
     result = []
     for name in names:
         slow = plugin_of(name) in seen
