@@ -217,7 +217,11 @@ class ImageSlopes(Slopes):
         self.put(self.at)
 
 
-@pytest.mark.parametrize("name", first_of_each(NAMES))
+# Dozens of images each, more than ten seconds: values are differentiated above, images in files of theirs.
+LONG = ("blendbsdf", "principled", "principledthin", "roughplastic")
+
+
+@pytest.mark.parametrize("name", first_of_each(NAMES, LONG))
 def test_every_parameter_in_an_image(name: str) -> None:
     slopes, exact = ImageSlopes(name), {}
     verdicts = [slopes.check(key, exact) for key in slopes.keys]

@@ -236,9 +236,9 @@ def cases(names: Iterable[str] = NAMES) -> list[Any]:
     return [pytest.param(name, id=name) for name in names]
 
 
-def first_of_each(names: Iterable[str] = NAMES) -> list[Any]:
-    """Parameter sets as test parameters; all but the first of each plugin are marked as slow."""
-    seen: set[str] = set()
+def first_of_each(names: Iterable[str] = NAMES, long: Iterable[str] = ()) -> list[Any]:
+    """Parameter sets as test parameters; all but the first of each plugin are marked as slow, and all of `long` plugins."""
+    seen = set(long)
     result = []
     for name in names:
         slow = plugin_of(name) in seen

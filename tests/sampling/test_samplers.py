@@ -13,6 +13,7 @@ import djpt
 from djpt.description import registry
 from djpt.samplers import SampleIndex
 from djpt.types import UInt32
+from tests.kit.arrays import in_numpy
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box, ours, pixels, theirs
 
@@ -41,30 +42,35 @@ def name_of(description: dict[str, Any]) -> str:
     return "-".join(str(v) for v in description.values())
 
 
-def every(*descriptions: dict[str, Any]) -> Any:
+def every(*descriptions: Any) -> Any:
     return pytest.mark.parametrize("description", descriptions or ALL, ids=name_of)
 
 
 def streams(description: dict[str, Any], count: int, grid: int = 1, seed: int = 5, spp: int = 0, first: int = 0) -> Any:
     """The streams of the samples first .. first + count of all pixels of a grid; pixel by pixel."""
     i = dr.arange(UInt32, grid * grid * count)
-    pixel = i // count
+    counts, start = dr.opaque(UInt32, count), dr.opaque(UInt32, first)  # one kernel for all
+    pixel = i // counts
     sampler = djpt.load_dict(description)
-    index = SampleIndex(pixel, i - pixel * count + first, dr.opaque(UInt32, spp or count), dr.opaque(UInt32, grid))
+    index = SampleIndex(pixel, i - pixel * counts + start, dr.opaque(UInt32, spp or count), dr.opaque(UInt32, grid))
     return sampler.stream(dr.opaque(UInt32, seed + sampler.seed), index)
 
 
 def pairs(description: dict[str, Any], count: int, grid: int = 1, draws: int = 6, **options: Any) -> np.ndarray:
     """Pairs of numbers: (draw, pixel, sample, 2)."""
     stream = streams(description, count, grid, **options)
-    table = np.array([np.array(stream.next_2d()) for _ in range(draws)])
+    points = [stream.next_2d() for _ in range(draws)]
+    dr.eval(points)
+    table = np.array([in_numpy(point) for point in points])
     return table.reshape(draws, 2, grid * grid, count).transpose(0, 2, 3, 1)
 
 
 def singles(description: dict[str, Any], count: int, grid: int = 1, draws: int = 6, **options: Any) -> np.ndarray:
     """Numbers: (draw, pixel, sample)."""
     stream = streams(description, count, grid, **options)
-    return np.array([np.array(stream.next_1d()) for _ in range(draws)]).reshape(draws, grid * grid, count)
+    numbers = [stream.next_1d() for _ in range(draws)]
+    dr.eval(numbers)
+    return np.array([in_numpy(number) for number in numbers]).reshape(draws, grid * grid, count)
 
 
 # ---------------------------------------------------------------- Mitsuba
@@ -84,10 +90,11 @@ def test_numbers_are_mitsubas(description: dict[str, Any], spp: int) -> None:
         other.set_samples_per_wavefront(count)
         other.seed(seed, grid * grid * count)
         stream = streams(described, count, grid, seed)
-        for draw in range(9):
-            mine, his = (s.next_2d() if draw % 3 == 0 else s.next_1d() for s in (stream, other))
-            his = np.broadcast_to(np.array(his), np.array(mine).shape)
-            np.testing.assert_allclose(np.array(mine), his, rtol=0, atol=2e-7)
+        mine, his = ([s.next_2d() if draw % 3 == 0 else s.next_1d() for draw in range(9)] for s in (stream, other))
+        dr.eval(mine)
+        dr.eval(his)
+        for a, b in ((in_numpy(a), in_numpy(b)) for a, b in zip(mine, his, strict=True)):
+            np.testing.assert_allclose(a, np.broadcast_to(b, a.shape), rtol=0, atol=2e-7)
 
 
 @pytest.mark.parametrize("name", ["stratified", "multijitter", "orthogonal", "ldsampler"])
@@ -282,7 +289,7 @@ def test_passes_do_not_change_a_bit(description: dict[str, Any], schedule: str) 
     np.testing.assert_array_equal(pixels(whole), pixels(parts))
 
 
-@every()
+@every(*[d if len(d) == 1 or d == BLUE else pytest.param(d, marks=pytest.mark.slow) for d in ALL])
 def test_schedules_agree(description: dict[str, Any]) -> None:
     """Flat and wave; and with a mesh machine and wave. A filter and a border as well."""
     scene = box(8, rfilter="gaussian", sample_border=True)
