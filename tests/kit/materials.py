@@ -237,7 +237,7 @@ def cases(names: Iterable[str] = NAMES) -> list[Any]:
 
 
 def first_of_each(names: Iterable[str] = NAMES, long: Iterable[str] = ()) -> list[Any]:
-    """Parameter sets as test parameters; all but the first of each plugin are marked as slow, and all of `long` plugins."""
+    """Parameter sets as test parameters: slow but for the first of each plugin, and for all of the plugins `long`."""
     seen = set(long)
     result = []
     for name in names:
