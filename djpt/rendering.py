@@ -138,11 +138,11 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
             raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
         if not 0 <= number < len(sensors):
             raise RenderError(f"the scene has {len(sensors)} sensors; there is no number {number}")
-        return sensors[number]
+        sensor = sensors[number]
     found: Sensor = sensor
+    if found.on_shape and found.shape is None:
+        raise RenderError(f"'{found.id}' must be nested in a shape of the scene to be rendered")
     if found not in sensors:
-        if found.on_shape and found.shape is None:
-            raise RenderError(f"'{found.id}' must be nested in a shape of the scene to be rendered")
         found.set_bounds(*scene.bounding_sphere())
     return found
 

@@ -393,10 +393,14 @@ class Scene(Plugin):
         return light.ds, light.weight
 
     def pdf_emitter_direction(
-        self, ref: SurfaceInteraction3f | Reference, ds: DirectionSample3f, active: Bool | bool = True
+        self, ref: SurfaceInteraction3f | Reference | Point3f, ds: DirectionSample3f, active: Bool | bool = True
     ) -> Float:
-        """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`."""
-        return self.light_sampling.pdf(Reference(ref.p, ref.n), ds, active)
+        """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`.
+
+        Of a mere point the normal isn't known: an `emitter_choice` that looks at it needs more.
+        """
+        at = Reference(ref, None) if isinstance(ref, Point3f) else Reference(ref.p, ref.n)
+        return self.light_sampling.pdf(at, ds, active)
 
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")

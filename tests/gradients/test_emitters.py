@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from djpt import ParamFlags
-from tests.kit.emitters import NAMES, entry, plugin_of
+from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.slopes import Slopes, numbers
 
@@ -45,7 +45,7 @@ class EmitterSlopes(Slopes):
 SEEN = [name for name in NAMES if plugin_of(name) != "directionalarea"]
 
 
-@pytest.mark.parametrize("name", SEEN)
+@pytest.mark.parametrize("name", first_of_each(SEEN))
 def test_every_parameter(name: str) -> None:
     slopes, exact = EmitterSlopes(name), {}
     assert slopes.keys

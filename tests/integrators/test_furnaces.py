@@ -59,7 +59,7 @@ is moved off the wall counts. Half of a radiance of 1 + a comes from MIS weights
 
 
 @pytest.mark.parametrize(("furnace", "integrator"), FURNACES, ids=lambda x: getattr(x, "__name__", str(x)))
-@pytest.mark.parametrize("depth", [1, 2, 5])
+@pytest.mark.parametrize("depth", [pytest.param(1, marks=pytest.mark.slow), 2, 5])
 def test_furnace(furnace: Callable[..., Keys], integrator: Keys, depth: int) -> None:
     """1 + a + .. + a^(depth - 1)."""
     albedo = 0.7

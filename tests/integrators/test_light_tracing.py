@@ -13,7 +13,7 @@ from djpt.errors import RenderError
 from djpt.frame import Frame3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f
-from tests.kit.emitters import NAMES, entry, plugin_of
+from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
 
@@ -79,7 +79,7 @@ def assert_equal_means(a: np.ndarray, b: np.ndarray) -> None:
         assert abs(x.mean() - y.mean()) < 5 * error + 1e-7
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if plugin_of(name) != "directionalarea"])
+@pytest.mark.parametrize("name", first_of_each(name for name in NAMES if plugin_of(name) != "directionalarea"))
 def test_same_mean_as_path(name: str) -> None:
     scene = floor_scene({"light": entry(name)}, size=16)
     light = {"type": "ptracer", "max_depth": 4}

@@ -135,12 +135,22 @@ def test_filter_parameters(rfilter: dict[str, Any]) -> None:
 LIGHTS = [("point",), ("ball",), ("block",), ("sky",), ("point", "sky"), ("ball", "block"), ()]
 
 
-@pytest.mark.parametrize("names", LIGHTS, ids=lambda names: "+".join(names) or "all")
-@pytest.mark.parametrize(
-    "integrator",
-    [PATH, {"type": "prb", "max_depth": 4}, {"type": "direct"}, {**PATH, "hide_emitters": True}],
-    ids=["path", "prb", "direct", "hidden"],
-)
+LIT_BY = {
+    "path": PATH,
+    "prb": {"type": "prb", "max_depth": 4},
+    "direct": {"type": "direct"},
+    "hidden": {**PATH, "hide_emitters": True},
+}
+# Every choice of lights by `path`, the others with all of them: the choice and its numbers are the scene's.
+LIT = [
+    pytest.param(names, integrator, id=f"{'+'.join(names) or 'all'}-{kind}", marks=pytest.mark.slow if long else ())
+    for names in LIGHTS
+    for kind, integrator in LIT_BY.items()
+    for long in (bool(names) and kind != "path",)
+]
+
+
+@pytest.mark.parametrize(("names", "integrator"), LIT)
 def test_lights(names: tuple[str, ...], integrator: dict[str, Any]) -> None:
     overlapping(box(64, "box", integrator, lights(*names)))
 

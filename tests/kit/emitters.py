@@ -8,18 +8,19 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
 from tests.kit.meshes import tetrahedron_file
 
-__all__ = ["NAMES", "RAYS_UNLIKE_MITSUBA", "UNLIKE_MITSUBA", "entry", "plugin_of"]
+__all__ = ["NAMES", "RAYS_UNLIKE_MITSUBA", "UNLIKE_MITSUBA", "entry", "first_of_each", "plugin_of"]
 
 Entry = dict[str, Any] | Callable[[], dict[str, Any]]
 
@@ -217,3 +218,13 @@ def entry(name: str) -> dict[str, Any]:
 def plugin_of(name: str) -> str:
     """The emitter plugin of one of `NAMES`."""
     return name.partition("-")[0]
+
+
+def first_of_each(names: Iterable[str]) -> list[Any]:
+    """Parameter sets as test parameters; all but the first of each plugin are marked as slow."""
+    seen: set[str] = set()
+    result = []
+    for name in names:
+        result.append(pytest.param(name, id=name, marks=pytest.mark.slow if plugin_of(name) in seen else ()))
+        seen.add(plugin_of(name))
+    return result

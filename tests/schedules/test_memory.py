@@ -22,9 +22,9 @@ SIZE = 1024
 
 SCRIPT = """
 import json, sys
-import numpy as np
+import djpt  # first: it finds the LLVM library that Dr.Jit opens
 import drjit as dr
-import djpt
+import numpy as np
 
 def peak():
     # Not getrusage: its maximum begins with that of the parent process.
