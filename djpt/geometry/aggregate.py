@@ -238,7 +238,8 @@ class Geometry:
         result: Any = self.unrolled.frame(face) if flat else None
         for group in self._curved:
             shape = group.at(self.surfaces.slots(group, self.unrolled.shape_of(face)), lookup)
-            curved = shape.frame_at(p, d)
+            shines = any(plugin.emitter is not None for plugin in group.plugins)
+            curved = shape.frame_at(p, d) if shines else shape.frame_at(p)
             # Curved faces have the lowest numbers, so this is one range test.
             here = is_one_of(face, self.unrolled.faces_of(group.indices))
             result = curved if result is None else dr.select(here, curved, result)

@@ -141,9 +141,14 @@ class Shape(Plugin):
         """The unit direction of dp/du at a surface point, perpendicular to the normal; for curved shapes."""
         raise NotImplementedError
 
-    def frame_at(self, p: Point3f, d: Vector3f) -> tuple[Vector3f, Frame3f]:
-        """The geometric normal and shading frame of a curved shape at a surface point that a ray along `d` has hit."""
-        n, s = tilted(self.normal_at(p), d), self.tangent_at(p)
+    def frame_at(self, p: Point3f, d: Vector3f | None = None) -> tuple[Vector3f, Frame3f]:
+        """The geometric normal and the shading frame of a curved shape at a surface point.
+
+        Of a shape that shines the ray's direction `d` is given as well: densities divide by the cosine (see `tilted`).
+        """
+        n, s = self.normal_at(p), self.tangent_at(p)
+        if d is not None:
+            n = tilted(n, d)
         return n, Frame3f(s, dr.cross(n, s), n)
 
     def surface_area(self) -> Float:

@@ -140,7 +140,7 @@ class SDFGrid(LevelSet):
         n = dr.select(length > 0, n * dr.rsqrt(length), Vector3f(0, 0, 1))
         return -n if self.flip_normals else n
 
-    def frame_at(self, p: Point3f, d: Vector3f) -> tuple[Vector3f, Frame3f]:
+    def frame_at(self, p: Point3f, d: Vector3f | None = None) -> tuple[Vector3f, Frame3f]:
         return self.geometric_normal(p), Frame3f.from_normal(self.normal_at(p))
 
     def tangent_at(self, p: Point3f) -> Vector3f:
