@@ -245,11 +245,11 @@ def test_schedules_agree(name: str) -> None:
     ("name", "key", "factor"),
     [
         ("diffuse-colour", "ball.bsdf.reflectance.value", 1.05),
-        ("roughconductor-gold", "ball.bsdf.alpha.value", -1.0),
-        ("plastic-colour", "ball.bsdf.diffuse_reflectance.value", 1.05),
-        ("diffuse-bitmap", "ball.bsdf.reflectance.data", 1.05),
         ("mask-diffuse", "ball.bsdf.opacity.value", -1.0),
-        ("principledthin-everything", "ball.bsdf.sheen_tint.value", 1.05),
+        pytest.param("roughconductor-gold", "ball.bsdf.alpha.value", -1.0, marks=pytest.mark.slow),
+        pytest.param("plastic-colour", "ball.bsdf.diffuse_reflectance.value", 1.05, marks=pytest.mark.slow),
+        pytest.param("diffuse-bitmap", "ball.bsdf.reflectance.data", 1.05, marks=pytest.mark.slow),
+        pytest.param("principledthin-everything", "ball.bsdf.sheen_tint.value", 1.05, marks=pytest.mark.slow),
     ],
 )
 def test_wrong_derivatives_of_an_image_fail(name: str, key: str, factor: float) -> None:

@@ -249,6 +249,7 @@ def means(render: Any, scene: dict[str, Any], seeds: int, spp: int) -> tuple[np.
     return values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(seeds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", UNLIKE_MITSUBA)
 def test_images_have_the_mean_of_paths_that_find_the_light(name: str) -> None:
     """Mitsuba without light sampling is the reference."""

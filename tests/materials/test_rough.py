@@ -207,6 +207,8 @@ def test_smooth_limit_of_rough_plastic() -> None:
 SPECIAL = np.float32([(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (0.6, 0, 0.8), (-0.6, 0, 0.8), (0.6, 0, -0.8)])
 
 
+# Those of the default sets are among the claims of all materials.
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_special_directions_give_numbers(name: str) -> None:
     """Straight down, along the surface, straight through, straight back: values and derivatives are finite."""
