@@ -35,8 +35,6 @@ class NestingIntegrator(Integrator):
         self.needs_light = any(integrator.needs_light for integrator in integrators)
         # Path replay is for path tracers that stand alone, and their `sample` has no derivative.
         self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)
-        self.shows_delta = all(integrator.shows_delta for integrator in integrators)
-        self.samples_lights = all(integrator.samples_lights for integrator in integrators)
 
     def traverse(self, callback: TraversalCallback) -> None:
         for i, (_, integrator) in enumerate(self.nested):

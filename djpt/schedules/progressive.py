@@ -8,17 +8,14 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.films import HDRFilm
 from djpt.integrators.passes import LightPath, PassIntegrator
 from djpt.records import SurfaceInteraction3f
 from djpt.samplers import SampleStream
-from djpt.scene import Scene
 from djpt.schedules.base import Schedule
 from djpt.schedules.job import Job
 from djpt.schedules.light_walk import walk_light
 from djpt.schedules.passes import picture, ranges, report
 from djpt.schedules.wave import Wave
-from djpt.sensors import Sensor
 from djpt.types import Bool, TensorXf
 
 __all__ = ["Progressive"]
@@ -53,26 +50,7 @@ class JobWalks:
 
     def __init__(self, job: Job) -> None:
         self._job = job
-
-    @property
-    def scene(self) -> Scene:
-        """The scene."""
-        return self._job.scene
-
-    @property
-    def camera(self) -> Sensor:
-        """The sensor, with opaque values."""
-        return self._job.camera
-
-    @property
-    def film(self) -> HDRFilm:
-        """The film."""
-        return self._job.film
-
-    @property
-    def spp(self) -> int:
-        """Paths per pixel of the whole image."""
-        return self._job.spp
+        self.scene, self.camera, self.film, self.spp = job.scene, job.camera, job.film, job.spp
 
     def light(
         self,

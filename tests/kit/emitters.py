@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
 from tests.kit.meshes import tetrahedron_file
+from tests.kit.parameter_sets import slow_but_first
 
 __all__ = ["NAMES", "RAYS_UNLIKE_MITSUBA", "UNLIKE_MITSUBA", "entry", "first_of_each", "plugin_of"]
 
@@ -222,9 +222,4 @@ def plugin_of(name: str) -> str:
 
 def first_of_each(names: Iterable[str]) -> list[Any]:
     """Parameter sets as test parameters; all but the first of each plugin are marked as slow."""
-    seen: set[str] = set()
-    result = []
-    for name in names:
-        result.append(pytest.param(name, id=name, marks=pytest.mark.slow if plugin_of(name) in seen else ()))
-        seen.add(plugin_of(name))
-    return result
+    return slow_but_first(names, plugin_of)

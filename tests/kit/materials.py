@@ -17,6 +17,7 @@ from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from tests.kit.parameter_sets import slow_but_first
 
 __all__ = [
     "NAMES",
@@ -238,13 +239,7 @@ def cases(names: Iterable[str] = NAMES) -> list[Any]:
 
 def first_of_each(names: Iterable[str] = NAMES, long: Iterable[str] = ()) -> list[Any]:
     """Parameter sets as test parameters: slow but for the first of each plugin, and for all of the plugins `long`."""
-    seen = set(long)
-    result = []
-    for name in names:
-        slow = plugin_of(name) in seen
-        seen.add(plugin_of(name))
-        result.append(pytest.param(name, id=name, marks=pytest.mark.slow if slow else ()))
-    return result
+    return slow_but_first(names, plugin_of, long)
 
 
 # ---------------------------------------------------------------- asked without a scene
