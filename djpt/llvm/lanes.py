@@ -8,7 +8,7 @@ from pathlib import Path
 
 import drjit as dr
 
-__all__ = ["INSTRUCTION_SETS", "core", "features", "instruction_set", "lane_count"]
+__all__ = ["INSTRUCTION_SETS", "core", "features", "instruction_set", "lane_count", "processor"]
 
 INSTRUCTION_SETS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse4.2": "SSE4.2", "neon": "NEON"}
 """LLVM's names of features, the widest first, and what the instruction sets are called."""
@@ -37,6 +37,13 @@ def features() -> list[str]:
     ask = core()._Z24jit_llvm_target_featuresv
     ask.restype = ctypes.c_char_p
     return str((ask() or b"").decode()).split(",")
+
+
+def processor() -> str:
+    """LLVM's name of the processor that kernels are compiled for, such as ``znver3``."""
+    ask = core()._Z19jit_llvm_target_cpuv
+    ask.restype = ctypes.c_char_p
+    return str((ask() or b"").decode())
 
 
 def instruction_set() -> str:
