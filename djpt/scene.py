@@ -267,8 +267,8 @@ class Scene(Plugin):
         It is 0 behind a surface, else the share that media leave. Faster than `ray_test`: shapes that can't shadow
         anything are left out.
         """
-        free = ~self.geometry.blocked(ray)
-        return dr.select(free, self.left_by_media(ray, Color3f(1) if light is None else light), 0)
+        left = self.left_by_media(ray, Color3f(1) if light is None else light)
+        return dr.select(self.geometry.blocked(ray, dr.max(left) > 0), 0, left)
 
     def light_between(self, ray: Ray3f, light: Color3f, through_lights: bool = False) -> Color3f:
         """The part of `light` that arrives along the segment of a ray between any two points.

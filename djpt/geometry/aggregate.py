@@ -127,10 +127,13 @@ class Geometry:
         hit = self.unrolled.any_hit(ray, active)
         return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit & active)
 
-    def blocked(self, ray: Ray3f) -> Bool:
-        """Like `any_hit`, for a segment between a surface point and a light that shines on it."""
+    def blocked(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
+        """Like `any_hit`, for a segment between a surface point and a light that shines on it.
+
+        Where not `active` the answer is unspecified.
+        """
         hit = self.unrolled.blocked(ray)
-        return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit)
+        return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit & active)
 
     # ---- ray queries step by step: for the machine schedule ----------------------------
 

@@ -10,13 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import drjit as dr
 
 from djpt.kernels import maximum, minimum
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["FLAT_KINDS", "KINDS", "LocalSurface", "intersect", "surface"]
+__all__ = ["FLAT_KINDS", "HITS", "KINDS", "Arithmetic", "LocalSurface", "intersect", "surface"]
 
 KINDS = ("rectangle", "disk", "cube", "sphere", "cylinder")
 """The square [-1, 1]^2, the unit disk, the cube [-1, 1]^3, the unit sphere, the unit cylinder 0 <= z <= 1."""
@@ -37,14 +39,30 @@ class LocalSurface:
 FLAT_KINDS = 3
 """So many of the first `KINDS` are flat, or meshes in Mitsuba."""
 
-Hit = tuple[Bool, Float]
+
+class Arithmetic(Protocol):
+    """Functions of numbers: of Dr.Jit's, or of those of `djpt.llvm.arithmetic`."""
+
+    fma: Callable[..., Any]
+    rcp: Callable[..., Any]
+    sqrt: Callable[..., Any]
+    abs: Callable[..., Any]
+    select: Callable[..., Any]
+    minimum: Callable[..., Any]
+    maximum: Callable[..., Any]
 
 
-def intersect(kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt: Float) -> Hit:
+KERNELS: Any = SimpleNamespace(
+    fma=dr.fma, rcp=dr.rcp, sqrt=dr.sqrt, abs=dr.abs, select=dr.select, minimum=minimum, maximum=maximum
+)
+"""The arithmetic of Dr.Jit."""
+
+
+def intersect(kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt: Float) -> tuple[Bool, Float]:
     """The first hit with 0 < t < maxt of a shape whose `kind` is among `kinds`, numbers into KINDS."""
-    hit, t = HITS[KINDS[kinds[0]]](o, d)
+    hit, t = HITS[KINDS[kinds[0]]](KERNELS, o, d)
     for k in kinds[1:]:
-        other_hit, other_t = HITS[KINDS[k]](o, d)
+        other_hit, other_t = HITS[KINDS[k]](KERNELS, o, d)
         here = kind == k
         hit, t = dr.select(here, other_hit, hit), dr.select(here, other_t, t)
     return hit & (t > 0) & (t < maxt), t
@@ -61,48 +79,60 @@ def surface(kinds: Sequence[int], kind: UInt32, p: Point3f) -> LocalSurface:
 # ---- intersection ------------------------------------------------------------------------
 
 
-def hit_rectangle(o: Point3f, d: Vector3f) -> Hit:
-    t = -o.z * dr.rcp(d.z)
-    x, y = dr.fma(d.x, t, o.x), dr.fma(d.y, t, o.y)
-    return (dr.abs(x) <= 1) & (dr.abs(y) <= 1), t
+# Formulas of an arithmetic `m`, an origin and a direction. They return whether the line hits, and where.
 
 
-def hit_disk(o: Point3f, d: Vector3f) -> Hit:
-    t = -o.z * dr.rcp(d.z)
-    x, y = dr.fma(d.x, t, o.x), dr.fma(d.y, t, o.y)
-    return dr.fma(x, x, y * y) <= 1, t
+def hit_rectangle(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
+    t = -o.z * m.rcp(d.z)
+    x, y = m.fma(d.x, t, o.x), m.fma(d.y, t, o.y)
+    return (m.abs(x) <= 1) & (m.abs(y) <= 1), t
 
 
-def hit_cube(o: Point3f, d: Vector3f) -> Hit:
-    near, far = -Float(dr.inf), Float(dr.inf)
+def hit_disk(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
+    t = -o.z * m.rcp(d.z)
+    x, y = m.fma(d.x, t, o.x), m.fma(d.y, t, o.y)
+    return m.fma(x, x, y * y) <= 1, t
+
+
+def hit_cube(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
+    near, far = [], []
     for axis in range(3):
-        inv = dr.rcp(d[axis])
-        middle, half = -o[axis] * inv, dr.abs(inv)
-        near, far = maximum(middle - half, near), minimum(middle + half, far)
-    return near <= far, dr.select(near > 0, near, far)
+        inv = m.rcp(d[axis])
+        middle, half = -o[axis] * inv, m.abs(inv)
+        near.append(middle - half)
+        far.append(middle + half)
+    entry = m.maximum(m.maximum(near[0], near[1]), near[2])
+    leave = m.minimum(m.minimum(far[0], far[1]), far[2])
+    return entry <= leave, m.select(entry > 0, entry, leave)
 
 
-def hit_sphere(o: Point3f, d: Vector3f) -> Hit:
+def hit_sphere(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
     # From the point closest to the centre: see `djpt.shapes.sphere`.
-    inv = dr.rcp(dr.squared_norm(d))
-    middle = -dr.dot(o, d) * inv
-    discriminant = (1 - dr.squared_norm(dr.fma(d, middle, o))) * inv
-    reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
+    inv = m.rcp(dot(m, d, d))
+    middle = -dot(m, o, d) * inv
+    closest = [m.fma(d[axis], middle, o[axis]) for axis in range(3)]
+    discriminant = (1 - dot(m, closest, closest)) * inv
+    reach = m.sqrt(m.select(discriminant > 0, discriminant, 0))
     near = middle - reach
-    return discriminant >= 0, dr.select(near > 0, near, middle + reach)
+    return discriminant >= 0, m.select(near > 0, near, middle + reach)
 
 
-def hit_cylinder(o: Point3f, d: Vector3f) -> Hit:
-    inv = dr.rcp(dr.fma(d.x, d.x, d.y * d.y))
-    middle = -dr.fma(o.x, d.x, o.y * d.y) * inv
-    x, y = dr.fma(d.x, middle, o.x), dr.fma(d.y, middle, o.y)
-    discriminant = (1 - dr.fma(x, x, y * y)) * inv
-    reach = dr.sqrt(dr.select(discriminant > 0, discriminant, 0))
+def hit_cylinder(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
+    inv = m.rcp(m.fma(d.x, d.x, d.y * d.y))
+    middle = -m.fma(o.x, d.x, o.y * d.y) * inv
+    x, y = m.fma(d.x, middle, o.x), m.fma(d.y, middle, o.y)
+    discriminant = (1 - m.fma(x, x, y * y)) * inv
+    reach = m.sqrt(m.select(discriminant > 0, discriminant, 0))
     near, far = middle - reach, middle + reach
-    z_near, z_far = dr.fma(d.z, near, o.z), dr.fma(d.z, far, o.z)
+    z_near, z_far = m.fma(d.z, near, o.z), m.fma(d.z, far, o.z)
     first = (near > 0) & (z_near >= 0) & (z_near <= 1)
     second = (z_far >= 0) & (z_far <= 1)
-    return (discriminant >= 0) & (first | second), dr.select(first, near, far)
+    return (discriminant >= 0) & (first | second), m.select(first, near, far)
+
+
+def dot(m: Arithmetic, a: Any, b: Any) -> Any:
+    """The dot product."""
+    return m.fma(a[2], b[2], m.fma(a[1], b[1], a[0] * b[0]))
 
 
 # ---- surface -----------------------------------------------------------------------------
@@ -163,7 +193,7 @@ def turn(p: Point3f) -> Float:
     return dr.select(phi < 0, phi + 2 * math.pi, phi) * (1 / (2 * math.pi))
 
 
-HITS: dict[str, Callable[[Point3f, Vector3f], Hit]] = {
+HITS: dict[str, Callable[[Arithmetic, Any, Any], tuple[Any, Any]]] = {
     "rectangle": hit_rectangle,
     "disk": hit_disk,
     "cube": hit_cube,

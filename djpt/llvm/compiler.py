@@ -15,7 +15,7 @@ import platform
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -126,13 +126,13 @@ class Llvm:
         return result
 
 
-@lru_cache(maxsize=None)
+@cache
 def llvm() -> Llvm:
     """The library, opened at the first call."""
     return Llvm()
 
 
-@lru_cache(maxsize=None)
+@cache
 def compiled(text: str, names: tuple[str, ...]) -> dict[str, int]:
     """Compile a module for this machine: the addresses of the functions `names`.
 

@@ -360,6 +360,12 @@ class Function:
         """Write memory."""
         self._write(f"store {value}, {address}, align {align or max(value.type.element.bits // 8, 1)}")
 
+    def prefetch(self, address: Value) -> None:
+        """Ask for the cache line of an address, which will be read soon."""
+        self.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
+        # For reading, to be kept in all levels, data.
+        self._write(f"call void @llvm.prefetch.p0({address}, i32 0, i32 3, i32 1)")
+
     def intrinsic(self, name: str, arguments: Sequence[Value], result: Type, suffix: str | None = None) -> Value:
         """Call a function that is built into LLVM, such as sqrt; its name ends in the type of the result."""
         full = f"llvm.{name}.{result.suffix if suffix is None else suffix}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import drjit as dr
 
-__all__ = ["INSTRUCTION_SETS", "core", "features", "instruction_set", "lane_count", "processor"]
+__all__ = ["INSTRUCTION_SETS", "core", "core_path", "features", "instruction_set", "lane_count", "processor"]
 
 INSTRUCTION_SETS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse4.2": "SSE4.2", "neon": "NEON"}
 """LLVM's names of features, the widest first, and what the instruction sets are called."""
@@ -22,9 +22,14 @@ def core() -> ctypes.CDLL:
     Raises:
         OSError: The library isn't where the wheels put it.
     """
+    return ctypes.CDLL(core_path())
+
+
+def core_path() -> str:
+    """The file of Dr.Jit's core library, where the wheels put it."""
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     prefix = "" if sys.platform == "win32" else "lib"
-    return ctypes.CDLL(str(Path(dr.__file__).parent / f"{prefix}drjit-core{suffix}"))
+    return str(Path(dr.__file__).parent / f"{prefix}drjit-core{suffix}")
 
 
 def lane_count() -> int:

@@ -1,0 +1,1 @@
+"""Ray queries by functions that Python writes and LLVM compiles."""
