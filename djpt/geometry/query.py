@@ -1,19 +1,120 @@
-"""A ray on its way through a scene: loop state of the machine schedule."""
+"""Ray queries: the contract of the trees that answer them, their results, and a ray on its way through a tree."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
-from djpt.geometry.bvh.traversal import Cursor
-from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.records import Ray3f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["ANALYTIC", "FACE", "Near", "Query"]
+__all__ = ["ANALYTIC", "DETAIL", "FACE", "LABEL", "NONE", "Cursor", "Found", "Near", "Query", "RayTree"]
+
+NONE = 0
+"""The record number that means "nothing was hit"."""
+
+LABEL, DETAIL = 4, 5
+"""Words of a record's row: its label, and the face or what a placed primitive is."""
 
 ANALYTIC = 0x80000000
 """A bit of `Query.cursor.hit`: set where the rest is the number of an unrolled face, not of a record."""
 
 FACE = 0x7FFFFFFF
 """The bits of `Query.cursor.hit` that hold the number of an unrolled face."""
+
+
+class RayTree(Protocol):
+    """Triangles, solids and instances in memory, and the search for what rays hit.
+
+    Each has a *record*, a number that isn't 0, and a *row* of eight words: unused, unit normal, label, face,
+    direction of dp/du. Instances and solids have another row before: see `map_rows`. Labels are
+    explained in `djpt.geometry.bvh.records`. Coordinates are relative to `center`.
+    """
+
+    center: Point3f
+    radius: Float
+    """The radius of a sphere about `center` that holds everything."""
+    extent: float
+    """The diagonal of the bounding box."""
+    instanced: bool
+    """Whether there are instances."""
+    kinds: tuple[int, ...]
+    """The analytic shapes among the leaves: numbers into `canonical.KINDS`."""
+    stepwise: bool
+    """Whether a search is a sequence of steps that all lanes take together, and not a call."""
+
+    def search(
+        self, ray: Ray3f, any_hit: bool, active: Bool | bool = True, through_lights: Bool | None = None
+    ) -> Found:
+        """Find the first hit with 0 < t < maxt, or with `any_hit` any one.
+
+        Where `through_lights`, shapes that emit aren't hit.
+        """
+
+    def start(
+        self, o: Point3f, d: Vector3f, maxt: Float, active: Bool | bool, hit: UInt32 | int, weights: bool
+    ) -> Cursor:
+        """Begin a search where `active`; `hit` was hit before, at `maxt`.
+
+        With `weights` the cursor keeps barycentric weights.
+        """
+
+    def turn(self, cursor: Any, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None) -> Cursor:
+        """Go on with a search, for a number of steps or to its end."""
+
+    def row(self, record: UInt32) -> list[UInt32]:
+        """The row of a record."""
+
+    def word(self, record: UInt32, index: int, active: Bool | bool = True) -> UInt32:
+        """One word of the row of a record."""
+
+    def map_rows(self, record: UInt32) -> list[UInt32]:
+        """Both rows of an instance or solid: the map into its space, 3 x 4; label, detail, side, unused."""
+
+    def corners(self, record: UInt32) -> tuple[Point3f, Point3f, Point3f] | None:
+        """The corners of a triangle, relative to the centre of its tree; None: records don't hold them."""
+
+
+class Cursor(Protocol):
+    """How far a search has come."""
+
+    t: Float
+    """The distance of the closest hit so far, or of the ray's end."""
+    hit: UInt32
+    """The record that was hit, or NONE."""
+    b: Point2f | None
+    """Barycentric weights of the second and third corner at the hit; None if they aren't needed."""
+
+    @property
+    def ended(self) -> Bool:
+        """True where the search has come to its end."""
+
+    @property
+    def inside(self) -> UInt32 | None:
+        """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
+
+
+@dataclass
+class Found:
+    """The result of a search."""
+
+    origin: Point3f
+    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.traversal.enter`."""
+    entry: Float
+    """How far the origin was moved, in units of the ray's `d`."""
+    near_t: Float
+    """The distance of the hit from `origin`."""
+    record: UInt32
+    """The record that was hit, or NONE."""
+    inside: UInt32 | None
+    """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
+    b: Point2f | None = None
+    """Barycentric weights of the second and third corner, if the search tells them."""
+
+    @property
+    def t(self) -> Float:
+        """The distance of the hit from the ray's own origin; unspecified on a miss."""
+        return self.near_t + self.entry
 
 
 @dataclass

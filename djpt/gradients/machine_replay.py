@@ -13,7 +13,6 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
-from djpt.geometry.bvh.records import EMPTY
 from djpt.geometry.query import Query
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
@@ -137,7 +136,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
     def turn(lane: Lane) -> tuple[Lane]:
         through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
-        ended = lane.query.cursor.current == EMPTY
+        ended = lane.query.cursor.ended
         (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)
 

@@ -18,7 +18,6 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
-from djpt.geometry.bvh.records import EMPTY
 from djpt.geometry.query import Query
 from djpt.gradients import machine_replay
 from djpt.gradients.leaves import Numbering
@@ -150,7 +149,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
         through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
         (lane,) = dr.if_stmt(
-            (lane,), lane.query.cursor.current == EMPTY, lambda lane: (advance(lane),), lambda lane: (lane,)
+            (lane,), lane.query.cursor.ended, lambda lane: (advance(lane),), lambda lane: (lane,)
         )
         return (lane,)
 

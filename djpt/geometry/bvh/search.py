@@ -9,35 +9,15 @@ import drjit as dr
 
 from djpt.geometry.bvh.records import EMPTY, Records
 from djpt.geometry.bvh.traversal import Cursor, enter, start, turn, visit
+from djpt.geometry.query import Found
 from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.types import ArrayXf, Bool, Float, Point3f, UInt32, Vector3f
 
-__all__ = ["Found", "search"]
+__all__ = ["search"]
 
 BATCH = 2**17
 """The lanes of a persistent loop: eight of Dr.Jit's blocks, which the cores share evenly."""
-
-
-@dataclass
-class Found:
-    """The result of a search."""
-
-    origin: Point3f
-    """The ray's origin, moved near the triangles: see `enter`."""
-    entry: Float
-    """How far the origin was moved, in units of the ray's `d`."""
-    near_t: Float
-    """The distance of the hit from `origin`."""
-    record: UInt32
-    """The record that was hit, or NONE."""
-    inside: UInt32 | None
-    """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
-
-    @property
-    def t(self) -> Float:
-        """The distance of the hit from the ray's own origin; unspecified on a miss."""
-        return self.near_t + self.entry
 
 
 def search(

@@ -20,13 +20,13 @@ import drjit as dr
 
 from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, SOLID, Records
 from djpt.geometry.canonical import intersect
+from djpt.geometry.query import NONE
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.kernels import float_in, maximum, minimum
 from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
-    "NONE",
     "Cursor",
     "enter",
     "into_group",
@@ -38,9 +38,6 @@ __all__ = [
     "turn",
     "visit",
 ]
-
-NONE = 0
-"""The record number that means "nothing was hit"."""
 
 UNROLLED = 2
 """Steps that are taken without testing whether any lane is still at work."""
@@ -86,6 +83,16 @@ class Cursor:
     """Whether the lane has come to a portal; None in scenes without portals."""
     passage: Passage | None = None
     """The lane's way through instances; None in scenes without instances."""
+
+    @property
+    def ended(self) -> Bool:
+        """True where the search has come to its end."""
+        return self.current == EMPTY
+
+    @property
+    def inside(self) -> UInt32 | None:
+        """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
+        return self.passage and self.passage.hit_inside
 
 
 def start(
