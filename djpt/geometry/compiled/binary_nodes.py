@@ -16,14 +16,16 @@ __all__ = [
     "BIAS",
     "BOX",
     "COSTS",
+    "COUNT",
     "EMPTY",
     "INNER",
     "LEAF_SIZE",
-    "NODE",
+    "MERGED",
     "NODE_SIZE",
     "PLACED",
     "POINT",
     "PRIMITIVE_SIZE",
+    "SMALL",
     "Node",
     "area",
     "join",
@@ -54,7 +56,7 @@ word    while it is a leaf      once it is an inner node
 0 .. 2  low corner of the box   the same
 3       first primitive         the left child; the right one is the next node
 4 .. 6  minus the high corner   the same
-7       count of primitives     INNER
+7       count of primitives     INNER, MERGED + count or SMALL + count
 8 ..    centroids' low corner,  `COSTS`: seven floats, see `collapse_functions`
 11      level,
 12 ..   centroids' high corner
@@ -63,13 +65,17 @@ word    while it is a leaf      once it is an inner node
 Leaves get costs in the end, too. A leaf that is a placed primitive has its number in word 3 and the count PLACED.
 """
 
-NODE = NODE_SIZE
 COSTS = 32
 
-INNER = 0
 LEAF_SIZE = 8
 """The most triangles of a leaf."""
-PLACED = LEAF_SIZE + 1
+
+PLACED, INNER, MERGED, SMALL = 9, 15, 16, 32
+"""What stands in place of the count: a placed primitive; an inner node of many triangles; and, added to the count, an
+inner node of few that is better as a leaf if it gets but one slot, and one that isn't."""
+
+COUNT = 15
+"""The bits of the count of a small node; more than fit into a leaf for all others."""
 
 
 class Node:
@@ -129,6 +135,16 @@ class Node:
     @count.setter
     def count(self, value: Operand) -> None:
         self._set_integer(7, value)
+
+    @property
+    def is_inner(self) -> Value:
+        """Whether the node, which must be finished, has children."""
+        return self.count >= INNER
+
+    @property
+    def is_merged(self) -> Value:
+        """Whether the node has children, and is a leaf if it gets but one slot."""
+        return (self.count & ~COUNT) == MERGED
 
     @property
     def level(self) -> Value:

@@ -41,8 +41,11 @@ FEW, FEW_BINS = 16, 8
 CORNERS_SIZE = 36
 """Bytes of a triangle's corners."""
 
-DIVIDE = 0.2
+DIVIDE = 0.3
 """What another child costs, next to the test of a leaf, in units of its parent's area."""
+
+ROUNDING = 0.5
+"""How much the estimate of the number of leaves favours full ones."""
 
 STACK = 64
 
@@ -181,9 +184,10 @@ class Sweep:
 
 
 def leaves(count: Value, leaf_bits: Value) -> Value:
-    """The least number of leaves of 2^leaf_bits primitives, as a float."""
+    """An estimate of the number of leaves for some primitives, of which 2^leaf_bits fit into one."""
     full = count.function.constant(I32, 1) << leaf_bits
-    return ((count + full - 1) >> leaf_bits).to(F32)
+    least = ((count + full - 1) >> leaf_bits).to(F32)
+    return least * ROUNDING + count.to(F32) * ((1 - ROUNDING) / full.to(F32))
 
 
 @dataclass

@@ -6,7 +6,7 @@ S. Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BV
 
 from __future__ import annotations
 
-from djpt.geometry.compiled.binary_nodes import BOX, INNER, PLACED, Node, area
+from djpt.geometry.compiled.binary_nodes import BOX, COUNT, LEAF_SIZE, MERGED, PLACED, SMALL, Node, area
 from djpt.llvm.arithmetic import maximum, minimum, select
 from djpt.llvm.ir import F32, I32, I64, PTR, Array, Function, Module, Value, Variable
 
@@ -43,17 +43,24 @@ def add_weigh(module: Module) -> None:
     """Compute the costs of some binary nodes, from the last to the first, so that children come before parents.
 
     Cost k of a node is the least for a ray that meets its parent if the node, or what lies below it, takes
-    at most k of the slots in a wide node.
+    at most k of the slots in a wide node. In one slot, a node of few triangles may be a leaf after all.
     """
     with module.function("weigh", [("nodes", PTR), ("first", I64), ("end", I64), ("scale", F32)]) as f:
         nodes, first, end, scale = f.parameters
         with f.each_backwards(first, end) as index:
             node = Node(f, nodes, index)
             own = scaled_area(node, scale)
-            with f.either(node.count == INNER) as branch:
-                left = node.first
-                shared = shared_out(Node(f, nodes, left).costs, Node(f, nodes, left + 1).costs)
-                node.costs = minimum(shared, own * NODE_COST + shared.lane(WIDTH - 1))
+            with f.either(node.is_inner) as branch:
+                left, right = Node(f, nodes, node.first), Node(f, nodes, node.first + 1)
+                shared = shared_out(left.costs, right.costs)
+                one = own * NODE_COST + shared.lane(WIDTH - 1)
+                leaf = own * LEAF_COST
+                triangles = (left.count & COUNT) + (right.count & COUNT)
+                with f.either(triangles <= LEAF_SIZE) as small:
+                    node.count = triangles + select(leaf <= one, f.constant(I64, MERGED), SMALL)
+                    node.costs = minimum(shared, minimum(leaf, one))
+                    small.otherwise()
+                    node.costs = minimum(shared, one)
                 branch.otherwise()
                 node.costs = (own * LEAF_COST).spread(WIDTH)
 
@@ -115,7 +122,7 @@ def adopt(f: Function, nodes: Value, root: Value, members: Array) -> Value:
         opens = f.variable(I64, (slots == WIDTH).to(I64))
         with f.when(slots < WIDTH):
             opens.value = (node.cost(slots) < node.cost(f.constant(I64, 1))).to(I64)
-        with f.either((opens.value == 1) & (node.count == INNER)) as branch:
+        with f.either((opens.value == 1) & node.is_inner) as branch:
             left = node.first
             share = best_share(f, Node(f, nodes, left), Node(f, nodes, left + 1), slots)
             waiting.push(left + 1, slots - share)
@@ -159,25 +166,34 @@ def add_plan(module: Module) -> None:
             f.store(f.constant(BOX, 0.0), row)
             children = adopt(f, nodes, index, members)
             with f.each_backwards(0, children) as slot:
-                child = members[slot]
-                with f.when(Node(f, nodes, child).count == INNER):
-                    waiting.push(child, (own + 1) * ROW + slot * 4, level + 1)
+                child = Node(f, nodes, members[slot])
+                with f.when(child.is_inner & ~child.is_merged):
+                    waiting.push(members[slot], (own + 1) * ROW + slot * 4, level + 1)
             with f.each(0, children) as slot:
-                node = Node(f, nodes, members[slot])
-                with f.when(node.count == PLACED):
-                    f.store((node.first + PLACED_LEAF).to(I32), row.at(slot * 4))
-                with f.when((node.count != INNER) & (node.count != PLACED)):
+                child = Node(f, nodes, members[slot])
+                with f.when(child.count == PLACED):
+                    f.store((child.first + PLACED_LEAF).to(I32), row.at(slot * 4))
+                with f.when((child.count <= LEAF_SIZE) | child.is_merged):
                     f.store((leaf.value + LEAF).to(I32), row.at(slot * 4))
-                    f.store(node.first.to(I32), from_.at(leaf.value * 4))
+                    f.store(first_triangle(f, nodes, members[slot]).to(I32), from_.at(leaf.value * 4))
                     f.store(position.value.to(I32), to.at(leaf.value * 4))
                     leaf.value = leaf.value + 1
-                    position.value = position.value + node.count
+                    position.value = position.value + (child.count & COUNT)
             count.value = own + 1
         f.store(position.value.to(I32), to.at(leaf.value * 4))
         find_ends(f, references.at(ROW), ends, count.value)
         f.store(leaf.value, counts)
         f.store(deepest.value, counts.at(8))
         f.give(count.value)
+
+
+def first_triangle(f: Function, nodes: Value, index: Value) -> Value:
+    """The first triangle below a binary node."""
+    at = f.variable(I64, index)
+    with f.loop() as turns:
+        turns.stop_if(~Node(f, nodes, at.value).is_inner)
+        at.value = Node(f, nodes, at.value).first
+    return Node(f, nodes, at.value).first
 
 
 def find_ends(f: Function, references: Value, ends: Value, count: Value) -> None:
