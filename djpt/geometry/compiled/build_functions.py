@@ -44,6 +44,9 @@ CORNERS_SIZE = 36
 DIVIDE = 0.3
 """What another child costs, next to the test of a leaf, in units of its parent's area."""
 
+FULL = 1.0
+"""A node is a leaf without further ado if its triangles' boxes together have so much of its area."""
+
 ROUNDING = 0.5
 """How much the estimate of the number of leaves favours full ones."""
 
@@ -79,7 +82,7 @@ class Bounds:
         return Bounds(f.variable(BOX, EMPTY), f.variable(POINT, 2 * EMPTY), f.variable(POINT, -2 * EMPTY))
 
     def add(self, box: Value, where: Value | None = None) -> None:
-        """Include a primitive, or only if a condition holds."""
+        """Include a primitive, or only if a condition holds, given in all lanes."""
         low, minus_high = parts(box)
         centroid = low - minus_high
         for bound, value, combine in (
@@ -89,8 +92,7 @@ class Bounds:
         ):
             old = bound.value
             new = combine(old, value)
-            # With a mask in all lanes this is one instruction; a scalar condition would become a jump.
-            bound.value = new if where is None else select(where.spread(old.type.lanes), new, old)
+            bound.value = new if where is None else select(where.shuffled(range(old.type.lanes)), new, old)
 
 
 def add_prepare(module: Module, name: str, keep: bool) -> None:
@@ -235,6 +237,9 @@ def add_part(module: Module) -> None:
         with f.when(count == 1):
             finish_leaf(f, node, source, sorted)
             f.give(0)
+        with f.when(count <= LEAF_SIZE), f.when(is_full(f, node, source)):
+            finish_leaf(f, node, source, sorted)
+            f.give(0)
         bins_count = select(count <= FEW, f.constant(I64, FEW_BINS), BINS)
         grid = Grid.of(*node.centroids, bins_count)
         bins = Bins.filled(f, grid, source, first, end)
@@ -253,6 +258,15 @@ def add_part(module: Module) -> None:
         move(f, node, Node(f, nodes, pair), Node(f, nodes, pair + 1), source, target, grid, split, halved)
         node.first, node.count = pair, INNER
         f.give(1)
+
+
+def is_full(f: Function, node: Node, source: Value) -> Value:
+    """Whether the boxes of some triangles fill that of their node: a split would gain nothing."""
+    first, sum = node.first, f.variable(F32, 0.0)
+    with f.each(first, first + node.count) as i:
+        box = f.load(BOX, source.at(i * PRIMITIVE_SIZE))
+        sum.value = sum.value + select(box.lane(7) == ALONE, f.constant(F32, -float("inf")), area(box))
+    return sum.value > area(node.box) * FULL
 
 
 def holds_placed(f: Function, bins: Bins, grid: Grid) -> Value:
@@ -287,8 +301,8 @@ def move(
 ) -> None:
     """Move a node's primitives to the other buffer, those of the left child to the front."""
     first, count, level = node.first, node.count, node.level
-    half, end = first + (count >> 1), first + count
-    axis, limit = split.axis.value, (split.slab.value + 1).to(F32)
+    end, axis = first + count, split.axis.value
+    limit = select(halved, (first + (count >> 1)).to(F32), (split.slab.value + 1).to(F32))
     origin, inverse = f.array(F32, 4), f.array(F32, 4)
     origin.store(grid.origin)
     inverse.store(grid.inverse)
@@ -301,12 +315,14 @@ def move(
         along = record.at(axis * 4)
         centroid = f.load(F32, along) - f.load(F32, along.at(16))
         # The same operations as in `Grid.slabs`, so that both agree to the last bit.
-        goes_left = select(halved, i < half, (centroid - origin_there) * inverse_there < limit)
-        step = goes_left.to(I64)
-        to = select(goes_left, front.value, back.value - 1)
+        place = select(halved, i.to(F32), (centroid - origin_there) * inverse_there)
+        step = (place < limit).to(I64)
+        to = select(place < limit, front.value, back.value - 1)
         f.store(box, target.at(to * PRIMITIVE_SIZE))
         front.value = front.value + step
         back.value = back.value - (1 - step)
+        # Which way a primitive goes is hard to foresee. A comparison in all lanes doesn't become a jump.
+        goes_left = place.spread(8) < limit
         bounds[0].add(box, goes_left)
         bounds[1].add(box, ~goes_left)
     middle = front.value
