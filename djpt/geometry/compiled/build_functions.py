@@ -35,14 +35,15 @@ from djpt.llvm.ir import F32, I32, I64, PTR, Array, Function, Module, Value, Var
 __all__ = ["BINS", "CORNERS_SIZE", "add_build_functions"]
 
 BINS = 16
-FEW, FEW_BINS = 16, 8
+FEW, FEW_BINS = 8, 8
 """Up to so many primitives need fewer bins."""
 
 CORNERS_SIZE = 36
 """Bytes of a triangle's corners."""
 
 DIVIDE = 0.3
-"""What another child costs, next to the test of a leaf, in units of its parent's area."""
+"""A few triangles are split only if that saves such a share of their cost. Too many splits do no harm, see
+`collapse_functions`, but take time."""
 
 FULL = 1.0
 """A node is a leaf without further ado if its triangles' boxes together have so much of its area."""
@@ -52,9 +53,9 @@ ROUNDING = 0.5
 
 STACK = 64
 
-STATE = [("nodes", PTR), ("even", PTR), ("odd", PTR), ("sorted", PTR), ("deepest", I64), ("scale", F32)]
+STATE = [("nodes", PTR), ("even", PTR), ("odd", PTR), ("sorted", PTR), ("deepest", I64)]
 """The parameters that the functions share: the binary nodes, the two buffers of primitives, the numbers of the
-primitives in the order of the leaves, the limit of levels, and 1 / the diagonal of the root's box."""
+primitives in the order of the leaves, and the limit of levels."""
 
 
 def add_build_functions(module: Module) -> None:
@@ -235,7 +236,7 @@ def add_part(module: Module) -> None:
     The children become the nodes `pair` and `pair` + 1.
     """
     with module.function("part", [*STATE, ("index", I64), ("pair", I64)], I64, internal=True) as f:
-        nodes, even, odd, sorted, deepest, _, index, pair = f.parameters
+        nodes, even, odd, sorted, deepest, index, pair = f.parameters
         node = Node(f, nodes, index)
         first, count, level = node.first, node.count, node.level
         end = first + count
@@ -310,7 +311,7 @@ def move(
     """Move a node's primitives to the other buffer, those of the left child to the front."""
     first, count, level = node.first, node.count, node.level
     end, axis = first + count, split.axis.value
-    limit = select(halved, (first + (count >> 1)).to(F32), (split.slab.value + 1).to(F32))
+    limit = select(halved, (count >> 1).to(F32), (split.slab.value + 1).to(F32))
     origin, inverse = f.array(F32, 4), f.array(F32, 4)
     origin.store(grid.origin)
     inverse.store(grid.inverse)
@@ -323,7 +324,7 @@ def move(
         along = record.at(axis * 4)
         centroid = f.load(F32, along) - f.load(F32, along.at(16))
         # The same operations as in `Grid.slabs`, so that both agree to the last bit.
-        place = select(halved, i.to(F32), (centroid - origin_there) * inverse_there)
+        place = select(halved, (i - first).to(F32), (centroid - origin_there) * inverse_there)
         step = (place < limit).to(I64)
         to = select(place < limit, front.value, back.value - 1)
         f.store(box, target.at(to * PRIMITIVE_SIZE))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from djpt.geometry.compiled.binary_nodes import ALONE, BIAS, NODE_SIZE, PRIMITIVE_SIZE
 from djpt.geometry.compiled.collapse_functions import LEAF_UNITS, NODE_UNITS, ROOT, WIDTH
 from djpt.geometry.compiled.functions import functions
-from djpt.geometry.compiled.refit import NO_BOXES, TRIANGLES, Built, Extent, chunks, fit
+from djpt.geometry.compiled.refit import NO_BOXES, TRIANGLES, Built, Extent, chunks, fit, floats
 from djpt.geometry.compiled.workers import Workers, workers
 
 __all__ = ["DEEPEST", "build"]
@@ -37,7 +37,7 @@ def build(
 
     Boxes: low xyz, high xyz. Placed primitives are alone in their leaves. `threads`: as many as Dr.Jit has if None.
     """
-    placed = NO_BOXES if placed_boxes is None else placed_boxes
+    corners, placed = floats(corners), NO_BOXES if placed_boxes is None else floats(placed_boxes)
     with workers(len(corners) + len(placed), threads) as team:
         construction = Construction(corners, placed, team)
         construction.grow()
@@ -63,7 +63,7 @@ class Construction:
         self._prepare(corners, placed)
         deepest = min(2 * math.ceil(math.log2(self._count)) + 12, DEEPEST)
         arrays = (self._nodes, self._even, self._odd, self._sorted)
-        self._state = (*(array.ctypes.data for array in arrays), deepest, self.extent.scale)
+        self._state = (*(array.ctypes.data for array in arrays), deepest)
 
     def _prepare(self, corners: NDArray[np.float32], placed: NDArray[np.float32]) -> None:
         """Write the records of all primitives and the root."""

@@ -23,8 +23,8 @@ CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_float}
 SIGNATURES = {
     "bounds": "piipp",
     "prepare": "piipp",
-    "split": "ppppifii",
-    "grow": "ppppifii",
+    "split": "ppppiii",
+    "grow": "ppppiii",
     "weigh": "piif",
     "plan": "pippppp",
     "emit": "ppppppiii",

@@ -15,7 +15,7 @@ from djpt.geometry.compiled.collapse_functions import LEAF_COST, NODE_COST
 from djpt.geometry.compiled.functions import functions
 from djpt.geometry.compiled.workers import Workers, workers
 
-__all__ = ["NO_BOXES", "Built", "Extent", "chunks", "fit", "refit"]
+__all__ = ["NO_BOXES", "Built", "Extent", "chunks", "fit", "floats", "refit"]
 
 CHUNK = 1024
 """Nodes that one task fits."""
@@ -103,7 +103,7 @@ def refit(
 
     The arguments are those of `djpt.geometry.compiled.builder.build`, with the numbers of primitives unchanged.
     """
-    placed = NO_BOXES if placed_boxes is None else placed_boxes
+    corners, placed = floats(corners), NO_BOXES if placed_boxes is None else floats(placed_boxes)
     parts = chunks(len(corners), TRIANGLES)
     partial = np.empty((len(parts), 16), np.float32)
     with workers(len(corners), threads) as team:
@@ -136,6 +136,11 @@ def fit(built: Built, extent: Extent, corners: NDArray[np.float32], placed: NDAr
     areas = sums.sum(axis=0) / extent.area if extent.area > 0 else np.zeros(2)
     built.node_visits = float(1 + areas[0]) if extent.area > 0 else 0.0
     built.leaf_visits = float(areas[1])
+
+
+def floats(array: NDArray[np.float32]) -> NDArray[np.float32]:
+    """An array as functions that know only its address take it; a copy if need be."""
+    return np.ascontiguousarray(array, np.float32)
 
 
 def chunks(count: int, size: int) -> list[tuple[int, int]]:
