@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 
-from djpt.llvm.ir import I1, Function, Operand, Type, Value
+from djpt.llvm.ir import I1, I32, Function, Operand, Type, Value
 
 __all__ = [
     "abs",
     "all_of",
     "any_of",
+    "bit_length",
     "copysign",
     "fma",
+    "gather",
     "lowest_bit",
     "maximum",
     "minimum",
@@ -95,6 +97,20 @@ def lowest_bit(bits: Value) -> Value:
     """The number of the lowest bit that is set; unspecified if none is."""
     function = bits.function
     return function.intrinsic("cttz", [bits, function.constant(I1, 1)], bits.type)
+
+
+def bit_length(x: Value) -> Value:
+    """The number of bits that an integer needs, 0 for 0."""
+    function = x.function
+    return x.type.bits - function.intrinsic("ctlz", [x, function.constant(I1, 0)], x.type)
+
+
+def gather(addresses: Value, mask: Value, other: Value) -> Value:
+    """Read one lane from each address where a mask is set; lanes of `other` elsewhere."""
+    function, type = addresses.function, other.type
+    align = function.constant(I32, type.element.bits // 8)
+    suffix = f"{type.suffix}.v{type.lanes}p0"
+    return function.intrinsic("masked.gather", [addresses, align, mask, other], type, suffix)
 
 
 def _function(a: Operand, b: Operand) -> Function:

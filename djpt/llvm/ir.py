@@ -186,6 +186,11 @@ class Value:
             operation = "uitofp" if source.kind == "i" else "fptoui"
         return self.function.emit(f"{operation} {self} to {target}", target)
 
+    def whole(self, type: Type = I32) -> Value:
+        """A float without its fraction as an integer, up to the largest signed one: faster than `to`."""
+        target = Type(type.kind, type.bits, self.type.lanes)
+        return self.function.emit(f"fptosi {self} to {target}", target)
+
     def bits_as(self, type: Type) -> Value:
         """The same bits as another type of the same size; a mask becomes an integer, lane 0 the lowest bit."""
         return self.function.emit(f"bitcast {self} to {type}", type)
@@ -210,9 +215,10 @@ class Value:
         return self.function.emit(f"shufflevector {self}, {second}, <{len(lanes)} x i32> <{chosen}>", type)
 
     def at(self, offset: Operand) -> Value:
-        """The address `offset` bytes further on."""
+        """The address `offset` bytes further on; a vector of addresses for a vector of offsets."""
         offset = self.function.constant(I64, offset) if isinstance(offset, int) else offset
-        return self.function.emit(f"getelementptr i8, {self}, {offset}", PTR)
+        type = Type(PTR.kind, PTR.bits, offset.type.lanes if isinstance(offset, Value) else 0)
+        return self.function.emit(f"getelementptr i8, {self}, {offset}", type)
 
     # ---- parts ---------------------------------------------------------------------------
 
@@ -429,6 +435,15 @@ class Function:
             turns.stop_if(i >= end)
             index.value = i + 1
             yield i
+
+    @contextmanager
+    def each_backwards(self, first: Operand, end: Operand) -> Iterator[Value]:
+        """Run what is built inside for every whole number below `end` down to `first`."""
+        index = self.variable(I64, self.constant(I64, end))
+        with self.loop() as turns:
+            turns.stop_if(index.value <= first)
+            index.value = index.value - 1
+            yield index.value
 
     # ---- text ------------------------------------------------------------------------------------
 

@@ -1,0 +1,64 @@
+"""The machine code of trees' construction, compiled once, as functions that Python can call.
+
+They take addresses as integers, and let other threads of Python run while they work.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+from djpt.geometry.compiled.build_functions import add_build_functions
+from djpt.geometry.compiled.collapse_functions import add_plan, add_weigh
+from djpt.geometry.compiled.fit_functions import add_fit_functions
+from djpt.llvm.compiler import compiled
+from djpt.llvm.ir import Module
+
+__all__ = ["Functions", "functions"]
+
+CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_float}
+
+SIGNATURES = {
+    "bounds": "piipp",
+    "prepare": "piipp",
+    "split": "ppppiii",
+    "grow": "ppppiii",
+    "weigh": "piif",
+    "plan": "pippppp",
+    "emit": "ppppppiii",
+    "fit": "ppppppiiip",
+}
+"""The parameters of the functions: pointers, integers and floats. All results are integers."""
+
+
+@dataclass
+class Functions:
+    """The functions, see the modules that define them."""
+
+    bounds: Callable[..., int]
+    prepare: Callable[..., int]
+    split: Callable[..., int]
+    grow: Callable[..., int]
+    weigh: Callable[..., int]
+    plan: Callable[..., int]
+    emit: Callable[..., int]
+    fit: Callable[..., int]
+
+
+@cache
+def functions() -> Functions:
+    """The functions, compiled at the first call."""
+    module = Module()
+    add_build_functions(module)
+    add_weigh(module)
+    add_plan(module)
+    add_fit_functions(module)
+    addresses = compiled(module.text(), tuple(SIGNATURES))
+    return Functions(
+        **{
+            name: ctypes.CFUNCTYPE(ctypes.c_int64, *(CTYPES[letter] for letter in letters))(addresses[name])
+            for name, letters in SIGNATURES.items()
+        }
+    )
