@@ -148,9 +148,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     def turn(lane: Lane) -> tuple[Lane]:
         through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
-        (lane,) = dr.if_stmt(
-            (lane,), lane.query.cursor.ended, lambda lane: (advance(lane),), lambda lane: (lane,)
-        )
+        (lane,) = dr.if_stmt((lane,), lane.query.cursor.ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)
 
     (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")

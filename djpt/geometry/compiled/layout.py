@@ -3,20 +3,20 @@
 ==============  ====  ==========================================================================
 part            rows  contents
 ==============  ====  ==========================================================================
-header          8     word 0: 1 if there are placed primitives
+header          8     word 0: row of the first triangle's record; word 1: of the first placed record
 node            8     2 a: low planes of the eight children along axis a; 2 a + 1: high planes;
                       6: references to the children; 7: unused
-leaf            10    3 k + a: coordinate a of corner k of eight triangles; 9: their records
+leaf            10    3 k + a: coordinate a of corner k of eight triangles; 9: their numbers
 placed          2     map into the primitive's space, 3 x 4 floats; label, detail, side, unused
 triangle        1     unused, unit normal, label, face, direction of dp/du
 ==============  ====  ==========================================================================
 
-A reference is a row number: of a node; with LEAF, of a leaf; with PLACED, of the *second* row of a placed primitive
-(an instance, or an analytic solid). The record of a triangle or placed primitive is the number of the row
-that holds its label, at word 4; for labels and details see `djpt.geometry.bvh.records`.
+A reference is the row of a node; with LEAF, the row of a leaf; with PLACED, the number of a placed primitive
+(an instance, or an analytic solid). Triangles are numbered in the order of the leaves. The record of a triangle or
+placed primitive is the row that holds its label; for labels and details see `djpt.geometry.bvh.records`.
 
-A group of meshes that instances show has a block of its own within the block of the scene. References inside it count
-from its start, records from the start of the scene's.
+A group of meshes that instances show has a block of its own, with a header, within the block of the scene. References
+in it count from its start, records from the start of the scene's.
 
 Coordinates count from the middle of their tree.
 """

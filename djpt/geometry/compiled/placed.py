@@ -44,11 +44,11 @@ class Triple(NamedTuple):
 
 
 class Placed:
-    """A placed primitive; `row` is the number of its second row."""
+    """A placed primitive; `record` is the number of its second row."""
 
-    def __init__(self, f: Function, scene: Value, row: Value) -> None:
-        self._f, self._scene, self.record = f, scene, row
-        self._address = scene.at(row.to(I64) * ROW_BYTES).at(-ROW_BYTES)
+    def __init__(self, f: Function, scene: Value, record: Value) -> None:
+        self._f, self._scene, self.record = f, scene, record
+        self._address = scene.at(record.to(I64) * ROW_BYTES).at(-ROW_BYTES)
 
     def word(self, index: int) -> Value:
         """A whole number of the record."""

@@ -34,7 +34,7 @@ PASSES_LIGHTS, ANY_HIT = 1, 2
 STACK = 512
 """Entries of the stack: seven for each level that a builder may make, and the last node's."""
 
-CHILD_ROW, RECORD_ROW = 6 * ROW_BYTES, 9 * ROW_BYTES
+CHILD_ROW, NUMBER_ROW = 6 * ROW_BYTES, 9 * ROW_BYTES
 
 LINE = 64
 """Bytes of a cache line."""
@@ -280,7 +280,7 @@ class Search:
             remaining.value = bits & (bits - 1)
             distance = numbers[0][slot]
             candidates.again_if(~(distance < self.reach.value))
-            record = f.load(I32, leaf.at(RECORD_ROW).at(slot * 4))
+            record = f.load(I32, leaf.at(NUMBER_ROW).at(slot * 4)) + f.load(I32, self.tree)
             if self.features.lights:
                 candidates.again_if(self.passed(record))
             if self.any_hit:
@@ -303,7 +303,8 @@ class Search:
 
     def visit_placed(self, child: Value) -> None:
         """Go into an instance, or test an analytic solid."""
-        placed = Placed(self.f, self.scene, child & REFERENCE)
+        record = (child & REFERENCE) * 2 + self.f.load(I32, self.scene.at(4))
+        placed = Placed(self.f, self.scene, record)
         o, d = placed.into(self.ray.o, self.ray.d)
         detail = placed.word(DETAIL_WORD)
         if not self.features.kinds:

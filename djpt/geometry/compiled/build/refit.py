@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.compiled.collapse_functions import LEAF_COST, NODE_COST
-from djpt.geometry.compiled.functions import functions
-from djpt.geometry.compiled.workers import Workers, workers
+from djpt.geometry.compiled.build.collapse_functions import LEAF_COST, NODE_COST
+from djpt.geometry.compiled.build.functions import functions
+from djpt.geometry.compiled.build.workers import Workers, workers
 
 __all__ = ["NO_BOXES", "Built", "Extent", "chunks", "fit", "floats", "refit"]
 
@@ -101,7 +101,7 @@ def refit(
 ) -> float:
     """Fit a tree to its triangles and placed primitives where they are now, in place; return the new SAH cost.
 
-    The arguments are those of `djpt.geometry.compiled.builder.build`, with the numbers of primitives unchanged.
+    The arguments are those of `djpt.geometry.compiled.build.builder.build`, with the numbers of primitives unchanged.
     """
     corners, placed = floats(corners), NO_BOXES if placed_boxes is None else floats(placed_boxes)
     parts = chunks(len(corners), TRIANGLES)

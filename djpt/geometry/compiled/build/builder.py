@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.compiled.binary_nodes import ALONE, BIAS, NODE_SIZE, PRIMITIVE_SIZE
-from djpt.geometry.compiled.collapse_functions import LEAF_UNITS, NODE_UNITS, ROOT, WIDTH
-from djpt.geometry.compiled.functions import functions
-from djpt.geometry.compiled.refit import NO_BOXES, TRIANGLES, Built, Extent, chunks, fit, floats
-from djpt.geometry.compiled.workers import Workers, workers
+from djpt.geometry.compiled.build.binary_nodes import ALONE, BIAS, NODE_SIZE, PRIMITIVE_SIZE
+from djpt.geometry.compiled.build.functions import functions
+from djpt.geometry.compiled.build.refit import NO_BOXES, TRIANGLES, Built, Extent, chunks, fit, floats
+from djpt.geometry.compiled.build.workers import Workers, workers
+from djpt.geometry.compiled.layout import CHILDREN, LEAF_ROWS, NODE_ROWS, ROOT
 
 __all__ = ["DEEPEST", "build"]
 
@@ -122,7 +122,7 @@ class Construction:
         """Choose the nodes of the wide tree."""
         leaves = 1 + len(self._split) + sum(self._pairs)
         # A wide node has two children at least, unless it is the only one.
-        references = np.empty((leaves + 1, WIDTH), np.uint32)
+        references = np.empty((leaves + 1, CHILDREN), np.uint32)
         ends, starts, places = (np.empty(leaves + 1, np.uint32) for _ in range(3))
         counts = np.empty(2, np.int64)
         arrays = (references, ends, starts, places, counts)
@@ -149,7 +149,7 @@ class Plan:
 
     def emit(self, triangles: int, team: Workers) -> Built:
         """Write what stays when primitives move."""
-        memory = aligned(8 * (ROOT + NODE_UNITS * self.nodes + LEAF_UNITS * self.leaves))
+        memory = aligned(8 * (ROOT + NODE_ROWS * self.nodes + LEAF_ROWS * self.leaves))
         memory[: 8 * ROOT] = 0
         order = np.empty(triangles, np.uint32)
         arrays = (self.references, self.starts, self.places, self.sorted, memory, order)

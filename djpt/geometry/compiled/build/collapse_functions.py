@@ -6,32 +6,12 @@ S. Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BV
 
 from __future__ import annotations
 
-from djpt.geometry.compiled.binary_nodes import BOX, COUNT, LEAF_SIZE, MERGED, PLACED, SMALL, Node, area
+from djpt.geometry.compiled.build.binary_nodes import BOX, COUNT, LEAF_SIZE, MERGED, PLACED_COUNT, SMALL, Node, area
+from djpt.geometry.compiled.layout import CHILDREN, LEAF, NODE_ROWS, PLACED, ROOT, ROW_BYTES
 from djpt.llvm.arithmetic import maximum, minimum, select
 from djpt.llvm.ir import F32, I32, I64, PTR, Array, Function, Module, Value, Variable
 
-__all__ = [
-    "LEAF",
-    "LEAF_COST",
-    "LEAF_UNITS",
-    "NODE_COST",
-    "NODE_UNITS",
-    "PLACED_LEAF",
-    "ROOT",
-    "WIDTH",
-    "add_plan",
-    "add_weigh",
-]
-
-WIDTH = 8
-ROW = 4 * WIDTH
-"""Bytes of a row of eight words: a unit of references."""
-
-LEAF, PLACED_LEAF = 0x80000000, 0xC0000000
-"""The marks of references to leaves and to placed primitives."""
-
-ROOT, NODE_UNITS, LEAF_UNITS = 8, 8, 10
-"""The place of the root, and the sizes of nodes and leaves, in rows."""
+__all__ = ["LEAF_COST", "NODE_COST", "add_plan", "add_weigh"]
 
 NODE_COST, LEAF_COST = 1.0, 1.0
 """The times that a ray takes for the boxes of a node and for the triangles of a leaf."""
@@ -53,7 +33,7 @@ def add_weigh(module: Module) -> None:
             with f.either(node.is_inner) as branch:
                 left, right = Node(f, nodes, node.first), Node(f, nodes, node.first + 1)
                 shared = shared_out(left.costs, right.costs)
-                one = own * NODE_COST + shared.lane(WIDTH - 1)
+                one = own * NODE_COST + shared.lane(CHILDREN - 1)
                 leaf = own * LEAF_COST
                 triangles = (left.count & COUNT) + (right.count & COUNT)
                 with f.either(triangles <= LEAF_SIZE) as small:
@@ -62,7 +42,7 @@ def add_weigh(module: Module) -> None:
                     small.otherwise()
                     node.costs = minimum(shared, one)
                 branch.otherwise()
-                node.costs = (own * LEAF_COST).spread(WIDTH)
+                node.costs = (own * LEAF_COST).spread(CHILDREN)
 
 
 def scaled_area(node: Node, scale: Value) -> Value:
@@ -74,9 +54,9 @@ def shared_out(left: Value, right: Value) -> Value:
     """Lane k: the least cost of two children that share k + 1 slots, at least one each; infinite for one slot."""
     none = left.function.constant(BOX, FAR)
     best = none
-    for share in range(1, WIDTH):
+    for share in range(1, CHILDREN):
         # Of k + 1 slots the left child gets `share`, the right one the rest, whose cost is in lane k - share.
-        rest = none.shuffled([k if k < share else WIDTH + k - share for k in range(WIDTH)], right)
+        rest = none.shuffled([k if k < share else CHILDREN + k - share for k in range(CHILDREN)], right)
         best = minimum(rest + left.lane(share - 1), best)
     return best
 
@@ -112,15 +92,15 @@ class Stack:
 
 def adopt(f: Function, nodes: Value, root: Value, members: Array) -> Value:
     """Find the binary nodes that become the children of a wide one; return their number."""
-    waiting, count = Stack(f, 2 * WIDTH, 2), f.variable(I64, 0)
-    waiting.push(root, f.constant(I64, WIDTH))
+    waiting, count = Stack(f, 2 * CHILDREN, 2), f.variable(I64, 0)
+    waiting.push(root, f.constant(I64, CHILDREN))
     with f.loop() as turns:
         turns.stop_if(waiting.height.value == 0)
         index, slots = waiting.pop()
         node = Node(f, nodes, index)
         # With fewer slots than all there are costs to compare; the root itself must be opened.
-        opens = f.variable(I64, (slots == WIDTH).to(I64))
-        with f.when(slots < WIDTH):
+        opens = f.variable(I64, (slots == CHILDREN).to(I64))
+        with f.when(slots < CHILDREN):
             opens.value = (node.cost(slots) < node.cost(f.constant(I64, 1))).to(I64)
         with f.either((opens.value == 1) & node.is_inner) as branch:
             left = node.first
@@ -152,27 +132,27 @@ def add_plan(module: Module) -> None:
     with module.function("plan", parameters, I64) as f:
         nodes, root, references, ends, from_, to, counts = f.parameters
         count, leaf, position, deepest = (f.variable(I64, 0) for _ in range(4))
-        members = f.array(I64, WIDTH)
+        members = f.array(I64, CHILDREN)
         # A wide node of each level leaves up to seven others on the stack.
-        waiting = Stack(f, 64 * WIDTH, 3)
+        waiting = Stack(f, 64 * CHILDREN, 3)
         waiting.push(root, f.constant(I64, 0), f.constant(I64, 1))
         with f.loop() as turns:
             turns.stop_if(waiting.height.value == 0)
             index, place, level = waiting.pop()
             own = count.value
-            f.store((own * NODE_UNITS + ROOT).to(I32), references.at(place))
+            f.store((own * NODE_ROWS + ROOT).to(I32), references.at(place))
             deepest.value = maximum(deepest.value, level)
-            row = references.at((own + 1) * ROW)
+            row = references.at((own + 1) * ROW_BYTES)
             f.store(f.constant(BOX, 0.0), row)
             children = adopt(f, nodes, index, members)
             with f.each_backwards(0, children) as slot:
                 child = Node(f, nodes, members[slot])
                 with f.when(child.is_inner & ~child.is_merged):
-                    waiting.push(members[slot], (own + 1) * ROW + slot * 4, level + 1)
+                    waiting.push(members[slot], (own + 1) * ROW_BYTES + slot * 4, level + 1)
             with f.each(0, children) as slot:
                 child = Node(f, nodes, members[slot])
-                with f.when(child.count == PLACED):
-                    f.store((child.first + PLACED_LEAF).to(I32), row.at(slot * 4))
+                with f.when(child.count == PLACED_COUNT):
+                    f.store((child.first + PLACED).to(I32), row.at(slot * 4))
                 with f.when((child.count <= LEAF_SIZE) | child.is_merged):
                     f.store((leaf.value + LEAF).to(I32), row.at(slot * 4))
                     f.store(first_triangle(f, nodes, members[slot]).to(I32), from_.at(leaf.value * 4))
@@ -181,7 +161,7 @@ def add_plan(module: Module) -> None:
                     position.value = position.value + (child.count & COUNT)
             count.value = own + 1
         f.store(position.value.to(I32), to.at(leaf.value * 4))
-        find_ends(f, references.at(ROW), ends, count.value)
+        find_ends(f, references.at(ROW_BYTES), ends, count.value)
         f.store(leaf.value, counts)
         f.store(deepest.value, counts.at(8))
         f.give(count.value)
@@ -200,9 +180,9 @@ def find_ends(f: Function, references: Value, ends: Value, count: Value) -> None
     """Write for each node the end of the nodes below it, which follow it without a gap."""
     with f.each_backwards(0, count) as index:
         end = f.variable(I64, index + 1)
-        with f.each(0, WIDTH) as slot:
-            reference = f.load(I32, references.at((index * WIDTH + slot) * 4)).to(I64)
+        with f.each(0, CHILDREN) as slot:
+            reference = f.load(I32, references.at((index * CHILDREN + slot) * 4)).to(I64)
             with f.when((reference != 0) & (reference < LEAF)):
-                below = f.load(I32, ends.at(((reference - ROOT) // NODE_UNITS) * 4)).to(I64)
+                below = f.load(I32, ends.at(((reference - ROOT) // NODE_ROWS) * 4)).to(I64)
                 end.value = maximum(end.value, below)
         f.store(end.value.to(I32), ends.at(index * 4))

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-from djpt.geometry.compiled.build_functions import add_build_functions
-from djpt.geometry.compiled.collapse_functions import add_plan, add_weigh
-from djpt.geometry.compiled.fit_functions import add_fit_functions
+from djpt.geometry.compiled.build.build_functions import add_build_functions
+from djpt.geometry.compiled.build.collapse_functions import add_plan, add_weigh
+from djpt.geometry.compiled.build.fit_functions import add_fit_functions
 from djpt.llvm.compiler import compiled
 from djpt.llvm.ir import Module
 

@@ -1,27 +1,24 @@
 """The memory of a tree: leaves and boxes, as functions in LLVM's language.
 
-`emit` writes what stays when triangles move, `fit` writes the rest: corners and boxes, from the leaves up.
-
-A node of 256 bytes has eight rows of eight words: the children's low and high planes along x, y and z, their
-references, and an unused row. A leaf of 320 bytes has ten: the corners' coordinates, x, y and z of one corner
-after the other, and the places of the triangles in the order of the leaves.
+`emit` writes what stays when triangles move, `fit` writes the rest: corners and boxes, from the leaves up. For the
+memory see `djpt.geometry.compiled.layout`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from djpt.geometry.compiled.binary_nodes import BOX, EMPTY
-from djpt.geometry.compiled.build_functions import CORNERS_SIZE
-from djpt.geometry.compiled.collapse_functions import LEAF, LEAF_UNITS, NODE_UNITS, PLACED_LEAF, ROOT, ROW, WIDTH
+from djpt.geometry.compiled.build.binary_nodes import BOX, EMPTY
+from djpt.geometry.compiled.build.build_functions import CORNERS_SIZE
+from djpt.geometry.compiled.layout import CHILDREN, LEAF, LEAF_ROWS, NODE_ROWS, PLACED, ROOT, ROW_BYTES
 from djpt.llvm.arithmetic import gather, maximum, minimum, select
 from djpt.llvm.ir import F32, F64, I32, I64, PTR, Function, Module, Value, vector
 
 __all__ = ["add_fit_functions"]
 
-WORDS, LONGS = vector(I32, WIDTH), vector(I64, WIDTH)
+WORDS, LONGS = vector(I32, CHILDREN), vector(I64, CHILDREN)
 
-REFERENCES, UNUSED, RECORDS = 6 * ROW, 7 * ROW, 9 * ROW
+REFERENCES, UNUSED, RECORDS = 6 * ROW_BYTES, 7 * ROW_BYTES, 9 * ROW_BYTES
 """The rows of a node and of a leaf that aren't planes or coordinates."""
 
 
@@ -50,23 +47,23 @@ def add_emit(module: Module) -> None:
     ]
     with module.function("emit", parameters) as f:
         references, from_, to, sorted, memory, order, nodes, first, end = f.parameters
-        leaves = nodes * NODE_UNITS + ROOT
+        leaves = nodes * NODE_ROWS + ROOT
         with f.each(first, end) as i:
-            node = memory.at((i * NODE_UNITS + ROOT) * ROW)
+            node = memory.at((i * NODE_ROWS + ROOT) * ROW_BYTES)
             f.store(f.constant(WORDS, 0), node.at(UNUSED))
-            with f.each(0, WIDTH) as slot:
-                reference = f.load(I32, references.at((i * WIDTH + slot) * 4))
+            with f.each(0, CHILDREN) as slot:
+                reference = f.load(I32, references.at((i * CHILDREN + slot) * 4))
                 place = node.at(slot * 4 + REFERENCES)
                 f.store(reference, place)
-                with f.when((reference >= LEAF) & (reference < PLACED_LEAF)):
+                with f.when((reference >= LEAF) & (reference < PLACED)):
                     leaf = (reference ^ LEAF).to(I64)
-                    unit = leaves + leaf * LEAF_UNITS
+                    unit = leaves + leaf * LEAF_ROWS
                     f.store((unit + LEAF).to(I32), place)
                     start = f.load(I32, to.at(leaf * 4))
                     count = f.load(I32, to.at(leaf * 4 + 4)) - start
                     lanes = numbered(f)
-                    records = start.spread(WIDTH) + select(lanes < count, lanes, 0)
-                    f.store(records, memory.at(unit * ROW + RECORDS))
+                    records = start.spread(CHILDREN) + select(lanes < count, lanes, 0)
+                    f.store(records, memory.at(unit * ROW_BYTES + RECORDS))
                     source = f.load(I32, from_.at(leaf * 4)).to(I64)
                     with f.each(0, count.to(I64)) as k:
                         triangle = f.load(I32, sorted.at((source + k) * 4))
@@ -75,7 +72,7 @@ def add_emit(module: Module) -> None:
 
 def numbered(f: Function) -> Value:
     """The numbers of the lanes."""
-    return Value(f, WORDS, "<" + ", ".join(f"i32 {lane}" for lane in range(WIDTH)) + ">")
+    return Value(f, WORDS, "<" + ", ".join(f"i32 {lane}" for lane in range(CHILDREN)) + ">")
 
 
 # ---- what moves ----------------------------------------------------------------------------------------------
@@ -89,7 +86,7 @@ class Planes:
 
     def __init__(self, f: Function) -> None:
         """Put empty boxes into all slots."""
-        self.rows = [f.array(F32, WIDTH) for _ in range(6)]
+        self.rows = [f.array(F32, CHILDREN) for _ in range(6)]
         for row, array in enumerate(self.rows):
             array.store(f.constant(BOX, -EMPTY if row % 2 else EMPTY))
 
@@ -101,7 +98,7 @@ class Planes:
 def folded(x: Value, combine: Callable[[Value, Value], Value]) -> Value:
     """Combine all lanes."""
     for step in (4, 2, 1):
-        x = combine(x, x.shuffled([(lane + step) % WIDTH for lane in range(WIDTH)]))
+        x = combine(x, x.shuffled([(lane + step) % CHILDREN for lane in range(CHILDREN)]))
     return x.lane(0)
 
 
@@ -109,7 +106,7 @@ def fit_leaf(f: Function, leaf: Value, corners: Value, order: Value, center: lis
     """Write the corners of a leaf's triangles, and return their lowest and highest coordinates, axis by axis."""
     records = f.load(WORDS, leaf.at(RECORDS))
     lanes = numbered(f)
-    there = records == records.lane(0).spread(WIDTH) + lanes
+    there = records == records.lane(0).spread(CHILDREN) + lanes
     triangles = gather(order.at(records.to(LONGS) * 4), there, f.constant(WORDS, 0))
     offsets = triangles.to(LONGS) * CORNERS_SIZE
     missing = f.constant(BOX, float("nan"))
@@ -119,7 +116,7 @@ def fit_leaf(f: Function, leaf: Value, corners: Value, order: Value, center: lis
         for corner in range(3):
             row = 3 * corner + axis
             x = gather(corners.at(offsets + 4 * row), there, missing) - center[axis]
-            f.store(x, leaf.at(row * ROW))
+            f.store(x, leaf.at(row * ROW_BYTES))
             # In this order the bounds stay where there is no triangle.
             low, high = minimum(x, low), maximum(x, high)
         result.append((folded(low, minimum), folded(high, maximum)))
@@ -133,32 +130,32 @@ def add_fit_node(module: Module) -> None:
     """
     with module.function("fit_node", [*PLACE, ("index", I64), ("sums", PTR)], internal=True) as f:
         memory, corners, order, placed, numbers, index, sums = f.parameters
-        node = memory.at((index * NODE_UNITS + ROOT) * ROW)
+        node = memory.at((index * NODE_ROWS + ROOT) * ROW_BYTES)
         center = [f.load(F32, numbers.at(4 * axis)) for axis in range(3)]
         slack, scale = f.load(F32, numbers.at(12)), f.load(F32, numbers.at(16))
         planes = Planes(f)
-        with f.each(0, WIDTH) as slot:
+        with f.each(0, CHILDREN) as slot:
             reference = f.load(I32, node.at(slot * 4 + REFERENCES))
             with f.either(reference < LEAF) as branch:
                 with f.when(reference != 0):
-                    child = memory.at(reference.to(I64) * ROW)
+                    child = memory.at(reference.to(I64) * ROW_BYTES)
                     for axis in range(3):
-                        low = folded(f.load(BOX, child.at(2 * axis * ROW)), minimum)
-                        high = folded(f.load(BOX, child.at((2 * axis + 1) * ROW)), maximum)
+                        low = folded(f.load(BOX, child.at(2 * axis * ROW_BYTES)), minimum)
+                        high = folded(f.load(BOX, child.at((2 * axis + 1) * ROW_BYTES)), maximum)
                         planes.set(slot, axis, low, high)
                 branch.otherwise()
-                with f.either(reference < PLACED_LEAF) as kind:
-                    leaf = memory.at((reference ^ LEAF).to(I64) * ROW)
+                with f.either(reference < PLACED) as kind:
+                    leaf = memory.at((reference ^ LEAF).to(I64) * ROW_BYTES)
                     for axis, (low, high) in enumerate(fit_leaf(f, leaf, corners, order, center)):
                         planes.set(slot, axis, low - slack, high + slack)
                     kind.otherwise()
-                    box = placed.at((reference ^ PLACED_LEAF).to(I64) * 24)
+                    box = placed.at((reference ^ PLACED).to(I64) * 24)
                     for axis in range(3):
                         low, high = (f.load(F32, box.at(4 * (axis + side))) - center[axis] for side in (0, 3))
                         planes.set(slot, axis, low - slack, high + slack)
         rows = [f.load(BOX, row.address) for row in planes.rows]
         for number, row in enumerate(rows):
-            f.store(row, node.at(number * ROW))
+            f.store(row, node.at(number * ROW_BYTES))
         references = f.load(WORDS, node.at(REFERENCES))
         x, y, z = ((rows[2 * axis + 1] - rows[2 * axis]) * scale for axis in range(3))
         areas = x * y + y * z + z * x

@@ -22,7 +22,7 @@ __all__ = [
     "LEAF_SIZE",
     "MERGED",
     "NODE_SIZE",
-    "PLACED",
+    "PLACED_COUNT",
     "POINT",
     "PRIMITIVE_SIZE",
     "SMALL",
@@ -62,7 +62,7 @@ word    while it is a leaf      once it is an inner node
 12 ..   centroids' high corner
 ======  ======================  ======================================================
 
-Leaves get costs in the end, too. A leaf that is a placed primitive has its number in word 3 and the count PLACED.
+Leaves get costs in the end, too. A leaf that is a placed primitive has its number in word 3 and the count PLACED_COUNT.
 """
 
 COSTS = 32
@@ -70,7 +70,7 @@ COSTS = 32
 LEAF_SIZE = 8
 """The most triangles of a leaf."""
 
-PLACED, INNER, MERGED, SMALL = 9, 15, 16, 32
+PLACED_COUNT, INNER, MERGED, SMALL = 9, 15, 16, 32
 """What stands in place of the count: a placed primitive; an inner node of many triangles; and, added to the count, an
 inner node of few that is better as a leaf if it gets but one slot, and one that isn't."""
 
@@ -129,7 +129,7 @@ class Node:
 
     @property
     def count(self) -> Value:
-        """The number of primitives, INNER or PLACED."""
+        """The number of primitives, INNER or PLACED_COUNT."""
         return self._integer(7)
 
     @count.setter

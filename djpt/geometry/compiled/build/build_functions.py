@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from djpt.geometry.compiled.binary_nodes import (
+from djpt.geometry.compiled.build.binary_nodes import (
     ALONE,
     BIAS,
     BOX,
     EMPTY,
     INNER,
     LEAF_SIZE,
-    PLACED,
+    PLACED_COUNT,
     POINT,
     PRIMITIVE_SIZE,
     Node,
@@ -294,7 +294,7 @@ def finish_leaf(f: Function, node: Node, source: Value, sorted: Value) -> None:
         number = f.load(I32, record.at(12)) - BIAS
         f.store(number, sorted.at(i * 4))
         with f.when(f.load(F32, record.at(28)) == ALONE):
-            node.first, node.count = number.to(I64), PLACED
+            node.first, node.count = number.to(I64), PLACED_COUNT
 
 
 def move(
