@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import drjit as dr
-
 from djpt.shapes.instance import Instance
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.shapegroup import ShapeGroup
@@ -50,7 +48,7 @@ def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[st
         ("triangles", f"{stored}{instanced}"),
         ("nodes", f"{nodes}, depth {depth}"),
         ("SAH cost", f"{cost:.2f}"),
-        ("memory", f"{4 * dr.width(triangles.records.words) / 2**20:.1f} MiB"),
+        ("memory", f"{triangles.tree.bytes / 2**20:.1f} MiB"),
         ("built in", f"{triangles.build_seconds:.3f} s"),
     ]
 

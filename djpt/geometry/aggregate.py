@@ -17,9 +17,8 @@ import numpy as np
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.lookup import Numbers, is_one_of
 from djpt.frame import Frame3f
-from djpt.geometry.bvh.traversal import NONE, Cursor, start, turn
 from djpt.geometry.contents import Contents
-from djpt.geometry.query import ANALYTIC, FACE, Near, Query
+from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query
 from djpt.geometry.recentre import recentre
 from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
@@ -66,7 +65,7 @@ class Geometry:
         """A view of this geometry for rays that start near the `points` (3,), or this one if it will do."""
         if self.triangles is None or not len(points):
             return self
-        center = np.array(self.triangles.records.center).ravel()
+        center = np.array(self.triangles.tree.center).ravel()
         triangles = self.triangles.seen_from(max(float(np.linalg.norm(p - center)) for p in points))
         if triangles is self.triangles:
             return self
@@ -119,13 +118,18 @@ class Geometry:
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
         # The origin that the search has moved, even where a scene needs no move: nothing is computed twice.
-        near = Near(found.origin, found.near_t, found.entry, None, found.inside)
+        near = Near(found.origin, found.near_t, found.entry, found.b, found.inside)
         return PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Whether anything is hit with 0 < t < maxt."""
         hit = self.unrolled.any_hit(ray, active)
         return hit if self.triangles is None else hit | self.triangles.occluded(ray, ~hit & active)
+
+    @property
+    def stepwise(self) -> bool:
+        """Whether the search of the tree is a sequence of steps; false also if there is no tree."""
+        return self.triangles is not None and self.triangles.tree.stepwise
 
     def blocked(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Like `any_hit`, for a segment between a surface point and a light that shines on it.
@@ -154,15 +158,16 @@ class Geometry:
             active = active & ~(shadow & found)
         hit = dr.select(found, face | ANALYTIC, UInt32(NONE))
         # Points on instances need their corners anyway.
-        weights = self.triangles.meshes.smooth and not self.triangles.records.instanced
-        cursor = start(self.triangles.records, origin, ray.d, maxt, active, hit, weights)
+        tree = self.triangles.tree
+        weights = not tree.stepwise or (self.triangles.meshes.smooth and not tree.instanced)
+        cursor = tree.start(origin, ray.d, maxt, active, hit, weights)
         return Query(origin, ray.d, entry, cursor)
 
     def turn(self, query: Query, shadow: Bool, through_lights: Bool | None) -> Cursor:
         """The cursor after some steps; the masks mean what they mean for `begin`."""
         assert self.triangles is not None
         through = through_lights if self.triangles.emit else None
-        return turn(self.triangles.records, query.cursor, query.o, query.d, shadow, through)
+        return self.triangles.tree.turn(query.cursor, query.o, query.d, shadow, through)
 
     def end(self, query: Query) -> tuple[Ray3f, PreliminaryIntersection3f]:
         """The ray of a query whose cursor has come to the end, and its result.
@@ -171,14 +176,11 @@ class Geometry:
         """
         assert self.triangles is not None
         number = query.cursor.hit
-        t, origin = query.cursor.t, query.o + self.triangles.records.center
+        t, origin = query.cursor.t, query.o + self.triangles.tree.center
         if query.entry is not None:
             t, origin = t + query.entry, dr.fma(query.d, -query.entry, origin)
         t = dr.select(number != NONE, t, dr.inf)
-        passage = query.cursor.passage
-        near = Near(
-            query.o, query.cursor.t, query.entry, query.cursor.b, None if passage is None else passage.hit_inside
-        )
+        near = Near(query.o, query.cursor.t, query.entry, query.cursor.b, query.cursor.inside)
         face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
         face = dr.select(number != NONE, face, 0)
         hit = PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)

@@ -40,6 +40,11 @@ class RayTree(Protocol):
     """Whether there are instances."""
     kinds: tuple[int, ...]
     """The analytic shapes among the leaves: numbers into `canonical.KINDS`."""
+
+    @property
+    def bytes(self) -> int:
+        """The memory that searches and shading read."""
+
     stepwise: bool
     """Whether a search is a sequence of steps that all lanes take together, and not a call."""
 

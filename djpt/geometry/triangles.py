@@ -11,14 +11,14 @@ import drjit as dr
 
 from djpt.dispatch.lookup import Numbers
 from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.bvh.records import LEAF, NUMBER, PORTAL, SOLID, WORDS
-from djpt.geometry.bvh.search import Found, search
-from djpt.geometry.bvh.traversal import NONE, enter, into_group, load, load_second, triangle_corners
+from djpt.geometry.bvh.approach import enter
+from djpt.geometry.bvh.records import LEAF, NUMBER, PORTAL, SOLID
+from djpt.geometry.bvh.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
-from djpt.geometry.query import Near
+from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.kernels import float_in
@@ -45,7 +45,7 @@ class Triangles:
         self._first_face = Numbers(meshes.first_face)
         self._mesh_count = len(meshes.meshes)
         start = time.perf_counter()
-        self.records = forest.records()
+        self.tree = forest.tree()
         self.build_seconds = time.perf_counter() - start
         self._far = False
 
@@ -54,14 +54,14 @@ class Triangles:
         if meshes:
             self.meshes.refresh()
         self._first_face = Numbers(self.meshes.first_face)
-        self.records = self.forest.records()
+        self.tree = self.forest.tree()
 
     def seen_from(self, distance: float) -> Triangles:
         """A view of these triangles for rays that start as far as `distance` from the centre.
 
         From far away rays are moved near, see `enter`. Whether they are is structure, since it costs a few per cent.
         """
-        if self._far or not distance > FAR * self.records.extent:
+        if self._far or not distance > FAR * self.tree.extent:
             return self
         view = copy.copy(self)
         view._far = True
@@ -71,7 +71,7 @@ class Triangles:
 
     def enter(self, ray: Ray3f) -> tuple[Point3f, Float | None]:
         """The origin as seen from the centre, moved near if rays start far away; and the distance moved, or None."""
-        return enter(self.records, ray) if self._far else (ray.o - self.records.center, None)
+        return enter(self.tree, ray) if self._far else (ray.o - self.tree.center, None)
 
     @property
     def emit(self) -> bool:
@@ -80,17 +80,17 @@ class Triangles:
 
     def search(self, ray: Ray3f, through_lights: Bool | None) -> Found:
         """The first hit with 0 < t < maxt. Where `through_lights`, shapes that emit are ignored."""
-        return search(self.records, ray, False, through_lights=through_lights if self.emit else None)
+        return self.tree.search(ray, False, through_lights=through_lights if self.emit else None)
 
     def occluded(self, ray: Ray3f, active: Bool | bool) -> Bool:
         """Whether there is a hit with 0 < t < maxt."""
-        return search(self.records, ray, True, active).record != NONE
+        return self.tree.search(ray, True, active).record != NONE
 
     # ---- what a record says --------------------------------------------------------------
 
     def mesh_of(self, record: UInt32) -> UInt32:
         """The mesh that a triangle belongs to."""
-        return dr.gather(UInt32, self.records.words, record * WORDS + 12, record != NONE) & NUMBER
+        return self.tree.word(record, LABEL, record != NONE) & NUMBER
 
     def shape_of(self, record: UInt32) -> UInt32:
         """The index in the scene of the shape that a record belongs to."""
@@ -102,21 +102,20 @@ class Triangles:
 
     def primitive_index(self, record: UInt32, p: Point3f) -> UInt32:
         """The number of a triangle in its mesh; on analytic shapes Mitsuba's number of the primitive at `p`."""
-        face = dr.gather(UInt32, self.records.words, record * WORDS + 13, record != NONE)
+        face = self.tree.word(record, DETAIL, record != NONE)
         mesh = self.mesh_of(record)
         index: UInt32 = face - self._first_face.at(mesh)
-        if self.records.kinds:
-            words = load(self.records.words, record)
-            local, _ = into_group(words, p - self.records.center, Vector3f(0))
-            solid = canonical_surface(self.records.kinds, words[13], local).triangle
+        if self.tree.kinds:
+            words = self.tree.map_rows(record)
+            local, _ = into_group(words, p - self.tree.center, Vector3f(0))
+            solid = canonical_surface(self.tree.kinds, words[13], local).triangle
             index = dr.select(mesh < self._mesh_count, index, solid)
         return index
 
     def attribute(self, name: str, record: UInt32, uv: Point2f, active: Bool | bool) -> Any:
         """An attribute of the meshes at the barycentric coordinates `uv` of triangles; unspecified on other records."""
         active = active & (record != NONE)
-        words = self.records.words
-        kind, number = (dr.gather(UInt32, words, record * WORDS + k, active) for k in (12, 13))
+        kind, number = (self.tree.word(record, k, active) for k in (LABEL, DETAIL))
         # In records of nodes and of other shapes this word isn't a face.
         face = dr.select(active & ((kind & (LEAF | PORTAL)) == LEAF), number, 0)
         return self.meshes.attribute(name, face, uv.x, uv.y)
@@ -127,11 +126,11 @@ class Triangles:
         Unless `full`, uv and the lengths of dp/du and dp/dv are left out: half a record then is enough,
         without the corners.
         """
-        if self.records.kinds:
+        if self.tree.kinds:
             solid = self._solid(near, d, t, record)
             if not self.meshes.meshes:
                 return solid
-            is_solid = dr.gather(UInt32, self.records.words, record * WORDS + 12, record != NONE) & SOLID
+            is_solid = self.tree.word(record, LABEL, record != NONE) & SOLID
             return dr.select(is_solid != 0, solid, self._on_triangle(near, d, t, record, full))
         return self._on_triangle(near, d, t, record, full)
 
@@ -139,25 +138,24 @@ class Triangles:
         if near.inside is not None:
             return self._instanced(near, near.inside, d, t, record)
         if full or (self.meshes.smooth and near.b is None):
-            surface = self._by_corners(near.origin, d, record)
-            surface.p = surface.p + self.records.center
-            return surface
-        half = load_second(self.records.words, record)
+            return self._by_corners(near, near.origin, d, record)
+        half = self.tree.row(record)
         n = Vector3f(*(float_in(word) for word in half[1:4]))
         tangents = coordinate_system(n)
         dp_du = dr.fma(tangents[0], float_in(half[6]), tangents[1] * float_in(half[7]))
-        p = dr.fma(d, t, near.origin) + self.records.center
+        p = dr.fma(d, t, near.origin) + self.tree.center
         frame, weights = Frame3f(dp_du, dr.cross(n, dp_du), n), Point2f(0)
         if near.b is not None:
             weights = near.b
+        if self.meshes.smooth:
             frame = self.meshes.smooth_frame(dr.select(half[4] >= LEAF, half[5], 0), weights, n, dp_du)
         return Surface(p, n, frame, weights, dp_du, frame.t, weights)
 
     def _solid(self, near: Near, d: Vector3f, t: Float, record: UInt32) -> Surface:
         """The point on an analytic shape."""
-        words = load(self.records.words, record)
+        words = self.tree.map_rows(record)
         o, local_d = into_group(words, near.origin, d)
-        local = canonical_surface(self.records.kinds, words[13], dr.fma(local_d, t, o))
+        local = canonical_surface(self.tree.kinds, words[13], dr.fma(local_d, t, o))
         zero = Vector3f(0)
         point = Surface(zero, local.n, Frame3f(zero, zero, local.n), local.uv, local.dp_du, local.dp_dv, Point2f(0))
         placed = to_world(words, point)
@@ -167,25 +165,31 @@ class Triangles:
         # As in Mitsuba, reflections turn the geometric normal of shapes that are flat there, and no other.
         flat = words[13] < FLAT_KINDS
         placed.n = placed.n * dr.select(flat, side * mirrored, side)
-        placed.p = dr.fma(d, t, near.origin) + self.records.center
+        placed.p = dr.fma(d, t, near.origin) + self.tree.center
         return placed
 
-    def _by_corners(self, origin: Point3f, d: Vector3f, record: UInt32) -> Surface:
-        """The full surface point, relative to the centre of the triangle's tree."""
-        words = load(self.records.words, record)
-        corners = triangle_corners(words)
-        hit = intersect_triangle(RayPlane(origin, d), *corners)
+    def _by_corners(self, near: Near, o: Point3f, d: Vector3f, record: UInt32) -> Surface:
+        """The full surface point; the ray o, d is in the space of the triangle's tree, relative to its centre."""
+        row = self.tree.row(record)
         # The empty record stands for a miss: any face that exists will do.
-        face = dr.select(words[12] >= LEAF, words[13], 0)
-        return self.meshes.surface(face, corners, hit.b1, hit.b2)
+        face, b = dr.select(row[LABEL] >= LEAF, row[DETAIL], 0), near.b
+        corners, center = self.tree.corners(record), self.tree.center
+        if corners is None:
+            corners, center = self.meshes.vertices(face), Point3f(0)
+        if b is None:
+            hit = intersect_triangle(RayPlane(o + (self.tree.center - center), d), *corners)
+            b = Point2f(hit.b1, hit.b2)
+        surface = self.meshes.surface(face, corners, b.x, b.y)
+        surface.p = surface.p + center
+        return surface
 
     def _instanced(self, near: Near, inside: UInt32, d: Vector3f, t: Float, record: UInt32) -> Surface:
         """The point on a triangle that may belong to an instance."""
         within = inside != NONE
-        words = load(self.records.words, inside)
+        words = self.tree.map_rows(inside)
         o, local_d = into_group(words, near.origin, d)
-        surface = self._by_corners(dr.select(within, o, near.origin), dr.select(within, local_d, d), record)
-        p = dr.select(within, dr.fma(d, t, near.origin), surface.p) + self.records.center
+        surface = self._by_corners(near, dr.select(within, o, near.origin), dr.select(within, local_d, d), record)
+        p = dr.select(within, dr.fma(d, t, near.origin) + self.tree.center, surface.p)
         surface = dr.select(within, to_world(words, surface), surface)
         surface.p = p
         return surface

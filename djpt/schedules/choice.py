@@ -37,4 +37,6 @@ def choose(name: str, job: Job) -> Schedule:
         raise RenderError("the schedule 'machine' walks a BVH, and the scene has no meshes: use schedule='flat'")
     if name in possible:
         return SCHEDULES[name]
-    return next(s for n, s in SCHEDULES.items() if n in possible and (has_tree or n != "machine"))
+    # A search that is one call leaves no lane waiting for another: lanes needn't be state machines.
+    stepwise = job.scene.geometry.stepwise
+    return next(s for n, s in SCHEDULES.items() if n in possible and (stepwise or n != "machine"))

@@ -13,7 +13,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.traversal import enter, reciprocal
+from djpt.geometry.bvh.approach import enter
+from djpt.geometry.bvh.traversal import reciprocal
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.kernels import aligned, as_float, as_vector, maximum, minimum, wide
 from djpt.records import Ray3f

@@ -14,8 +14,8 @@ from djpt.geometry.bvh.leaves import TriangleLeaves
 from djpt.geometry.bvh.records import Records, pack
 from djpt.geometry.bvh.search import search
 from djpt.geometry.bvh.statistics import sah_cost
-from djpt.geometry.bvh.traversal import NONE
 from djpt.geometry.bvh.wide import collapse
+from djpt.geometry.query import NONE
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, UInt32
 

@@ -35,6 +35,13 @@ class TriangleLeaves:
         words[at, 13] = of + self.first_face
         words[at, 14:] = self.direction[of].view(np.uint32)
 
+    def write_rows(self, rows: NDArray[np.uint32], order: NDArray[np.uint32]) -> None:
+        """Write the rows of the triangles in the given order, as `djpt.geometry.query.RayTree` has them."""
+        rows[:, 1:4] = self.normal[order].view(np.uint32)
+        rows[:, 4] = self.mesh[order] | np.uint32(LEAF)
+        rows[:, 5] = order + np.uint32(self.first_face)
+        rows[:, 6:] = self.direction[order].view(np.uint32)
+
 
 @dataclass
 class PlacedLeaves:

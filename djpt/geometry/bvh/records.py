@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import SceneError
+from djpt.geometry.bvh.extent import Extent
 from djpt.kernels import aligned, as_float, as_vector
 from djpt.types import Float, Point3f, UInt32
 
@@ -48,9 +49,9 @@ __all__ = [
     "ROOT",
     "SOLID",
     "WORDS",
-    "Extent",
     "Leaves",
     "Records",
+    "extent_of",
     "pack",
     "roots",
 ]
@@ -115,20 +116,10 @@ class Records:
     """The analytic shapes among the leaves: numbers into `canonical.KINDS`."""
 
 
-@dataclass
-class Extent:
-    """The box about a tree."""
-
-    center: NDArray[np.float32]
-    diagonal: float
-
-    @staticmethod
-    def of(tree: WideTree) -> Extent:
-        """The extent of a tree: the box of the root's children."""
-        filled = tree.child[0] != -1
-        low, high = tree.box[0, filled, :3].min(axis=0), tree.box[0, filled, 3:].max(axis=0)
-        center = ((low.astype(np.float64) + high) / 2).astype(np.float32)
-        return Extent(center, float(np.linalg.norm(high.astype(np.float64) - low)))
+def extent_of(tree: WideTree) -> Extent:
+    """The extent of a tree: the box of the root's children."""
+    filled = tree.child[0] != -1
+    return Extent(tree.box[0, filled, :3].min(axis=0), tree.box[0, filled, 3:].max(axis=0))
 
 
 def roots(trees: Sequence[WideTree]) -> list[int]:
@@ -152,7 +143,7 @@ def pack(
     words = aligned((starts[-1], WORDS))
     words[EMPTY, :12], words[EMPTY, 12] = NO_CHILD, EMPTY_CELL
     words[EXIT, 12] = LEAF | PORTAL | NUMBER
-    extents = [Extent.of(tree) for tree in trees]
+    extents = [extent_of(tree) for tree in trees]
     for tree, root, primitives, extent in zip(trees, starts, leaves, extents, strict=False):
         pack_tree(words, tree, root, primitives, extent)
     first = extents[0]

@@ -7,8 +7,9 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.geometry.bvh.approach import enter
 from djpt.geometry.bvh.records import EMPTY, Records
-from djpt.geometry.bvh.traversal import Cursor, enter, start, turn, visit
+from djpt.geometry.bvh.traversal import Cursor, start, turn, visit
 from djpt.geometry.query import Found
 from djpt.kernels import wide
 from djpt.records import Ray3f

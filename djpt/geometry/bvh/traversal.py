@@ -23,12 +23,10 @@ from djpt.geometry.canonical import intersect
 from djpt.geometry.query import NONE
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
 from djpt.kernels import float_in, maximum, minimum
-from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
     "Cursor",
-    "enter",
     "into_group",
     "load",
     "load_second",
@@ -92,7 +90,7 @@ class Cursor:
     @property
     def inside(self) -> UInt32 | None:
         """The record of the instance that the hit belongs to, or NONE; None in scenes without instances."""
-        return self.passage and self.passage.hit_inside
+        return None if self.passage is None else self.passage.hit_inside
 
 
 def start(
@@ -263,29 +261,6 @@ def triangle_corners(words: list[UInt32]) -> tuple[Point3f, Point3f, Point3f]:
     """The corners in a triangle's record."""
     x = [float_in(w) for w in words[:9]]
     return Point3f(x[0:3]), Point3f(x[3:6]), Point3f(x[6:9])
-
-
-def enter(records: Records, ray: Ray3f) -> tuple[Point3f, Float]:
-    """Move a ray's origin near the triangles: the new origin, relative to the records' centre, and the distance moved.
-
-    A ray that starts within the sphere about all triangles keeps its origin. Other origins are moved without
-    loss: the errors of all sums and products are carried along, so that from far away triangles are hit
-    as precisely as from nearby (T. Ogita, S. Rump and S. Oishi, "Accurate Sum and Dot Product", 2005).
-    """
-    from_center, lost = two_sum(ray.o, -records.center)
-    inv = dr.rsqrt(dr.squared_norm(ray.d))
-    t = -dr.dot(from_center, ray.d) * dr.square(inv) - records.radius * inv
-    t = dr.select(t > 0, t, 0)
-    step = ray.d * t
-    moved, also_lost = two_sum(from_center, step)
-    return moved + (lost + also_lost + dr.fma(ray.d, t, -step)), t
-
-
-def two_sum(a: Point3f, b: Point3f) -> tuple[Point3f, Point3f]:
-    """The rounded sum, and its rounding error (D. Knuth, TAOCP vol. 2, 4.2.2)."""
-    total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
 
 
 def reciprocal(d: Vector3f) -> Vector3f:

@@ -71,7 +71,7 @@ class Core:
             self.data = library["_Z12jit_var_datajPPv"]
             self.release = library["_Z20jit_var_dec_ref_implj"]
         except (OSError, AttributeError) as error:
-            raise CallError(f"Dr.Jit {dr.__version__} has no calls of functions: {error}") from None
+            raise CallError(f"this version of Dr.Jit has no calls of functions: {error}") from None
         word, words = ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint32)
         self.ray_trace.argtypes, self.ray_trace.restype = [word, word, ctypes.c_int, words, words], None
         self.pointer.argtypes = [ctypes.c_int, ctypes.c_void_p, word, ctypes.c_int]
@@ -84,7 +84,7 @@ class Core:
         pointers = [self.pointer_to(array) for array in (code.memory, scene)]
         made = (ctypes.c_uint32 * OUTPUTS)()
         self.ray_trace(*pointers, int(any_hit), (ctypes.c_uint32 * INPUTS)(*(x.index for x in inputs)), made)
-        results = dr.detail.update_indices(outputs, list(made)[: len(outputs)])
+        results: Any = dr.detail.update_indices(outputs, list(made)[: len(outputs)])
         for index in (*made, *pointers):
             if index:
                 self.release(index)
@@ -105,28 +105,22 @@ def core() -> Core:
     return Core()
 
 
-def call_closest(
-    code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32, coherent: bool
-) -> Met:
+def call_closest(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> Met:
     """Find the first hit with 0 < t < maxt of each active lane's ray."""
     outputs: list[Any] = [Bool(False), Float(0), Float(0), Float(0), UInt32(0), UInt32(0)]
-    return Met(*core().trace(code, scene, arguments(o, d, maxt, active, flags, coherent), outputs, False))
+    return Met(*core().trace(code, scene, arguments(o, d, maxt, active, flags), outputs, False))
 
 
-def call_any(
-    code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32, coherent: bool
-) -> Bool:
+def call_any(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> Bool:
     """Whether each active lane's ray has a hit with 0 < t < maxt."""
-    return Bool(core().trace(code, scene, arguments(o, d, maxt, active, flags, coherent), [Bool(False)], True)[0])
+    return Bool(core().trace(code, scene, arguments(o, d, maxt, active, flags), [Bool(False)], True)[0])
 
 
-def arguments(
-    o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32, coherent: bool
-) -> list[Float | UInt32 | Bool]:
+def arguments(o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> list[Float | UInt32 | Bool]:
     """The inputs of a call, in Embree's order."""
     o, d, maxt = dr.detach(o), dr.detach(d), dr.detach(maxt)
     # A ray with NaN would meet all boxes, also those of missing children.
     reach = dr.abs(o.x) + dr.abs(o.y) + dr.abs(o.z)
     active = active & (reach < 1e18) & dr.isfinite(d.x + d.y + d.z)
     zero, unused = Float(0), UInt32(0)
-    return [Bool(coherent), active, o.x, o.y, o.z, zero, d.x, d.y, d.z, zero, maxt, flags, unused, unused]
+    return [Bool(False), active, o.x, o.y, o.z, zero, d.x, d.y, d.z, zero, maxt, flags, unused, unused]

@@ -88,7 +88,7 @@ class Packet:
         assert hit is not None
         with f.when(hit != 0):
             out = Hit.at(found)
-            targets = ("maxt", B1, B2, RECORD, INSIDE)
+            targets: tuple[str | int, ...] = ("maxt", B1, B2, RECORD, INSIDE)
             for source, target in zip((out.t, out.b1, out.b2, out.record, out.inside), targets, strict=True):
                 f.store(f.load(I32, source), self.field(target, lane))
 

@@ -239,7 +239,7 @@ class Search:
     def pop(self, onward: Loop, search: Loop) -> None:
         """Go on with the next child on the stack that begins before the closest hit; end the search if none does."""
         f = self.f
-        with f.loop() as entries:
+        with f.loop():
             count = self.top.value
             with f.when(count == 0):
                 search.stop()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from djpt.geometry.compiled.build.binary_nodes import ALONE, BIAS, NODE_SIZE, PRIMITIVE_SIZE
 from djpt.geometry.compiled.build.functions import functions
-from djpt.geometry.compiled.build.refit import NO_BOXES, TRIANGLES, Built, Extent, chunks, fit, floats
+from djpt.geometry.compiled.build.refit import NO_BOXES, TRIANGLES, Built, chunks, extent_of, fit, floats
 from djpt.geometry.compiled.build.workers import Workers, workers
 from djpt.geometry.compiled.layout import CHILDREN, LEAF_ROWS, NODE_ROWS, ROOT
 
@@ -73,7 +73,7 @@ class Construction:
         self._team.map(
             lambda k: functions().prepare(source, *parts[k], target, bounds[k:].ctypes.data), range(len(parts))
         )
-        self.extent = Extent.of(bounds, placed)
+        self.extent = extent_of(bounds, placed)
         centroids = placed[:, :3] + placed[:, 3:]
         low, high = (
             combine(np.concatenate([part, centroids]), axis=0)

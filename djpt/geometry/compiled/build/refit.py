@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.geometry.bvh.extent import Extent
 from djpt.geometry.compiled.build.collapse_functions import LEAF_COST, NODE_COST
 from djpt.geometry.compiled.build.functions import functions
 from djpt.geometry.compiled.build.workers import Workers, workers
 
-__all__ = ["NO_BOXES", "Built", "Extent", "chunks", "fit", "floats", "refit"]
+__all__ = ["NO_BOXES", "Built", "chunks", "extent_of", "fit", "floats", "refit"]
 
 CHUNK = 1024
 """Nodes that one task fits."""
@@ -27,41 +28,6 @@ SLACK = 4e-7
 """What boxes are larger, as in `djpt.geometry.bvh.records`, in units of the diagonal."""
 
 NO_BOXES = np.zeros((0, 6), np.float32)
-
-
-@dataclass
-class Extent:
-    """The box about everything."""
-
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
-
-    @property
-    def center(self) -> NDArray[np.float32]:
-        """The middle."""
-        return ((self.low.astype(np.float64) + self.high) / 2).astype(np.float32)
-
-    @property
-    def diagonal(self) -> float:
-        """The length of the diagonal."""
-        return float(np.linalg.norm(self.high.astype(np.float64) - self.low))
-
-    @property
-    def scale(self) -> float:
-        """1 / the diagonal."""
-        return 1 / max(self.diagonal, 1e-30)
-
-    @property
-    def area(self) -> float:
-        """Half the surface area in units of the squared diagonal."""
-        x, y, z = (self.high.astype(np.float64) - self.low) * self.scale
-        return float(x * y + y * z + z * x)
-
-    @staticmethod
-    def of(partial: NDArray[np.float32], placed: NDArray[np.float32]) -> Extent:
-        """The extent of triangles, as `bounds` gives it for parts of them, and of placed boxes."""
-        low = np.concatenate([partial[:, 0:3], placed[:, :3]]).min(axis=0)
-        return Extent(low, np.concatenate([-partial[:, 4:7], placed[:, 3:]]).max(axis=0))
 
 
 @dataclass
@@ -78,10 +44,8 @@ class Built:
     """Levels of nodes."""
     ends: NDArray[np.uint32]
     """For each node, the number of the first one after it that isn't below it."""
-    center: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
-    """The middle of the root's box: the origin of all coordinates in the tree."""
-    diagonal: float = 0.0
-    """The length of the root box's diagonal."""
+    extent: Extent = field(default_factory=lambda: Extent(np.zeros(3, np.float32), np.zeros(3, np.float32)))
+    """The box about everything; its middle is the origin of all coordinates in the tree."""
     node_visits: float = 0.0
     """The nodes that a random line through the root's box meets on average; see `djpt.geometry.bvh.statistics`."""
     leaf_visits: float = 0.0
@@ -111,13 +75,13 @@ def refit(
             lambda k: functions().bounds(corners.ctypes.data, *parts[k], None, partial[k:].ctypes.data),
             range(len(parts)),
         )
-        fit(built, Extent.of(partial, placed), corners, placed, team)
+        fit(built, extent_of(partial, placed), corners, placed, team)
     return built.sah_cost
 
 
 def fit(built: Built, extent: Extent, corners: NDArray[np.float32], placed: NDArray[np.float32], team: Workers) -> None:
     """Write all corners and boxes of a tree."""
-    built.center, built.diagonal = extent.center, extent.diagonal
+    built.extent = extent
     slack = SLACK * max(extent.diagonal, 1e-30)
     numbers = np.array([*extent.center, slack, extent.scale], np.float32)
     parts = chunks(built.nodes, CHUNK)
@@ -136,6 +100,12 @@ def fit(built: Built, extent: Extent, corners: NDArray[np.float32], placed: NDAr
     areas = sums.sum(axis=0) / extent.area if extent.area > 0 else np.zeros(2)
     built.node_visits = float(1 + areas[0]) if extent.area > 0 else 0.0
     built.leaf_visits = float(areas[1])
+
+
+def extent_of(partial: NDArray[np.float32], placed: NDArray[np.float32]) -> Extent:
+    """The extent of triangles, as `bounds` gives it for parts of them, and of placed boxes."""
+    low = np.concatenate([partial[:, 0:3], placed[:, :3]]).min(axis=0)
+    return Extent(low, np.concatenate([-partial[:, 4:7], placed[:, 3:]]).max(axis=0))
 
 
 def floats(array: NDArray[np.float32]) -> NDArray[np.float32]:
