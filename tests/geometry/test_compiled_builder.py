@@ -58,9 +58,9 @@ def check(tree: Built, corners: Floats, placed: Floats) -> None:
     np.testing.assert_array_equal(np.sort(tree.order), np.arange(len(corners)))
     low, high = (np.concatenate([c, p]) for c, p in zip(bounds(corners), (placed[:, :3], placed[:, 3:]), strict=True))
     center = ((low.min(axis=0).astype(np.float64) + high.max(axis=0)) / 2).astype(np.float32)
-    np.testing.assert_array_equal(tree.center, center)
+    np.testing.assert_array_equal(tree.extent.center, center)
     diagonal = float(np.linalg.norm(high.max(axis=0).astype(np.float64) - low.min(axis=0)))
-    assert tree.diagonal == pytest.approx(diagonal)
+    assert tree.extent.diagonal == pytest.approx(diagonal)
     slack = np.float32(4e-7 * max(diagonal, 1e-30))
 
     records: list[int] = []

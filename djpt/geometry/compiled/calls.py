@@ -118,7 +118,8 @@ def call_any(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, ac
 
 def arguments(o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> list[Float | UInt32 | Bool]:
     """The inputs of a call, in Embree's order."""
-    o, d, maxt = dr.detach(o), dr.detach(d), dr.detach(maxt)
+    # A negative end would mean "blocked" when it comes back.
+    o, d, maxt = dr.detach(o), dr.detach(d), dr.select(maxt > 0, dr.detach(maxt), 0)
     # A ray with NaN would meet all boxes, also those of missing children.
     reach = dr.abs(o.x) + dr.abs(o.y) + dr.abs(o.z)
     active = active & (reach < 1e18) & dr.isfinite(d.x + d.y + d.z)

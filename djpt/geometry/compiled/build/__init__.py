@@ -1,0 +1,1 @@
+"""The construction of trees by compiled functions."""
