@@ -13,6 +13,7 @@ from functools import cache
 from djpt.geometry.compiled.build.build_functions import add_build_functions
 from djpt.geometry.compiled.build.collapse_functions import add_plan, add_weigh
 from djpt.geometry.compiled.build.fit_functions import add_fit_functions
+from djpt.geometry.compiled.build.row_functions import add_row_functions
 from djpt.llvm.compiler import compiled
 from djpt.llvm.ir import Module
 
@@ -29,6 +30,9 @@ SIGNATURES = {
     "plan": "pippppp",
     "emit": "ppppppiii",
     "fit": "ppppppiiip",
+    "take_corners": "piip",
+    "invert": "piip",
+    "write_rows": "piipppi",
 }
 """The parameters of the functions: pointers, integers and floats. All results are integers."""
 
@@ -45,6 +49,9 @@ class Functions:
     plan: Callable[..., int]
     emit: Callable[..., int]
     fit: Callable[..., int]
+    take_corners: Callable[..., int]
+    invert: Callable[..., int]
+    write_rows: Callable[..., int]
 
 
 @cache
@@ -55,6 +62,7 @@ def functions() -> Functions:
     add_weigh(module)
     add_plan(module)
     add_fit_functions(module)
+    add_row_functions(module)
     addresses = compiled(module.text(), tuple(SIGNATURES))
     return Functions(
         **{
