@@ -163,8 +163,7 @@ def build_alone(file: Path) -> None:
     watcher = threading.Thread(target=watch)
     watcher.start()
     start = time.perf_counter()
-    records = Forest(meshes, [1], [], []).records()
-    dr.eval(records.words)
+    Forest(meshes, [1], [], []).tree()
     dr.sync_thread()
     elapsed = time.perf_counter() - start
     done.set()

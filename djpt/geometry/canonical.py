@@ -95,14 +95,12 @@ def hit_disk(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
 
 
 def hit_cube(m: Arithmetic, o: Any, d: Any) -> tuple[Any, Any]:
-    near, far = [], []
+    entry, leave = -math.inf, math.inf
     for axis in range(3):
         inv = m.rcp(d[axis])
         middle, half = -o[axis] * inv, m.abs(inv)
-        near.append(middle - half)
-        far.append(middle + half)
-    entry = m.maximum(m.maximum(near[0], near[1]), near[2])
-    leave = m.minimum(m.minimum(far[0], far[1]), far[2])
+        # In this order an axis that the ray runs across counts for nothing if it gives NaN.
+        entry, leave = m.maximum(middle - half, entry), m.minimum(middle + half, leave)
     return entry <= leave, m.select(entry > 0, entry, leave)
 
 

@@ -6,10 +6,15 @@ same all over a triangle, so its record holds them, and shading needs no corners
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.mesh_set import MeshSet
+if TYPE_CHECKING:
+    from djpt.shapes.mesh import Mesh
+
 
 __all__ = ["face_frames"]
 
@@ -17,13 +22,16 @@ CHUNK = 1 << 17
 """Faces computed at a time: bounds temporary memory."""
 
 
-def face_frames(meshes: MeshSet, corners: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def face_frames(
+    meshes: Sequence[Mesh], corners: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Unit normals (F, 3), and the direction of dp/du (F, 2) as cosines with the two tangents of the normal.
 
     The tangents are those of `djpt.frame.coordinate_system`. `flip_normals` has been applied.
     """
     normals, directions = np.empty((len(corners), 3), np.float32), np.empty((len(corners), 2), np.float32)
-    for mesh, first in zip(meshes.meshes, meshes.first_face, strict=True):
+    first = 0
+    for mesh in meshes:
         for begin in range(0, len(mesh.indices), CHUNK):
             indices = mesh.indices[begin : begin + CHUNK]
             part = slice(first + begin, first + begin + len(indices))
@@ -44,6 +52,7 @@ def face_frames(meshes: MeshSet, corners: NDArray[np.float32]) -> tuple[NDArray[
             usable = length > 0
             directions[part] = np.where(usable, direction / np.where(usable, length, 1), [1, 0])
             normals[part] = n
+        first += len(mesh.indices)
     return normals, directions
 
 

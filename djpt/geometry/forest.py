@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.bvh.extent import Extent
-from djpt.geometry.bvh.leaves import PlacedLeaves, TriangleLeaves
+from djpt.geometry.bvh.leaves import PlacedLeaves
 from djpt.geometry.bvh.records import EMITS, LEAF, PORTAL, SOLID
 from djpt.geometry.canonical import KINDS
 from djpt.geometry.engines import new_trees
-from djpt.geometry.face_frames import face_frames
+from djpt.geometry.mesh_part import MeshPart
 from djpt.geometry.mesh_set import MeshSet
 from djpt.geometry.query import RayTree
 from djpt.shapes.base import Shape
@@ -47,30 +47,26 @@ class Forest:
 
     def tree(self) -> RayTree:
         """The trees of the current geometry. Those that keep their quality are refitted, others are rebuilt."""
-        corners = self._meshes.corners()
-        normals, directions = face_frames(self._meshes, corners)
-        mesh_of_face = self._meshes.mesh_of_face()
-        emits = np.array([mesh.emitter is not None for mesh in self._meshes.meshes])
-        if emits.any():
-            mesh_of_face |= np.where(emits, EMITS, 0).astype(np.uint32)[mesh_of_face]
-        bounds = [*self._meshes.first_face, self._meshes.face_count]
-        triangles = []
-        for first, last in zip(self._parts, self._parts[1:], strict=False):
-            part = slice(bounds[first], bounds[last])
-            triangles.append(
-                TriangleLeaves(corners[part], mesh_of_face[part], normals[part], directions[part], bounds[first])
-            )
+        parts = self._mesh_parts()
         nothing = np.zeros((0, 6), np.float32)
-        groups = [self._trees.fit(i, leaves, nothing) for i, leaves in enumerate(triangles) if i > 0]
+        groups = [self._trees.fit(i, part, nothing) for i, part in enumerate(parts) if i > 0]
         boxes = [solid_box(shape) for shape in self._solids]
         boxes += [placed_box(groups[p.group - 1], p.to_world) for p in self._placements]
-        corners = np.array([np.concatenate(box) for box in boxes]).reshape(-1, 6).astype(np.float32)
-        self._trees.fit(0, triangles[0], corners)
+        self._trees.fit(0, parts[0], np.array([np.concatenate(box) for box in boxes]).reshape(-1, 6).astype(np.float32))
         kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
-        placed = self._placed_leaves(triangles[0], groups) if boxes else None
-        return self._trees.packed(triangles, placed, kinds, self.emits)
+        placed = self._placed_leaves(groups) if boxes else None
+        return self._trees.packed(placed, kinds, self.emits)
 
-    def _placed_leaves(self, triangles: TriangleLeaves, groups: Sequence[Extent]) -> PlacedLeaves:
+    def _mesh_parts(self) -> list[MeshPart]:
+        """The meshes of the world, and of each group."""
+        meshes, bounds = self._meshes.meshes, [*self._meshes.first_face, self._meshes.face_count]
+        labels = np.array([i | (LEAF if m.emitter is None else LEAF | EMITS) for i, m in enumerate(meshes)], np.uint32)
+        return [
+            MeshPart(meshes[first:last], labels[first:last], bounds[first])
+            for first, last in zip(self._parts, self._parts[1:], strict=False)
+        ]
+
+    def _placed_leaves(self, groups: Sequence[Extent]) -> PlacedLeaves:
         """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
         starts, first = self._trees.starts(), len(self._meshes.meshes)
         inverse, label, detail, side = [], [], [], []
@@ -87,7 +83,6 @@ class Forest:
             detail.append(starts[placement.group])
             side.append(1.0)
         return PlacedLeaves(
-            triangles,
             np.array(inverse),
             np.array(label, np.uint32),
             np.array(detail, np.uint32),

@@ -92,18 +92,6 @@ class MeshSet:
             start += count
         return own_copy(rows)
 
-    def corners(self) -> NDArray[np.float32]:
-        """All triangles in world space, (F, 3, 3): face, corner, axis."""
-        result = np.empty((self.face_count, 3, 3), np.float32)
-        for mesh, first in zip(self.meshes, self.first_face, strict=True):
-            np.take(mesh.positions, mesh.indices, axis=0, out=result[first : first + len(mesh.indices)], mode="clip")
-        return result
-
-    def mesh_of_face(self) -> NDArray[np.uint32]:
-        """The mesh of each face, (F,)."""
-        counts = [len(mesh.indices) for mesh in self.meshes]
-        return np.repeat(np.arange(len(counts), dtype=np.uint32), counts)
-
     # ---- in kernels ------------------------------------------------------------------
 
     def vertices(self, face: UInt32, active: Bool | bool = True) -> Corners:

@@ -13,7 +13,6 @@ from djpt.geometry.compiled.build import rows
 from djpt.geometry.compiled.build.rows import corners_of, write_rows
 from djpt.geometry.compiled.build.workers import Workers, workers
 from djpt.geometry.face_frames import face_frames
-from djpt.geometry.mesh_set import MeshSet
 from djpt.shapes.mesh import Mesh
 from tests.kit.triangle_soups import sphere
 
@@ -28,17 +27,6 @@ class Faces:
     indices: NDArray[np.uint32]
     texcoords: NDArray[np.float32] | None = None
     flip_normals: bool = False
-
-
-@dataclass
-class FaceSet:
-    """Several of them, as `face_frames` reads them."""
-
-    meshes: list[Any]
-
-    @property
-    def first_face(self) -> list[int]:
-        return np.cumsum([0, *(len(mesh.indices) for mesh in self.meshes)]).tolist()[:-1]
 
 
 def random_faces(count: int, seed: int, textured: bool = False, flipped: bool = False, scale: float = 1) -> Faces:
@@ -101,7 +89,7 @@ def test_rows(case: str) -> None:
     expected = [mesh.positions[mesh.indices] for mesh in meshes]
     np.testing.assert_array_equal(corners, np.concatenate([np.zeros((0, 3, 3), np.float32), *expected]))
     with np.errstate(all="ignore"):
-        normals, directions = face_frames(FaceSet(meshes), corners)  # type: ignore[arg-type]
+        normals, directions = face_frames(meshes, corners)
     for order in (np.arange(len(corners), dtype=np.uint32), permutation(len(corners))):
         target = written(meshes, order, corners)
         floats = target.view(np.float32)
@@ -136,10 +124,9 @@ def test_meshes_of_a_scene() -> None:
         Mesh("plain", positions, faces),
         Mesh("textured", positions + 3, faces, vertex_texcoords=positions[:, :2], props={"flip_normals": True}),
     ]
-    together = MeshSet(meshes)
     corners = corners_of(meshes, ALONE)
-    np.testing.assert_array_equal(corners, together.corners())
-    normals, directions = face_frames(together, corners)
+    np.testing.assert_array_equal(corners, np.concatenate([mesh.positions[mesh.indices] for mesh in meshes]))
+    normals, directions = face_frames(meshes, corners)
     order = permutation(len(corners))
     rows = written(meshes, order, corners).view(np.float32)
     np.testing.assert_array_equal(rows[:, 1:4], normals[order])

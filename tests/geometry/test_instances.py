@@ -200,9 +200,9 @@ def test_what_a_shape_cannot_be_is_explained() -> None:
 
 
 def test_many_shapes_in_a_group(mi: Any, folder: Path) -> None:
-    """All kinds at once, in all places."""
+    """All kinds at once, in all places; of the meshes one, since a ray may hit any of those that coincide."""
     scene = row_of(SHAPES["cube"], SIMILAR)
-    for i, shape in enumerate([*meshes(folder).values(), *SHAPES.values()]):
+    for i, shape in enumerate([meshes(folder)["smooth"], *SHAPES.values()]):
         scene["g"][f"s{i}"] = shape
     compare(mi, scene, 3e-3, ("t", "p", "sh_frame.n", "uv"))
 
@@ -353,6 +353,6 @@ def test_a_thousand_instances(folder: Path) -> None:
     assert time.process_time() - start < 3
     triangles = loaded.geometry.triangles
     assert triangles is not None
-    assert triangles.records.count < 2 * (triangles.meshes.face_count + 1000)
+    assert triangles.tree.bytes < 128 * (triangles.meshes.face_count + 1000)
     machine, wave = (pixels(djpt.render(loaded, spp=4, schedule=s)) for s in ("machine", "wave"))
     assert agreement(machine, wave, 1e-4).share > 0.99

@@ -11,6 +11,7 @@ import pytest
 
 import djpt
 from djpt.errors import ParameterError, SceneError
+from djpt.geometry.mesh_part import MeshPart
 from djpt.geometry.mesh_set import MeshSet
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, UInt32
@@ -129,8 +130,9 @@ def test_meshes_with_and_without_vertex_data_share_a_set() -> None:
 def test_a_set_has_the_corners_and_meshes_of_all_faces() -> None:
     first, second = djpt.Mesh("a", *triangle()), djpt.Mesh("b", triangle()[0] + 3, [[2, 1, 0], [0, 1, 2]])
     meshes = MeshSet([first, second])
-    assert meshes.mesh_of_face().tolist() == [0, 1, 1]
-    corners = meshes.corners()
+    part = MeshPart(meshes.meshes, np.array([7, 8], np.uint32), 0)
+    assert part.label_of_face().tolist() == [7, 8, 8]
+    corners = part.corners()
     assert corners.dtype == np.float32
     assert corners.shape == (3, 3, 3)
     np.testing.assert_array_equal(corners[1], triangle()[0][[2, 1, 0]] + 3)
@@ -217,7 +219,8 @@ def test_moved_vertices_get_new_normals_as_in_mitsuba(mi: Any, tmp_path: Path) -
     np.testing.assert_array_equal(mesh.positions, moved)
     assert mesh.interval(np.array([0.0, 0.0, 1.0])) == pytest.approx((moved[:, 2].min(), moved[:, 2].max()))
     meshes.refresh()
-    np.testing.assert_array_equal(meshes.corners(), moved[mesh.indices])
+    every = dr.arange(UInt32, len(mesh.indices))
+    np.testing.assert_array_equal(np.stack([np.array(p).T for p in meshes.vertices(every)], 1), moved[mesh.indices])
 
 
 def test_a_mesh_can_get_another_size() -> None:
@@ -229,7 +232,7 @@ def test_a_mesh_can_get_another_size() -> None:
         params.update()
     assert mesh.indices.shape == (32, 3)
     assert not mesh.texcoords.any()
-    assert MeshSet([mesh]).corners().shape == (32, 3, 3)
+    assert MeshSet([mesh]).face_count == 32
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 
 import djpt
 from djpt.errors import ParameterError
+from djpt.geometry.engines import ray_queries
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
 from tests.kit.kernels import kernels
@@ -206,8 +207,9 @@ def test_shapes_of_a_group(folder: Path) -> None:
 
 
 def test_wild_vertices(folder: Path) -> None:
-    """Trees of very different shapes: their depth is structure, and may only grow."""
-    watched = Watched(village(folder))
+    """Trees of very different shapes: the depth of those that are searched by steps is structure, and may only grow."""
+    with ray_queries("steps"):
+        watched = Watched(village(folder))
     original = np.array(watched.params["smooth.vertex_positions"]).reshape(-1, 3)
     rng = np.random.default_rng(0)
     wild = [
@@ -219,9 +221,9 @@ def test_wild_vertices(folder: Path) -> None:
     ]
     deepest, total = 0, 0
     for positions in (*wild, *wild):
-        before = watched.scene.geometry.triangles.records.depth
+        before = watched.scene.geometry.triangles.tree.depth
         new = watched.edit(**{"smooth.vertex_positions": positions.astype(np.float32).ravel()})
-        depth = watched.scene.geometry.triangles.records.depth
+        depth = watched.scene.geometry.triangles.tree.depth
         assert depth >= before
         assert new <= (depth > deepest > 0 or depth > before)
         deepest, total = max(deepest, depth), total + new

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from djpt.geometry.accelerators.base import Statistics
 from djpt.geometry.bvh.build import Method, build
 from djpt.geometry.bvh.leaves import TriangleLeaves
-from djpt.geometry.bvh.records import Records, pack
+from djpt.geometry.bvh.records import LEAF, Records, pack
 from djpt.geometry.bvh.search import search
 from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.wide import collapse
@@ -32,7 +32,7 @@ class Bvh:
         tree = collapse(build(low, high, method))
         count = len(corners)
         unused = np.zeros((count, 3), np.float32)
-        data = TriangleLeaves(corners, np.zeros(count, np.uint32), unused, unused[:, :2])
+        data = TriangleLeaves(corners, np.full(count, LEAF, np.uint32), unused, unused[:, :2])
         self.records: Records = pack([tree], [data])
         self._seconds = time.perf_counter() - start
         self._faces, self._nodes, self._cost = count, len(tree.child), sah_cost(tree)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +9,13 @@ from numpy.typing import NDArray
 
 from djpt.geometry.bvh.build import build
 from djpt.geometry.bvh.extent import Extent
-from djpt.geometry.bvh.leaves import PlacedLeaves, TriangleLeaves
+from djpt.geometry.bvh.leaves import MixedLeaves, PlacedLeaves, TriangleLeaves
 from djpt.geometry.bvh.records import Leaves, extent_of, pack, roots
 from djpt.geometry.bvh.refit import REBUILD, grown, refit
 from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.step_tree import StepTree
 from djpt.geometry.bvh.wide import WideTree, collapse
+from djpt.geometry.mesh_part import MeshPart
 
 __all__ = ["StepTrees"]
 
@@ -33,10 +33,12 @@ class StepTrees:
 
     def __init__(self) -> None:
         self._trees: dict[int, Tree] = {}
+        self._leaves: dict[int, TriangleLeaves] = {}
         self._depth = 0
 
-    def fit(self, number: int, leaves: TriangleLeaves, boxes: NDArray[np.float32]) -> Extent:
-        """Build a tree over triangles and placed boxes (P, 6), or fit it to where they are now."""
+    def fit(self, number: int, part: MeshPart, boxes: NDArray[np.float32]) -> Extent:
+        """Build a tree over meshes and placed boxes (P, 6), or fit it to where they are now."""
+        leaves = self._leaves[number] = TriangleLeaves.of(part)
         low = np.concatenate([leaves.corners.min(axis=1), boxes[:, :3]])
         high = np.concatenate([leaves.corners.max(axis=1), boxes[:, 3:]])
         self._trees[number] = self._fitted(number, low, high)
@@ -56,13 +58,12 @@ class StepTrees:
         """Where each tree begins, as instances name it: the record of its root."""
         return roots(self._wide())
 
-    def packed(
-        self, triangles: Sequence[TriangleLeaves], placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool
-    ) -> StepTree:
+    def packed(self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool) -> StepTree:
         """The trees in memory."""
-        leaves: list[Leaves] = [*triangles]
+        leaves: list[Leaves] = [self._leaves[number] for number in sorted(self._trees)]
         if placed is not None:
-            leaves[0] = placed
+            leaves[0] = MixedLeaves(self._leaves[0], placed)
+        self._leaves.clear()
         # The depth before an edit keeps compiled kernels usable.
         records = pack(self._wide(), leaves, self._depth, kinds)
         self._depth = records.depth

@@ -83,7 +83,8 @@ class CompiledTree:
         flags = flags_of(any_hit, through_lights)
         met = call_closest(self.functions.closest, self.memory, o, d, cursor.t, cursor.waits, flags)
         return Progress(
-            dr.select(met.hit & ~any_hit, met.t, cursor.t),
+            # Whether there is any hit is told by a finite distance.
+            dr.select(met.hit, dr.select(any_hit, 0, met.t), cursor.t),
             dr.select(met.hit, met.record, cursor.hit),
             cursor.waits & False,
             None if cursor.b is None else dr.select(met.hit, Point2f(met.b1, met.b2), cursor.b),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +9,17 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 from djpt.geometry.bvh.extent import Extent
-from djpt.geometry.bvh.leaves import PlacedLeaves, TriangleLeaves
+from djpt.geometry.bvh.leaves import PlacedLeaves
 from djpt.geometry.bvh.refit import REBUILD
 from djpt.geometry.compiled.build.builder import build
 from djpt.geometry.compiled.build.refit import Built, refit
+from djpt.geometry.compiled.build.rows import corners_of, write_rows
+from djpt.geometry.compiled.build.workers import workers
 from djpt.geometry.compiled.engine import functions
 from djpt.geometry.compiled.layout import REFERENCE, ROW_WORDS
 from djpt.geometry.compiled.placed import Features
 from djpt.geometry.compiled.tree import CompiledTree
+from djpt.geometry.mesh_part import MeshPart
 from djpt.kernels import aligned, as_float, as_vector
 from djpt.types import UInt32
 
@@ -28,10 +30,12 @@ PLACED_ROWS = 2
 
 @dataclass
 class Tree:
-    """A tree, and what it cost when it was built."""
+    """A tree, what it cost when it was built, and what it is over."""
 
     built: Built
     cost: float
+    part: MeshPart
+    corners: NDArray[np.float32]
 
 
 class CompiledTrees:
@@ -40,47 +44,52 @@ class CompiledTrees:
     def __init__(self) -> None:
         self._trees: dict[int, Tree] = {}
 
-    def fit(self, number: int, leaves: TriangleLeaves, boxes: NDArray[np.float32]) -> Extent:
-        """Build a tree over triangles and placed boxes (P, 6), or fit it to where they are now."""
-        self._trees[number] = self._fitted(number, leaves.corners, boxes)
-        return self._trees[number].built.extent
+    def fit(self, number: int, part: MeshPart, boxes: NDArray[np.float32]) -> Extent:
+        """Build a tree over meshes and placed boxes (P, 6), or fit it to where they are now."""
+        with workers(part.face_count, None) as team:
+            corners = corners_of(part.meshes, team)
+        built, cost = self._fitted(number, corners, boxes)
+        self._trees[number] = Tree(built, cost, part, corners)
+        return built.extent
 
-    def _fitted(self, number: int, corners: NDArray[np.float32], boxes: NDArray[np.float32]) -> Tree:
+    def _fitted(self, number: int, corners: NDArray[np.float32], boxes: NDArray[np.float32]) -> tuple[Built, float]:
         """The old tree refitted, or a new one if rays would take too many steps through the old."""
         old = self._trees.get(number)
         if old is not None and len(old.built.order) == len(corners):
             cost = refit(old.built, corners, boxes)
             if cost <= REBUILD * old.cost:
-                return old
+                return old.built, old.cost
         built = build(corners, boxes)
-        return Tree(built, built.sah_cost)
+        return built, built.sah_cost
 
     def starts(self) -> list[int]:
         """Where each tree begins, as instances name it: the row of its header."""
         sizes = [len(tree.built.memory) // ROW_WORDS for tree in self._ordered()]
         return [int(n) for n in np.cumsum([0, *sizes])]
 
-    def packed(
-        self, triangles: Sequence[TriangleLeaves], placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool
-    ) -> CompiledTree:
+    def packed(self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool) -> CompiledTree:
         """The trees in memory."""
         trees, starts = self._ordered(), self.starts()
         count = 0 if placed is None else len(placed.label)
-        first_triangle = np.cumsum([starts[-1] + PLACED_ROWS * count, *(len(part.corners) for part in triangles)])
+        first_triangle = np.cumsum([starts[-1] + PLACED_ROWS * count, *(len(tree.corners) for tree in trees)])
         if first_triangle[-1] > REFERENCE:
             raise SceneError(f"the scene has too many triangles: {first_triangle[-1]} rows of 32 bytes for its trees")
         rows = aligned((int(first_triangle[-1]), ROW_WORDS))
-        for k, (tree, part) in enumerate(zip(trees, triangles, strict=True)):
+        for k, tree in enumerate(trees):
             own = rows[starts[k] : starts[k + 1]]
             own.ravel()[:] = tree.built.memory
             # The record of a placed primitive is its second row.
             own[0, :2] = first_triangle[k], starts[-1] + 1
-            part.write_rows(rows[first_triangle[k] : first_triangle[k + 1]], tree.built.order)
+            records = rows[first_triangle[k] : first_triangle[k + 1]]
+            part = tree.part
+            with workers(len(records), None) as team:
+                write_rows(records, tree.built.order, part.meshes, part.labels, tree.corners, part.first_face, team)
+            tree.corners = tree.corners[:0]
         extent = trees[0].built.extent
         if placed is not None:
             table = rows[starts[-1] : first_triangle[0]].reshape(count, PLACED_ROWS * ROW_WORDS)
             every = np.arange(count, dtype=np.int32)
-            placed.write(table, every.view(np.uint32), every + np.int32(len(triangles[0].corners)), extent.center)
+            placed.write(table, every.view(np.uint32), every, extent.center)
         return CompiledTree(
             UInt32(rows.ravel()),
             functions(Features(len(trees) > 1, kinds, lights)),
