@@ -324,7 +324,7 @@ class Module:
 
 def float_text(number: float, bits: int) -> str:
     """A float as LLVM writes it: as the bits of a double, also if it has 32 bits."""
-    exact = struct.unpack("f", struct.pack("f", number))[0] if bits == 32 else number
+    exact = struct.unpack("<f", struct.pack("<f", number))[0] if bits == 32 else number
     return f"0x{struct.unpack('Q', struct.pack('d', exact))[0]:016X}"
 
 
