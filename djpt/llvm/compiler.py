@@ -1,7 +1,8 @@
 """The compilation of IR by the LLVM library that Dr.Jit has opened.
 
 `compiled` turns a module of `djpt.llvm.ir` into functions in memory. It takes a tenth of a second or two, once
-for each text: machine code is kept in a folder beside Dr.Jit's kernels and loaded by the next process.
+for each text: machine code is kept in a folder beside Dr.Jit's kernels and loaded by the next process. Each file
+ends in a checksum, and one that is damaged is replaced.
 
 Only functions of LLVM's C interface are used, which LLVM keeps stable from version to version.
 """
@@ -13,10 +14,10 @@ import hashlib
 import os
 import platform
 import tempfile
-from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import cache
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import drjit as dr
@@ -24,7 +25,7 @@ import drjit as dr
 from djpt.errors import DjptError
 from djpt.llvm.lanes import features, processor
 
-__all__ = ["CompilationError", "compiled"]
+__all__ = ["CompilationError", "cache_folder", "compiled"]
 
 BACKENDS = {"x86_64": "X86", "amd64": "X86", "aarch64": "AArch64", "arm64": "AArch64"}
 """LLVM's names of the processors that `platform.machine()` may report."""
@@ -32,11 +33,18 @@ BACKENDS = {"x86_64": "X86", "amd64": "X86", "aarch64": "AArch64", "arm64": "AAr
 AGGRESSIVE, POSITION_INDEPENDENT, SMALL = 3, 2, 3
 """Entries of LLVM's enumerations of optimisation levels, relocation modes and code models."""
 
-OBJECT_FILE = 1
+OBJECT_FILE, RETURN_STATUS = 1, 2
+"""Entries of the enumerations of file types, and of what to do about mistakes in a module."""
+
+PASSES = "default<O2>"
+"""The optimisations."""
 
 POINTER, TEXT = ctypes.c_void_p, ctypes.c_char_p
 LINKER = ctypes.CFUNCTYPE(POINTER, POINTER, POINTER, TEXT)
 SECTION_LINKER = "CreateRTDyldObjectLinkingLayerWithSectionMemoryManager"
+
+LOCK = RLock()
+"""Held by the thread that compiles."""
 
 
 class CompilationError(DjptError):
@@ -53,7 +61,10 @@ class Llvm:
         backend = BACKENDS.get(platform.machine().lower())
         if backend is None:
             raise CompilationError(f"unknown processor '{platform.machine()}'; known: {', '.join(BACKENDS)}")
-        self._library = ctypes.CDLL(path)
+        try:
+            self._library = ctypes.CDLL(path)
+        except OSError as error:
+            raise CompilationError(f"DRJIT_LIBLLVM_PATH: {error}") from None
         for part in ("TargetInfo", "Target", "TargetMC", "AsmPrinter"):
             self(f"LLVMInitialize{backend}{part}", None)
         self._jit = POINTER()
@@ -66,64 +77,73 @@ class Llvm:
 
     def __call__(self, name: str, result: Any, *arguments: Any) -> Any:
         """Call a function of LLVM; Python's integers are passed as C's `int`, `bytes` as strings."""
-        function = self._library[name]
+        try:
+            function = self._library[name]
+        except AttributeError:
+            raise CompilationError(f"the LLVM library has no function {name}") from None
         function.restype = result
-        return function(*(POINTER(a) if isinstance(a, int) and a > 2**31 else a for a in arguments))
+        return function(*(POINTER(a) if isinstance(a, int) and a >= 2**31 else a for a in arguments))
 
     def check(self, error: int | None) -> None:
         """Raise what an `LLVMErrorRef` says, if it isn't null."""
         if error:
             raise CompilationError(self("LLVMGetErrorMessage", TEXT, error).decode(errors="replace"))
 
-    def load(self, code: bytes, names: Sequence[str], prefix: str) -> dict[str, int]:
-        """Link an object file into the process, and return the addresses of its functions."""
-        buffer = self("LLVMCreateMemoryBufferWithMemoryRangeCopy", POINTER, code, ctypes.c_size_t(len(code)), b"")
-        self.check(self("LLVMOrcLLJITAddObjectFile", POINTER, self._jit, self._dylib, buffer))
-        result = {}
-        for name in names:
-            address = ctypes.c_uint64()
-            symbol = f"{prefix}{name}".encode()
-            self.check(self("LLVMOrcLLJITLookup", POINTER, self._jit, ctypes.byref(address), symbol))
-            result[name] = int(address.value)
-        return result
+    def checked(self, message: ctypes.c_char_p, name: str, *arguments: Any) -> None:
+        """Call a function that returns whether it fails; `message`, among its arguments, says why."""
+        if self(name, ctypes.c_int, *(ctypes.byref(a) if a is message else a for a in arguments)):
+            raise CompilationError((message.value or b"").decode(errors="replace"))
+
+    def load(self, code: bytes) -> None:
+        """Link an object file into the process."""
+        self.check(self("LLVMOrcLLJITAddObjectFile", POINTER, self._jit, self._dylib, self.buffer(code)))
+
+    def address(self, symbol: str) -> int:
+        """The address of a function that has been loaded."""
+        address = ctypes.c_uint64()
+        self.check(self("LLVMOrcLLJITLookup", POINTER, self._jit, ctypes.byref(address), symbol.encode()))
+        return int(address.value)
+
+    def buffer(self, content: bytes) -> int:
+        """A copy of some bytes, which the function that reads it releases."""
+        size = ctypes.c_size_t(len(content))
+        return int(self("LLVMCreateMemoryBufferWithMemoryRangeCopy", POINTER, content, size, b"djpt"))
 
     def object_file(self, text: str) -> bytes:
         """Compile IR."""
-        context, module, message = self("LLVMContextCreate", POINTER), POINTER(), TEXT()
-        source = text.encode()
-        buffer = self(
-            "LLVMCreateMemoryBufferWithMemoryRangeCopy", POINTER, source, ctypes.c_size_t(len(source)), b"djpt"
-        )
-        arguments = (context, buffer, ctypes.byref(module), ctypes.byref(message))
-        if self("LLVMParseIRInContext", ctypes.c_int, *arguments):
-            raise CompilationError((message.value or b"").decode(errors="replace"))
-        triple, target = self("LLVMGetDefaultTargetTriple", POINTER), POINTER()
-        if self("LLVMGetTargetFromTriple", ctypes.c_int, triple, ctypes.byref(target), ctypes.byref(message)):
-            raise CompilationError((message.value or b"").decode(errors="replace"))
-        cpu, options = processor().encode(), ",".join(features()).encode()
-        machine = self(
-            "LLVMCreateTargetMachine",
-            POINTER,
-            *(target, triple, cpu, options, AGGRESSIVE, POSITION_INDEPENDENT, SMALL),
-        )
-        builder = self("LLVMCreatePassBuilderOptions", POINTER)
-        self.check(self("LLVMRunPasses", POINTER, module, b"default<O2>", machine, builder))
-        code = POINTER()
-        arguments = (machine, module, OBJECT_FILE, ctypes.byref(message), ctypes.byref(code))
-        if self("LLVMTargetMachineEmitToMemoryBuffer", ctypes.c_int, *arguments):
-            raise CompilationError((message.value or b"").decode(errors="replace"))
-        size = self("LLVMGetBufferSize", ctypes.c_size_t, code)
-        result = ctypes.string_at(self("LLVMGetBufferStart", POINTER, code), size)
-        for release, what in (
-            ("LLVMDisposeMemoryBuffer", code),
-            ("LLVMDisposePassBuilderOptions", builder),
-            ("LLVMDisposeModule", module),
-            ("LLVMDisposeTargetMachine", machine),
-            ("LLVMDisposeMessage", triple),
-            ("LLVMContextDispose", context),
-        ):
-            self(release, None, what)
-        return result
+        message, module, code = TEXT(), POINTER(), POINTER()
+        with ExitStack() as stack:
+
+            def released(release: str, what: Any) -> Any:
+                stack.callback(self, release, None, what)
+                return what
+
+            context = released("LLVMContextDispose", self("LLVMContextCreate", POINTER))
+            place = ctypes.byref(module)
+            self.checked(message, "LLVMParseIRInContext", context, self.buffer(text.encode()), place, message)
+            released("LLVMDisposeModule", module)
+            # The passes rely on rules that the parser doesn't check, such as that values are computed before their use.
+            self.checked(message, "LLVMVerifyModule", module, RETURN_STATUS, message)
+            machine = released("LLVMDisposeTargetMachine", self.machine())
+            options = released("LLVMDisposePassBuilderOptions", self("LLVMCreatePassBuilderOptions", POINTER))
+            self.check(self("LLVMRunPasses", POINTER, module, PASSES.encode(), machine, options))
+            emit, place = "LLVMTargetMachineEmitToMemoryBuffer", ctypes.byref(code)
+            self.checked(message, emit, machine, module, OBJECT_FILE, message, place)
+            released("LLVMDisposeMemoryBuffer", code)
+            size = self("LLVMGetBufferSize", ctypes.c_size_t, code)
+            return ctypes.string_at(self("LLVMGetBufferStart", POINTER, code), size)
+
+    def machine(self) -> int:
+        """A description of this machine."""
+        message, target = TEXT(), POINTER()
+        triple = self("LLVMGetDefaultTargetTriple", POINTER)
+        try:
+            self.checked(message, "LLVMGetTargetFromTriple", triple, ctypes.byref(target), message)
+            cpu, options = processor().encode(), ",".join(features()).encode()
+            levels = (AGGRESSIVE, POSITION_INDEPENDENT, SMALL)
+            return int(self("LLVMCreateTargetMachine", POINTER, target, triple, cpu, options, *levels))
+        finally:
+            self("LLVMDisposeMessage", None, triple)
 
 
 @cache
@@ -142,28 +162,73 @@ def compiled(text: str, names: tuple[str, ...]) -> dict[str, int]:
     Raises:
         CompilationError: LLVM isn't found, or finds a mistake.
     """
+    with LOCK:
+        prefix = loaded(text)
+        return {name: llvm().address(f"{prefix}{name}") for name in names}
+
+
+@cache
+def loaded(text: str) -> str:
+    """Bring a module into memory; return what its functions' names begin with."""
     library = llvm()
-    digest = hashlib.sha256(f"{text}{dr.detail.llvm_version()}{processor()}{features()}".encode()).hexdigest()
+    target = f'"target-cpu"="{processor()}" "target-features"="{",".join(features())}"'
+    source = f"{text}attributes #0 = {{ nounwind {target} }}\n"
+    digest = hashlib.sha256(f"{source}{dr.detail.llvm_version()}{PASSES}".encode()).hexdigest()
     prefix = f"djpt_{digest[:16]}_"
-    path = cache_folder() / f"{digest[:32]}.o"
-    code = path.read_bytes() if path.is_file() else b""
-    if not code:
-        target = f'"target-cpu"="{processor()}" "target-features"="{",".join(features())}"'
-        attributes = f"attributes #0 = {{ nounwind {target} }}\n"
-        code = library.object_file(text.replace("{prefix}", prefix) + attributes)
+    code = found(digest)
+    if code is None:
+        code = library.object_file(source.replace("{prefix}", prefix))
+        # Without a folder to keep it in, the next process compiles again.
         with suppress(OSError):
-            keep(code, path)
-    return library.load(code, names, prefix)
+            keep(code, digest)
+    library.load(code)
+    return prefix
+
+
+# ---- files -----------------------------------------------------------------------------------------------------
 
 
 def cache_folder() -> Path:
-    """The folder for compiled functions, inside Dr.Jit's for kernels."""
-    return Path(os.environ.get("DRJIT_CACHE_DIR") or Path.home() / ".drjit") / "djpt"
+    """The folder for compiled functions, inside Dr.Jit's for kernels.
+
+    Raises:
+        OSError: There is none.
+    """
+    folder = os.environ.get("DRJIT_CACHE_DIR")
+    try:
+        return Path(folder or Path.home() / ".drjit") / "djpt"
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
 
 
-def keep(code: bytes, path: Path) -> None:
+def file_of(digest: str) -> Path:
+    """The file of a module."""
+    return cache_folder() / f"{digest[:32]}.o"
+
+
+def checksum(code: bytes, digest: str) -> bytes:
+    """What is written behind machine code: also tells one module's from another's."""
+    return hashlib.sha256(code + digest.encode()).digest()
+
+
+def found(digest: str) -> bytes | None:
+    """The machine code of a module, if there is an undamaged file."""
+    try:
+        content = file_of(digest).read_bytes()
+    except OSError:
+        return None
+    size = hashlib.sha256().digest_size
+    code, end = content[:-size], content[-size:]
+    return code if end == checksum(code, digest) else None
+
+
+def keep(code: bytes, digest: str) -> None:
     """Write a file in one move, so that other processes never read half of it."""
+    path = file_of(digest)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        file.write(code)
-    os.replace(file.name, path)
+    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file, ExitStack() as stack:
+        stack.callback(os.unlink, file.name)
+        file.write(code + checksum(code, digest))
+        file.flush()
+        os.replace(file.name, path)
+        stack.pop_all()

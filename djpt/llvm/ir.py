@@ -24,9 +24,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 from djpt.errors import DjptError
+from djpt.llvm.values import F32, F64, I1, I8, I32, I64, PTR, Array, Operand, Type, Value, Variable, vector
 
 __all__ = [
     "F32",
@@ -46,240 +46,6 @@ __all__ = [
     "Variable",
     "vector",
 ]
-
-
-@dataclass(frozen=True)
-class Type:
-    """A type of LLVM: `kind` i, f or ptr, with `bits`, in `lanes` copies (0: a scalar)."""
-
-    kind: str
-    bits: int
-    lanes: int = 0
-
-    def __str__(self) -> str:
-        scalar = {"i": f"i{self.bits}", "f": "float" if self.bits == 32 else "double", "ptr": "ptr"}[self.kind]
-        return f"<{self.lanes} x {scalar}>" if self.lanes else scalar
-
-    @property
-    def suffix(self) -> str:
-        """The type in the names of intrinsic functions, such as v8f32."""
-        return (f"v{self.lanes}" if self.lanes else "") + f"{self.kind}{self.bits}"
-
-    @property
-    def size(self) -> int:
-        """Bytes in memory."""
-        return max(self.lanes, 1) * self.bits // 8
-
-    @property
-    def element(self) -> Type:
-        """The type of one lane."""
-        return Type(self.kind, self.bits)
-
-
-I1, I8, I32, I64 = (Type("i", bits) for bits in (1, 8, 32, 64))
-F32, F64 = Type("f", 32), Type("f", 64)
-PTR = Type("ptr", 64)
-
-
-def vector(element: Type, lanes: int) -> Type:
-    """The type of `lanes` elements side by side."""
-    return Type(element.kind, element.bits, lanes)
-
-
-class Value:
-    """The result of an instruction, a parameter or a constant."""
-
-    def __init__(self, function: Function, type: Type, text: str) -> None:
-        """`text` is how instructions refer to it."""
-        self.function, self.type, self.text = function, type, text
-
-    def __str__(self) -> str:
-        return f"{self.type} {self.text}"
-
-    # ---- arithmetic --------------------------------------------------------------------
-
-    def __add__(self, other: Operand) -> Value:
-        return self._binary("add", other)
-
-    def __sub__(self, other: Operand) -> Value:
-        return self._binary("sub", other)
-
-    def __rsub__(self, other: Operand) -> Value:
-        return self.function.like(self, other) - self
-
-    def __mul__(self, other: Operand) -> Value:
-        return self._binary("mul", other)
-
-    def __truediv__(self, other: Operand) -> Value:
-        return self._binary("div", other)
-
-    def __rtruediv__(self, other: Operand) -> Value:
-        return self.function.like(self, other) / self
-
-    def __floordiv__(self, other: Operand) -> Value:
-        return self._binary("udiv", other)
-
-    def __mod__(self, other: Operand) -> Value:
-        return self._binary("urem", other)
-
-    def __neg__(self) -> Value:
-        return self.function.emit(f"fneg {self}", self.type) if self.type.kind == "f" else 0 - self
-
-    def __and__(self, other: Operand) -> Value:
-        return self._binary("and", other)
-
-    def __or__(self, other: Operand) -> Value:
-        return self._binary("or", other)
-
-    def __xor__(self, other: Operand) -> Value:
-        return self._binary("xor", other)
-
-    def __invert__(self) -> Value:
-        return self ^ ((1 << self.type.bits) - 1)
-
-    def __lshift__(self, other: Operand) -> Value:
-        return self._binary("shl", other)
-
-    def __rshift__(self, other: Operand) -> Value:
-        return self._binary("lshr", other)
-
-    __radd__, __rmul__ = __add__, __mul__
-    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
-
-    # ---- comparison ----------------------------------------------------------------------
-
-    def __lt__(self, other: Operand) -> Value:
-        return self._compare("lt", other)
-
-    def __le__(self, other: Operand) -> Value:
-        return self._compare("le", other)
-
-    def __gt__(self, other: Operand) -> Value:
-        return self._compare("gt", other)
-
-    def __ge__(self, other: Operand) -> Value:
-        return self._compare("ge", other)
-
-    def __eq__(self, other: Operand) -> Value:  # type: ignore[override]
-        return self._compare("eq", other)
-
-    def __ne__(self, other: Operand) -> Value:  # type: ignore[override]
-        return self._compare("ne", other)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __bool__(self) -> bool:
-        raise TypeError("a value is known when the code runs, not while it is built: use when() or select()")
-
-    # ---- other forms ---------------------------------------------------------------------
-
-    def to(self, type: Type) -> Value:
-        """The number in another type; integers are cut or filled with zeros."""
-        source, target = self.type, Type(type.kind, type.bits, self.type.lanes)
-        if source == target:
-            return self
-        if source.kind == "i" and target.kind == "i":
-            operation = "trunc" if target.bits < source.bits else "zext"
-        elif source.kind == "f" and target.kind == "f":
-            operation = "fptrunc" if target.bits < source.bits else "fpext"
-        else:
-            operation = "uitofp" if source.kind == "i" else "fptoui"
-        return self.function.emit(f"{operation} {self} to {target}", target)
-
-    def whole(self, type: Type = I32) -> Value:
-        """A float without its fraction as an integer, up to the largest signed one: faster than `to`."""
-        target = Type(type.kind, type.bits, self.type.lanes)
-        return self.function.emit(f"fptosi {self} to {target}", target)
-
-    def bits_as(self, type: Type) -> Value:
-        """The same bits as another type of the same size; a mask becomes an integer, lane 0 the lowest bit."""
-        return self.function.emit(f"bitcast {self} to {type}", type)
-
-    def spread(self, lanes: int) -> Value:
-        """A vector with this value in all lanes."""
-        type = vector(self.type, lanes)
-        one = self.function.emit(f"insertelement {type} undef, {self}, i32 0", type)
-        zero = f"<{lanes} x i32> zeroinitializer"
-        return self.function.emit(f"shufflevector {one}, {type} undef, {zero}", type)
-
-    def lane(self, index: int | Value) -> Value:
-        """One lane of a vector."""
-        at = f"i32 {index}" if isinstance(index, int) else str(index)
-        return self.function.emit(f"extractelement {self}, {at}", self.type.element)
-
-    def shuffled(self, lanes: Sequence[int], other: Value | None = None) -> Value:
-        """A vector of the given lanes; lanes of `other` count on from those of this vector."""
-        type = vector(self.type.element, len(lanes))
-        second = f"{self.type} undef" if other is None else str(other)
-        chosen = ", ".join(f"i32 {lane}" for lane in lanes)
-        return self.function.emit(f"shufflevector {self}, {second}, <{len(lanes)} x i32> <{chosen}>", type)
-
-    def at(self, offset: Operand) -> Value:
-        """The address `offset` bytes further on; a vector of addresses for a vector of offsets."""
-        offset = self.function.constant(I64, offset) if isinstance(offset, int) else offset
-        type = Type(PTR.kind, PTR.bits, offset.type.lanes if isinstance(offset, Value) else 0)
-        return self.function.emit(f"getelementptr i8, {self}, {offset}", type)
-
-    # ---- parts ---------------------------------------------------------------------------
-
-    def _binary(self, operation: str, other: Operand) -> Value:
-        a, b = self.function.matched(self, other)
-        if a.type.kind == "f":
-            operation = f"f{operation}"
-        return self.function.emit(f"{operation} {a}, {b.text}", a.type)
-
-    def _compare(self, relation: str, other: Operand) -> Value:
-        a, b = self.function.matched(self, other)
-        if a.type.kind == "f":
-            # Comparisons with NaN are false, except "not equal".
-            operation = f"fcmp {'u' if relation == 'ne' else 'o'}{relation}"
-        else:
-            operation = f"icmp {relation if relation in ('eq', 'ne') else 'u' + relation}"
-        return self.function.emit(f"{operation} {a}, {b.text}", Type("i", 1, a.type.lanes))
-
-
-Operand = Value | float
-"""What operators take beside a value: another one, or a Python number."""
-
-
-class Variable:
-    """A place for values of one type that change while the function runs."""
-
-    def __init__(self, function: Function, type: Type) -> None:
-        self._function, self.type = function, type
-        self.address = function.reserve(type)
-
-    @property
-    def value(self) -> Value:
-        """The present value; assign to change it."""
-        return self._function.load(self.type, self.address)
-
-    @value.setter
-    def value(self, value: Operand) -> None:
-        self._function.store(self._function.constant(self.type, value), self.address)
-
-
-class Array:
-    """A fixed number of values of one type on the stack of the running function, without initial values."""
-
-    def __init__(self, function: Function, type: Type, count: int) -> None:
-        self._function, self.type = function, type
-        self.address = function.reserve(type, count)
-
-    def place(self, index: Operand) -> Value:
-        """The address of an element."""
-        index = self._function.constant(I64, index)
-        return self._function.emit(f"getelementptr {self.type}, {self.address}, {index}", PTR)
-
-    def __getitem__(self, index: Operand) -> Value:
-        return self._function.load(self.type, self.place(index))
-
-    def __setitem__(self, index: Operand, value: Operand) -> None:
-        self._function.store(self._function.constant(self.type, value), self.place(index))
-
-    def store(self, values: Value) -> None:
-        """Write a vector over the first elements."""
-        self._function.store(values, self.address)
 
 
 class Loop:
@@ -314,22 +80,31 @@ class Function:
         self._lines: list[str] = []
         self._count = 0
         self._open = True
-        self.parameters = [Value(self, type, f"%{name}") for name, type in parameters]
+        self.parameters = [Value(self, type, f"%{name}.") for name, type in parameters]
 
     # ---- values ----------------------------------------------------------------------------
 
     def constant(self, type: Type, value: Operand) -> Value:
-        """A number as a constant; a value stays itself, a scalar is spread if `type` is a vector."""
+        """A number as a constant; a value stays itself, a scalar is spread if `type` is a vector.
+
+        Raises:
+            DjptError: The value has another type, or the type has no such number. Floats are rounded.
+        """
         if isinstance(value, Value):
-            return value.spread(type.lanes) if type.lanes and not value.type.lanes else value
+            value = value.spread(type.lanes) if type.lanes and not value.type.lanes else value
+            if value.type != type:
+                raise DjptError(f"operands of different types, {type} and {value.type}")
+            return value
         if type.lanes:
             element = self.constant(type.element, value)
             return Value(self, type, "<" + ", ".join([str(element)] * type.lanes) + ">")
-        if type.kind == "f":
-            # LLVM writes floats as the bits of a double, which must be exactly representable.
-            exact = struct.unpack("f", struct.pack("f", value))[0] if type.bits == 32 else value
-            return Value(self, type, f"0x{struct.unpack('Q', struct.pack('d', exact))[0]:016X}")
-        return Value(self, type, str(int(value) & ((1 << type.bits) - 1)))
+        if type.kind == "ptr":
+            raise DjptError(f"{value} can't be a constant of type ptr")
+        write = float_text if type.kind == "f" else integer_text
+        try:
+            return Value(self, type, write(value, type.bits))
+        except (OverflowError, ValueError):
+            raise DjptError(f"{type} has no number {value}") from None
 
     def like(self, value: Value, number: Operand) -> Value:
         """A number as a constant of a value's type."""
@@ -337,19 +112,14 @@ class Function:
 
     def matched(self, a: Operand, b: Operand) -> tuple[Value, Value]:
         """Two operands as values of one type; at least one is a value."""
-        if isinstance(a, Value) and isinstance(b, Value):
-            type = a.type if a.type.lanes else b.type
-        else:
-            type = a.type if isinstance(a, Value) else b.type  # type: ignore[union-attr]
-        first, second = self.constant(type, a), self.constant(type, b)
-        if first.type != second.type:
-            raise DjptError(f"operands of different types, {first.type} and {second.type}")
-        return first, second
+        values = [x for x in (a, b) if isinstance(x, Value)]
+        type = next((x.type for x in values if x.type.lanes), values[0].type)
+        return self.constant(type, a), self.constant(type, b)
 
     def variable(self, type: Type, initial: Operand) -> Variable:
         """A new variable."""
         result = Variable(self, type)
-        result.value = initial  # type: ignore[assignment]
+        result.value = initial
         return result
 
     def array(self, type: Type, count: int) -> Array:
@@ -379,7 +149,7 @@ class Function:
         return self.emit(f"call {result} @{full}({', '.join(str(a) for a in arguments)})", result)
 
     def call(self, name: str, arguments: Sequence[Value], result: Type | None = None) -> Value | None:
-        """Call a function of the module."""
+        """Call an internal function of the module."""
         text = f"call {result or 'void'} @{name}({', '.join(str(a) for a in arguments)})"
         if result is None:
             self._write(text)
@@ -429,7 +199,7 @@ class Function:
     @contextmanager
     def each(self, first: Operand, end: Operand) -> Iterator[Value]:
         """Run what is built inside for every whole number from `first` up to, but without, `end`."""
-        index = self.variable(I64, self.constant(I64, first))
+        index = self.variable(I64, first)
         with self.loop() as turns:
             i = index.value
             turns.stop_if(i >= end)
@@ -439,7 +209,7 @@ class Function:
     @contextmanager
     def each_backwards(self, first: Operand, end: Operand) -> Iterator[Value]:
         """Run what is built inside for every whole number below `end` down to `first`."""
-        index = self.variable(I64, self.constant(I64, end))
+        index = self.variable(I64, end)
         with self.loop() as turns:
             turns.stop_if(index.value <= first)
             index.value = index.value - 1
@@ -457,7 +227,8 @@ class Function:
     def reserve(self, type: Type, count: int = 1) -> Value:
         """Room on the stack for `count` values, once per call of the function."""
         name = f"%m{len(self._reserved)}"
-        self._reserved.append(f"{name} = alloca {type}, i32 {count}, align {max(type.size, 1) if type.lanes else 16}")
+        align = 1 << (type.size - 1).bit_length() if type.size > 1 and type.lanes else 16
+        self._reserved.append(f"{name} = alloca {type}, i32 {count}, align {align}")
         return Value(self, PTR, name)
 
     def jump(self, label: str) -> None:
@@ -537,7 +308,7 @@ class Module:
         """
         function = Function(self, parameters, result)
         yield function
-        arguments = ", ".join(f"{type}{' noalias' if type == PTR else ''} %{name}" for name, type in parameters)
+        arguments = ", ".join(f"{type}{' noalias' if type == PTR else ''} %{name}." for name, type in parameters)
         body = "\n".join(line if line.endswith(":") else f"  {line}" for line in function.text())
         linkage, prefix = ("internal ", "") if internal else ("", "{prefix}")
         self._functions.append(f"define {linkage}{result or 'void'} @{prefix}{name}({arguments}) #0 {{\n{body}\n}}\n")
@@ -549,3 +320,17 @@ class Module:
         left to the compiler.
         """
         return "\n".join([*self._functions, *sorted(self._declared), ""])
+
+
+def float_text(number: float, bits: int) -> str:
+    """A float as LLVM writes it: as the bits of a double, also if it has 32 bits."""
+    exact = struct.unpack("<f", struct.pack("<f", number))[0] if bits == 32 else number
+    return f"0x{struct.unpack('Q', struct.pack('d', exact))[0]:016X}"
+
+
+def integer_text(number: float, bits: int) -> str:
+    """An integer, unsigned; negative numbers become their two's complement."""
+    whole = int(number)
+    if whole != number or not -(1 << bits) // 2 <= whole < 1 << bits:
+        raise ValueError
+    return str(whole & ((1 << bits) - 1))

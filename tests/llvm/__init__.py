@@ -1,0 +1,1 @@
+"""The builder of LLVM IR, and its compiler."""
