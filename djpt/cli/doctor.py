@@ -13,7 +13,7 @@ import platform
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import djpt
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 __all__ = ["Finding", "Report", "examine", "main", "print_report"]
 
 Verdict = Literal["ok", "note", "problem"]
+
+VARIABLE = "DJPT_RAY_QUERIES"
+"""The environment variable of `djpt.geometry.engines`, which can't be imported where Dr.Jit doesn't load."""
 
 _TRIAL = """
 import json, sys
@@ -47,6 +50,17 @@ if "llvm" in backend.__name__:
     answer["llvm"] = ".".join(map(str, dr.detail.llvm_version()))
     answer["lanes"], answer["instructions"] = lane_count(), instruction_set()
 print(json.dumps(answer))
+"""
+_RAYS = """
+import json
+import djpt
+from djpt.errors import DjptError
+try:
+    from djpt.geometry.compiled.engine import why_not
+    from djpt.geometry.engines import chosen
+    print(json.dumps({"chosen": chosen(), "why_not": why_not()}))
+except DjptError as error:
+    print(json.dumps({"error": str(error)}))
 """
 _TRIAL_TOTAL = 0 + 1 + 2 + 3 + 4 * 3.5
 
@@ -77,7 +91,7 @@ class Report:
 
 
 def examine() -> Report:
-    """Examine the machine. Takes about a second; changes nothing and raises no `DjptError`."""
+    """Examine the machine. Takes about two seconds; changes nothing and raises no `DjptError`."""
     libraries = search()
     trial = _trial()
     return Report(
@@ -90,6 +104,7 @@ def examine() -> Report:
             _llvm(libraries),
             _variant(),
             trial,
+            *([_ray_queries()] if trial.verdict == "ok" else []),
             _package("mitsuba", "only for validation: pip install 'djpt[validate]'"),
         ),
         usable=trial.verdict == "ok",
@@ -149,26 +164,47 @@ def _variant() -> Finding:
         return Finding("Variant", os.environ.get("DJPT_VARIANT", ""), "problem", str(error))
 
 
-def _trial() -> Finding:
-    """Run a small kernel in another process."""
+def _answer(what: str, topic: str, code: str) -> dict[str, Any] | Finding:
+    """What a program prints that tries something in another process, or what went wrong."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _TRIAL], capture_output=True, text=True, timeout=120, check=False, env=environment
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False, env=environment
         )
     except (OSError, subprocess.SubprocessError) as error:
-        return Finding("Trial", "a small kernel could not be run", "problem", str(error))
+        return Finding(topic, f"{what} could not be run", "problem", str(error))
     lines = done.stdout.strip().splitlines()
     if done.returncode or not lines:
-        code = done.returncode
-        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-        return Finding("Trial", f"a small kernel ended with {how}", "problem", done.stderr.strip()[-1000:])
-    answer = json.loads(lines[-1])
+        status = done.returncode
+        how = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        return Finding(topic, f"{what} ended with {how}", "problem", done.stderr.strip()[-1000:])
+    answer: dict[str, Any] = json.loads(lines[-1])
+    return answer
+
+
+def _trial() -> Finding:
+    """Run a small kernel in another process."""
+    answer = _answer("a small kernel", "Trial", _TRIAL)
+    if isinstance(answer, Finding):
+        return answer
     if "error" in answer:
         return Finding("Trial", "a small kernel was not run", "problem", answer["error"])
     if answer["total"] != _TRIAL_TOTAL:
         return Finding("Trial", f"a small kernel computed {answer['total']}, not {_TRIAL_TOTAL}", "problem")
     return Finding("Trial", f"a small kernel ran{_width(answer)}, {answer['threads']} threads")
+
+
+def _ray_queries() -> Finding:
+    """Trace rays whose hits are known by compiled functions, in another process."""
+    answer = _answer("a trial of ray queries", "Ray queries", _RAYS)
+    if isinstance(answer, Finding):
+        return replace(answer, advice=f"set {VARIABLE}=steps\n{answer.advice}".strip())
+    if "error" in answer:
+        return Finding("Ray queries", answer["error"], "problem")
+    if answer["chosen"] == "call":
+        return Finding("Ray queries", "by calls of compiled functions, which passed their test")
+    why = answer["why_not"] or f"{VARIABLE}={os.environ.get(VARIABLE, '')}"
+    return Finding("Ray queries", "by steps, which are slower on most machines", "note", why)
 
 
 def _width(answer: dict[str, Any]) -> str:

@@ -24,6 +24,7 @@ from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
 from djpt.gradients.modes import Forward, Mode, Reverse
 from djpt.kernels import begin_trace
 from djpt.samplers.hashing import sample_tea_32
+from djpt.llvm.lanes import small_blocks
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
@@ -168,7 +169,8 @@ class ReplayDerivative:
     def _gradients(self, band: Band, begin: int, end: int, mode_of: ModeOf) -> list[Any]:
         mode, sums, number = self._replay(band, begin, end, mode_of)
         assert isinstance(mode, Reverse)
-        dr.eval(sums, number)
+        with small_blocks():
+            dr.eval(sums, number)
         return mode.accumulator.gradients(sums)
 
     def forward(self, tangents: list[Any]) -> TensorXf:
@@ -180,13 +182,15 @@ class ReplayDerivative:
                 return Forward(changes, None, blank_sums(lanes, job.channel_count()) if sums is None else sums)
 
             _, result, _ = self._replay(Band(0, job.height), begin, end, mode_of)
-            dr.eval(result)
+            with small_blocks():
+                dr.eval(result)
             return result
 
         def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
             buffers, write = sample_buffers(job, band, end - begin)
             number = self._replay(band, begin, end, lambda lanes, pixel: Forward(changes, write, []))[2]
-            dr.eval(number, buffers)
+            with small_blocks():
+                dr.eval(number, buffers)
             return buffers
 
         with dr.suspend_grad():

@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import drjit as dr
 
-__all__ = ["INSTRUCTION_SETS", "core", "core_path", "features", "instruction_set", "lane_count", "processor"]
+__all__ = [
+    "BLOCK",
+    "INSTRUCTION_SETS",
+    "core",
+    "core_path",
+    "features",
+    "instruction_set",
+    "lane_count",
+    "processor",
+    "small_blocks",
+]
 
 INSTRUCTION_SETS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse4.2": "SSE4.2", "neon": "NEON"}
 """LLVM's names of features, the widest first, and what the instruction sets are called."""
+
+BLOCK = 1024
+"""Lanes that a thread takes at a time in `small_blocks`."""
 
 
 def core() -> ctypes.CDLL:
@@ -35,6 +50,26 @@ def core_path() -> str:
 def lane_count() -> int:
     """The lanes of a vector: 16 with AVX-512, 8 with AVX2, 4 with NEON. The LLVM backend must have been loaded."""
     return int(core()._Z21jit_llvm_vector_widthv())
+
+
+@contextmanager
+def small_blocks() -> Iterator[None]:
+    """Let threads take work in small portions, of `BLOCK` lanes, in kernels that are launched inside.
+
+    The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time.
+    """
+    try:
+        library = core()
+        usual, set_size = library._Z19jit_llvm_block_sizev(), library._Z23jit_llvm_set_block_sizej
+    except (OSError, AttributeError):
+        # Only the threads' shares are less even then.
+        yield
+        return
+    set_size(BLOCK)
+    try:
+        yield
+    finally:
+        set_size(usual)
 
 
 def features() -> list[str]:

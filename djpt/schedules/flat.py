@@ -22,6 +22,7 @@ from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
+from djpt.llvm.lanes import small_blocks
 from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
@@ -55,7 +56,8 @@ class Flat(Schedule):
         lanes = layered(job, band, begin, end)
         buffers, write = sample_buffers(job, band, end - begin)
         run(job, lanes, Store(dr.width(lanes.pixel), write))
-        dr.eval(buffers)
+        with small_blocks():
+            dr.eval(buffers)
         return buffers
 
     def carries_sums(self, job: Job) -> bool:
@@ -166,7 +168,8 @@ def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> l
     if sums is None:
         sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     result = run(job, lanes, Sums(sums))
-    dr.eval(result)
+    with small_blocks():
+        dr.eval(result)
     return result
 
 
@@ -180,5 +183,6 @@ def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | No
         sums = blank_sums(dr.width(lanes.pixel), job.film.taps**2 * (job.channel_count() + 1))
     sink = FilmSums(job, job.on_film(*job.coordinates(lanes.pixel)), sums)
     result = run(job, lanes, sink)
-    dr.eval(result)
+    with small_blocks():
+        dr.eval(result)
     return result
