@@ -63,7 +63,7 @@ def chosen() -> str:
 def checked(name: str) -> str:
     """A name that is one of `NAMES`."""
     if name not in NAMES:
-        raise SceneError(f"unknown way of ray queries '{name}'{near_miss(name, NAMES)}; possible: {', '.join(NAMES)}")
+        raise SceneError(f"unknown way of ray queries '{name}'{near_miss(name, NAMES)}")
     return name
 
 

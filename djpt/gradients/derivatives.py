@@ -23,8 +23,8 @@ from djpt.errors import RenderError
 from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
 from djpt.gradients.modes import Forward, Mode, Reverse
 from djpt.kernels import begin_trace
-from djpt.samplers.hashing import sample_tea_32
 from djpt.llvm.lanes import small_blocks
+from djpt.samplers.hashing import sample_tea_32
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
