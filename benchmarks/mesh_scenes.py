@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 import djpt
 
-__all__ = ["bumpy_sphere", "many_shapes", "over_floor", "twenty_meshes", "write_bumpy_sphere"]
+__all__ = [
+    "bumpy_sphere",
+    "instances",
+    "many_shapes",
+    "over_floor",
+    "textured_sphere",
+    "twenty_meshes",
+    "write_bumpy_sphere",
+]
 
 
 def write_bumpy_sphere(folder: Path, triangles: int, seed: int = 0) -> Path:
@@ -18,7 +26,10 @@ def write_bumpy_sphere(folder: Path, triangles: int, seed: int = 0) -> Path:
     path = folder / f"bumpy_{triangles}_{seed}.ply"
     if not path.exists():
         positions, faces = bumps(triangles, seed)
-        djpt.Mesh("bumpy", vertex_positions=positions, faces=faces, props={"face_normals": True}).write_ply(path)
+        x, y, z = positions.T / np.linalg.norm(positions, axis=1)
+        uv = np.stack([np.arctan2(z, x) / (2 * np.pi) % 1, np.arccos(y) / np.pi], axis=1)
+        mesh = djpt.Mesh("bumpy", positions, faces, vertex_texcoords=uv, props={"face_normals": True})
+        mesh.write_ply(path)
     return path
 
 
@@ -54,6 +65,28 @@ def diffuse(color: Any) -> dict[str, Any]:
 def bumpy_sphere(file: Path, face_normals: bool) -> dict[str, Any]:
     """A shape from `write_bumpy_sphere`."""
     return {"type": "ply", "filename": str(file), "face_normals": face_normals, "bsdf": diffuse((0.7, 0.5, 0.4))}
+
+
+def textured_sphere(file: Path) -> dict[str, Any]:
+    """A shape from `write_bumpy_sphere` with vertex normals and a texture."""
+    squares = {"type": "checkerboard", "to_uv": djpt.ScalarTransform4f().scale([20, 10, 1])}
+    return {**bumpy_sphere(file, False), "bsdf": {"type": "diffuse", "reflectance": squares}}
+
+
+def instances(module: Any, file: Path) -> dict[str, Any]:
+    """A thousand instances of a bumpy sphere."""
+    rng = np.random.default_rng(0)
+    scene = stage(module, [0, 4, 12], -0.8, 9, 8)
+    scene["group"] = {"type": "shapegroup", "ball": bumpy_sphere(file, True)}
+    for i in range(1000):
+        place = [float(x) for x in rng.uniform(-1, 1, 3) * [6, 1, 6]]
+        turned = module.ScalarTransform4f().translate(place).rotate([0, 1, 0.3], float(rng.uniform(0, 360)))
+        scene[f"copy_{i}"] = {
+            "type": "instance",
+            "group": {"type": "ref", "id": "group"},
+            "to_world": turned.scale(0.15),
+        }
+    return scene
 
 
 def stage(module: Any, origin: Any, floor: float, scale: float, lamp: float) -> dict[str, Any]:

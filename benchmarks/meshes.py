@@ -24,7 +24,15 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from mesh_scenes import bumpy_sphere, many_shapes, over_floor, twenty_meshes, write_bumpy_sphere
+from mesh_scenes import (
+    bumpy_sphere,
+    instances,
+    many_shapes,
+    over_floor,
+    textured_sphere,
+    twenty_meshes,
+    write_bumpy_sphere,
+)
 from pairs import Row, in_pairs, report
 
 SPP = 32
@@ -43,23 +51,35 @@ def image_row(
 
 def image_rows(folder: Path, pairs: int, quick: bool) -> Iterator[Row]:
     """Measure images by path tracing."""
-    for count in (10_000, 100_000) if quick else (10_000, 100_000, 1_000_000):
+    for count, required in (
+        ((10_000, 1.2), (100_000, 1.2)) if quick else ((10_000, 1.2), (100_000, 1.2), (1_000_000, 1.35))
+    ):
         file = write_bumpy_sphere(folder, count)
-        for normals in ("face", "vertex"):
-            yield image_row(
-                f"bumpy sphere, {count} triangles, {normals} normals",
-                lambda m, file=file, normals=normals: over_floor(m, bumpy_sphere(file, normals == "face")),
-                pairs,
-                1.3 if normals == "face" else None,
-                1.8,
-            )
+        yield image_row(
+            f"bumpy sphere of {count} triangles",
+            lambda m, file=file: over_floor(m, bumpy_sphere(file, True)),
+            pairs,
+            required,
+            1.5,
+        )
+        yield image_row(
+            "  with vertex normals, uv and a texture",
+            lambda m, file=file: over_floor(m, textured_sphere(file)),
+            pairs,
+            1.1,
+            1.4,
+        )
     files = [write_bumpy_sphere(folder, 5000, seed) for seed in range(20)]
-    yield image_row("twenty meshes of 5000, 8 materials", lambda m: twenty_meshes(m, files), pairs, 1.4, None)
+    yield image_row("twenty meshes of 5000, 8 materials", lambda m: twenty_meshes(m, files), pairs, 1.2, 1.5)
+    file = write_bumpy_sphere(folder, 10_000)
+    yield image_row(
+        "1000 instances of 10000 triangles, 1 spp", lambda m: instances(m, file), min(pairs, 3), 1.1, 1.4, spp=1
+    )
     yield image_row("64 analytic shapes", many_shapes, pairs, 4, None)
 
 
 def gradient_row(folder: Path, pairs: int) -> Row:
-    """Measure an image and its gradient by an albedo, for information."""
+    """Measure an image and its gradient by an albedo."""
     file = write_bumpy_sphere(folder, 100_000)
 
     def gradient(module: Any) -> Any:
@@ -79,31 +99,33 @@ def gradient_row(folder: Path, pairs: int) -> Row:
         return work
 
     ratios, times = in_pairs(gradient(djpt), gradient(mi), pairs)
-    return Row("image and gradient, 100000 triangles, 16 spp", None, None, ratios, times)
+    return Row("image and gradient, 100000 triangles, 16 spp", 1.3, 1.6, ratios, times)
 
 
 def query_rows(folder: Path, pairs: int) -> Iterator[Row]:
-    """Measure `ray_intersect` and `ray_test` on incoherent rays: diffuse bounces off the bumpy sphere."""
+    """Measure `ray_intersect` and `ray_test` on incoherent rays, bounces off the bumpy sphere, and on camera rays."""
     file = write_bumpy_sphere(folder, 100_000)
     ours, theirs = (m.load_dict({"type": "scene", "ball": bumpy_sphere(file, True)}) for m in (djpt, mi))
-    o, d = bounces(ours, 2**20)
-    rays = [m.Ray3f(m.Point3f(o), m.Vector3f(d), m.Float(np.inf)) for m in (djpt, mi)]
-    dr.eval(rays)
-    for what, query, required in (
-        ("ray_intersect", "ray_intersect", 0.8),
-        ("ray_intersect_preliminary", "ray_intersect_preliminary", None),
-        ("ray_test", "ray_test", 0.6),
+    for kind, (o, d), required, aim in (
+        ("incoherent rays", bounces(ours, 2**20), 0.9, 1.1),
+        ("camera rays", camera_rays(1024), 0.6, 0.9),
     ):
-        ratios, times = in_pairs(
-            lambda seed, query=query: getattr(ours, query)(rays[0]),
-            lambda seed, query=query: (
-                getattr(theirs, query)(rays[1], coherent=False)
-                if query != "ray_intersect"
-                else theirs.ray_intersect(rays[1], mi.RayFlags.All, coherent=False)
-            ),
-            pairs,
-        )
-        yield Row(f"{what}, {o.shape[1]} incoherent rays", required, None, ratios, times)
+        rays = [m.Ray3f(m.Point3f(o), m.Vector3f(d), m.Float(np.inf)) for m in (djpt, mi)]
+        dr.eval(rays)
+        for query in ("ray_intersect", "ray_test"):
+            ratios, times = in_pairs(
+                lambda seed, query=query, rays=rays: getattr(ours, query)(rays[0]),
+                lambda seed, query=query, rays=rays: getattr(theirs, query)(rays[1]),
+                pairs,
+            )
+            yield Row(f"{query}, {o.shape[1]} {kind}", required, aim, ratios, times)
+
+
+def camera_rays(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The origins and directions (3, N) of a camera's rays, row by row."""
+    x, y = (np.stack(np.meshgrid(*2 * [np.arange(size)])).reshape(2, -1) + 0.5) / size - 0.5
+    d = np.stack([x, -y - 0.15, np.full_like(x, -1)])
+    return np.tile([[0], [0.6], [3.2]], (1, size * size)), d / np.linalg.norm(d, axis=0)
 
 
 def bounces(scene: djpt.Scene, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +148,7 @@ def build_rows(folder: Path) -> Iterator[Row]:
     """Measure seconds and memory for the BVH of 10^6 triangles, each in a process of its own."""
     file = write_bumpy_sphere(folder, 1_000_000)
     numbers = [float(x) for x in in_process("build", file).split()]
-    yield Row("BVH over 10^6 triangles, seconds", 3, None, [numbers[0]], "triangles' frames and records included", True)
+    yield Row("BVH over 10^6 triangles, seconds", 1, None, [numbers[0]], "triangles' frames and records included", True)
     yield Row("  memory beyond the mesh, MiB", 300, None, [numbers[1]], "at its peak", True)
 
 

@@ -17,6 +17,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from djpt.llvm.lanes import INSTRUCTION_SETS, force_lanes, instruction_set, lane_count
+from djpt.variants import load_backend
+
 __all__ = ["Row", "in_pairs", "report", "seconds"]
 
 
@@ -75,15 +78,15 @@ def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: in
 
 def machine() -> dict[str, Any]:
     """The facts that the numbers depend on: processor, versions, variant."""
-    cpu, flags = platform.processor() or platform.machine(), ""
+    cpu = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         fields = dict(line.split(":", 1) for line in cpuinfo.read_text().split("\n\n")[0].splitlines() if ":" in line)
         fields = {key.strip(): value.strip() for key, value in fields.items()}
-        cpu, flags = fields.get("model name", cpu), fields.get("flags", "")
+        cpu = fields.get("model name", cpu)
     return {
         "cpu": cpu,
-        "vectors": "AVX-512" if "avx512f" in flags else "AVX2" if "avx2" in flags else "",
+        "vectors": f"{INSTRUCTION_SETS.get(instruction_set(), '')}, {lane_count()} lanes",
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "threads": dr.thread_count(),
         "load": os.getloadavg()[0],
@@ -127,6 +130,7 @@ def report(description: str, what: str, all_rows: Callable[[int, bool], Iterator
     parser.add_argument("--quick", action="store_true", help="3 pairs, and smaller images")
     parser.add_argument("--pairs", type=int, help="pairs of each row (default 7)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE as well")
+    parser.add_argument("--lanes", type=int, choices=(8, 16), help="compile for AVX2 or AVX-512")
     arguments = parser.parse_args()
     pairs = arguments.pairs or (3 if arguments.quick else 7)
     if pairs < 1:
@@ -134,6 +138,9 @@ def report(description: str, what: str, all_rows: Callable[[int, bool], Iterator
 
     mi.set_variant("llvm_ad_rgb")
     djpt.set_variant("llvm_ad_rgb")
+    if arguments.lanes:
+        load_backend()
+        force_lanes(arguments.lanes)
     facts = machine()
     print(heading(facts, what))
     print(LAYOUT.format("what", "required", "aim", "measured", "", "Mitsuba / djpt").rstrip())

@@ -25,6 +25,10 @@ __all__ = [
 INSTRUCTION_SETS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse4.2": "SSE4.2", "neon": "NEON"}
 """LLVM's names of features, the widest first, and what the instruction sets are called."""
 
+WIDER = {8: ("avx512", "amx", "avx10"), 16: ("amx",)}
+"""Features that processors with this number of lanes lack, by the beginnings of their names."""
+PROCESSORS = {8: "haswell", 16: "skylake-avx512"}
+
 BLOCK = 1024
 """Lanes that a thread takes at a time in `small_blocks`."""
 
@@ -90,3 +94,24 @@ def instruction_set() -> str:
     """The widest instruction set that kernels may use, one of `INSTRUCTION_SETS`; empty if it is none of them."""
     there = features()
     return next((name for feature, name in INSTRUCTION_SETS.items() if f"+{feature}" in there), "")
+
+
+def force_lanes(count: int) -> None:
+    """Compile all kernels from now on for `count` lanes, to measure or test what other processors run.
+
+    8 (AVX2) or 16 (AVX-512). The LLVM backend must have been loaded.
+
+    Raises:
+        ValueError: Another count, or this processor lacks the instructions.
+    """
+    if count not in PROCESSORS:
+        raise ValueError(f"the number of lanes must be 8 or 16, found {count}")
+    needed = {8: "+avx2", 16: "+avx512f"}[count]
+    if needed not in features():
+        raise ValueError(f"{count} lanes: this processor lacks {needed[1:]}")
+    kept = [f"-{name[1:]}" if name[1:].startswith(WIDER[count]) else name for name in features()]
+    set_target = core()._Z19jit_llvm_set_targetPKcS0_j
+    set_target.argtypes, set_target.restype = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32], None
+    set_target(PROCESSORS[count].encode(), ",".join(kept).encode(), count)
+    if lane_count() != count:
+        raise RuntimeError(f"Dr.Jit has {lane_count()} lanes and not {count}")
