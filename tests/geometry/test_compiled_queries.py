@@ -1,0 +1,291 @@
+"""Ray queries by calls: the hits of the search by steps, and of all triangles one by one; edges; memory; the option."""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import djpt
+from djpt.errors import SceneError
+from djpt.geometry import engines
+from djpt.geometry.accelerators.brute_force import BruteForce
+from djpt.geometry.compiled import engine
+from djpt.geometry.compiled.tree import CompiledTree
+from djpt.geometry.engines import chosen, ray_queries
+from djpt.records import Ray3f
+from djpt.transforms import ScalarTransform4f as T
+from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+from tests.kit.triangle_soups import SOUPS, sphere
+
+pytestmark = [
+    pytest.mark.narrow,
+    pytest.mark.skipif(engine.why_not() is not None, reason="calls don't work on this machine"),
+]
+
+Floats = NDArray[np.float64]
+
+
+def mesh(corners: NDArray[np.float32], **props: Any) -> djpt.Mesh:
+    """A mesh of separate triangles."""
+    faces = np.arange(3 * len(corners)).reshape(-1, 3)
+    return djpt.Mesh("soup", corners.reshape(-1, 3), faces, props=props)
+
+
+def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> Ray3f:
+    """Rays at triangles from all around, some with an end before or behind the target."""
+    rng = np.random.default_rng(seed)
+    weights = rng.dirichlet([1, 1, 1], count)
+    target = np.einsum("ij,ijk->ik", weights, corners[rng.integers(0, len(corners), count)].astype(np.float64))
+    size = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
+    o = target + size * rng.normal(size=(count, 3)) * 10 ** rng.uniform(-1, 0.5, (count, 1))
+    end = np.where(rng.random(count) < 0.3, rng.uniform(0.5, 1.5, count), np.inf)
+    return Ray3f(Point3f(*o.T), Vector3f(*(target - o).T), Float(end))
+
+
+def scene(ways: str, *shapes: Any, **more: Any) -> djpt.Scene:
+    """A scene of shapes, searched by `ways`."""
+    with ray_queries(ways):
+        return djpt.load_dict({"type": "scene", **{f"s{i}": shape for i, shape in enumerate(shapes)}, **more})
+
+
+# Of triangles that shrink without end, which are hit is a matter of rounding.
+@pytest.mark.parametrize("name", sorted(SOUPS.keys() - {"exponential"}))
+def test_hits_are_those_of_all_triangles_one_by_one(name: str) -> None:
+    corners = SOUPS[name]()
+    calls, ray = scene("call", mesh(corners)), rays_at(corners, 4000)
+    t, _ = BruteForce(corners).closest(ray)
+    found, expected = np.array(calls.ray_intersect_preliminary(ray).t), np.array(t)
+    both = np.isfinite(found) & np.isfinite(expected)
+    # A ray that grazes an edge may hit by one rounding and miss by another.
+    assert np.mean(np.isfinite(found) != np.isfinite(expected)) < 2e-3
+    spacing = np.spacing(np.abs(corners).max()) / np.linalg.norm(np.array(ray.d), axis=0)[both]
+    assert np.mean(np.abs(found - expected)[both] > 1e-4 * expected[both] + 8 * spacing) < 2e-3
+    assert np.mean(np.array(calls.ray_test(ray)) != np.isfinite(found)) < 1e-3
+
+
+def village(ways: str) -> djpt.Scene:
+    """Meshes, solids in the tree, and instances, some of which emit light."""
+    rng = np.random.default_rng(1)
+    kinds = ("sphere", "cube", "cylinder", "disk", "rectangle")
+    shapes: list[Any] = [mesh(sphere(2000)), mesh(sphere(500) * np.float32(0.4) + np.float32([2, 0, 0]))]
+    for i in range(40):
+        place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(rng.normal(size=3).tolist(), 50.0).scale(0.2)
+        shapes.append({"type": kinds[i % 5], "to_world": place})
+        if i % 4 == 0:
+            shapes[-1]["emitter"] = {"type": "area"}
+    group = {"type": "shapegroup", "a": mesh(sphere(800)), "b": mesh(sphere(60) + np.float32(1))}
+    copies = {}
+    for i in range(30):
+        place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(rng.normal(size=3).tolist(), 70.0)
+        copies[f"i{i}"] = {
+            "type": "instance",
+            "to_world": place.scale([0.2, 0.3, 0.1]),
+            "g": {"type": "ref", "id": "g"},
+        }
+    return scene(ways, *shapes, g=group, **copies)
+
+
+def test_solids_and_instances_are_hit_as_by_steps() -> None:
+    rng = np.random.default_rng(2)
+    o, target = rng.normal(size=(3, 30000)) * 4, rng.uniform(-3, 3, (3, 30000))
+    ray = Ray3f(Point3f(o), Vector3f(target - o))
+    results = []
+    for ways in ("call", "steps"):
+        si = village(ways).ray_intersect(ray)
+        results.append([np.array(x) for x in (si.t, si.p, si.n, si.uv, si.sh_frame.n, si.shape_index, si.prim_index)])
+    hit = np.isfinite(results[0][0])
+    assert 0.3 < hit.mean() < 0.95
+    assert np.mean(hit != np.isfinite(results[1][0])) < 1e-3
+    hit &= np.isfinite(results[1][0])
+    for a, b in zip(*results, strict=True):
+        error = np.abs(a.astype(float) - b.astype(float))[..., hit].reshape(-1, hit.sum()).max(axis=0)
+        assert np.mean(error > 2e-3) < 2e-3
+
+
+@pytest.mark.parametrize("schedule", ["flat", "machine", "wave"])
+def test_images_are_those_of_steps(schedule: str) -> None:
+    """With lights in the tree that camera rays pass through, and shadow rays don't."""
+    images = []
+    for ways in ("call", "steps"):
+        place = village(ways)
+        view = {"type": "perspective", "to_world": T().look_at([0, 0, 9], [0, 0, 0], [0, 1, 0])}
+        view["film"] = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}}
+        image = djpt.render(
+            place,
+            sensor=djpt.load_dict(view),
+            integrator=djpt.load_dict({"type": "path", "max_depth": 4, "hide_emitters": True}),
+            spp=8,
+            schedule=schedule,
+        )
+        images.append(np.array(image))
+    assert images[0].max() > 0
+    assert np.mean(np.abs(images[0] - images[1]) < 1e-3 * (1 + images[1])) > 0.99
+
+
+def closed_sphere(rows: int) -> djpt.Mesh:
+    """A sphere without holes, whose triangles share vertices."""
+    u = np.linspace(0, 2 * np.pi, 2 * rows, endpoint=False)
+    v = np.linspace(0, np.pi, rows + 1)[1:-1]
+    ring = np.stack(
+        np.broadcast_arrays(np.sin(v)[:, None] * np.cos(u), np.cos(v)[:, None], np.sin(v)[:, None] * np.sin(u)), -1
+    )
+    positions = np.concatenate([[[0, 1, 0]], ring.reshape(-1, 3), [[0, -1, 0]]])
+    n, last = 2 * rows, len(positions) - 1
+    i = np.arange(n)
+    after = (i + 1) % n
+    faces = [np.stack([0 * i, 1 + after, 1 + i], 1)]
+    for row in range(rows - 2):
+        a = 1 + row * n
+        faces += [np.stack([a + i, a + after, a + n + i], 1), np.stack([a + after, a + n + after, a + n + i], 1)]
+    a = 1 + (rows - 2) * n
+    faces.append(np.stack([a + i, a + after, last + 0 * i], 1))
+    return djpt.Mesh("closed", positions, np.concatenate(faces))
+
+
+@pytest.mark.parametrize("count", [10**5, pytest.param(10**7, marks=pytest.mark.slow)])
+def test_no_ray_slips_through_edges_and_vertices(count: int) -> None:
+    """Rays from inside of a closed surface, exactly at its vertices and at points of its edges."""
+    ball = closed_sphere(60)
+    closed, rng = scene("call", ball), np.random.default_rng(3)
+    positions, faces = ball.positions.astype(np.float64), ball.indices
+    for begin in range(0, count, 10**6):
+        n = min(10**6, count - begin)
+        o = rng.uniform(-0.4, 0.4, (n, 3))
+        face, side = faces[rng.integers(0, len(faces), n)], rng.integers(0, 3, n)
+        rows = np.arange(n)
+        a, b = positions[face[rows, side]], positions[face[rows, (side + 1) % 3]]
+        share = np.where(rng.random(n) < 0.4, 0, rng.random(n))[:, None]
+        d = (a + share * (b - a)) - o
+        ray = Ray3f(Point3f(*o.T), Vector3f(*d.T))
+        assert np.count_nonzero(~np.array(closed.ray_test(ray))) == 0
+        t = np.array(closed.ray_intersect_preliminary(ray).t)
+        assert np.count_nonzero(~np.isfinite(t)) == 0
+        np.testing.assert_allclose(t, 1, atol=2e-3)
+
+
+def test_queries_leave_no_variables_behind(capfd: pytest.CaptureFixture[str]) -> None:
+    place, ray = scene("call", mesh(sphere(500))), rays_at(sphere(500), 100)
+
+    def variables() -> int:
+        gc.collect()
+        capfd.readouterr()
+        dr.whos()
+        return len("".join(capfd.readouterr()).splitlines())
+
+    def query() -> None:
+        dr.eval(place.ray_intersect(ray), place.ray_test(ray))
+
+    query()
+    before = variables()
+    assert before > 10
+    for _ in range(5):
+        query()
+    assert variables() <= before
+
+
+def test_an_edit_leaves_earlier_queries_alone() -> None:
+    """What was asked before an edit, but isn't computed yet, is answered by the old geometry."""
+    place = scene("call", mesh(sphere(500)))
+    params = djpt.traverse(place)
+    key = next(k for k in params if k.endswith("vertex_positions"))
+    ray = Ray3f(Point3f(0, 0, 5), Vector3f(0, 0, -1))
+    before = place.ray_intersect_preliminary(ray).t
+    params[key] = np.array(params[key]) + 0.5
+    params.update()
+    after = place.ray_intersect_preliminary(ray).t
+    expected = np.array(scene("steps", mesh(sphere(500))).ray_intersect_preliminary(ray).t)
+    np.testing.assert_allclose(np.array(before), expected, rtol=1e-5)
+    assert abs(float(after[0]) - float(before[0])) > 0.1
+
+
+def test_edits_compile_nothing() -> None:
+    place = scene("call", mesh(sphere(500)), sky={"type": "constant"})
+    params = djpt.traverse(place)
+    key = next(k for k in params if k.endswith("vertex_positions"))
+    view = djpt.load_dict({"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}})
+    djpt.render(place, sensor=view, spp=4)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        params[key] = np.array(params[key]) * 0.9
+        params.update()
+        djpt.render(place, sensor=view, spp=4, seed=1)
+    kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(k["cache_hit"] for k in kernels)
+
+
+def test_frozen_queries() -> None:
+    """Arrays that were made before must be named, as for all frozen functions."""
+    place, corners = scene("call", mesh(sphere(500))), sphere(500)
+    assert place.geometry.triangles is not None
+    geometry, tree = place.geometry, place.geometry.triangles.tree
+    assert isinstance(tree, CompiledTree)
+    used = (tree.memory, tree.functions.closest.memory, tree.center, tree.radius, geometry._low, geometry._high)
+
+    @dr.freeze(state_fn=lambda *_: used)
+    def hits(o: Point3f, d: Vector3f) -> Float:
+        return place.ray_intersect_preliminary(Ray3f(o, d)).t
+
+    for seed in range(3):
+        ray = rays_at(corners, 1000, seed)
+        expected = np.array(place.ray_intersect_preliminary(Ray3f(ray.o, ray.d)).t)
+        np.testing.assert_array_equal(np.array(hits(ray.o, ray.d)), expected)
+
+
+def test_masked_queries_answer_no() -> None:
+    corners = sphere(500)
+    place, ray = scene("call", mesh(corners)), rays_at(corners, 1000)
+    active = dr.arange(UInt32, 1000) % 3 != 0
+    hit = np.array(place.ray_test(ray))
+    np.testing.assert_array_equal(np.array(place.ray_test(ray, active)), hit & np.array(active))
+
+
+# ---- the choice ----------------------------------------------------------------------------------------------
+
+
+def is_called(place: djpt.Scene) -> bool:
+    assert place.geometry.triangles is not None
+    return isinstance(place.geometry.triangles.tree, CompiledTree)
+
+
+def test_either_way_can_be_forced(monkeypatch: pytest.MonkeyPatch) -> None:
+    for ways in ("call", "steps"):
+        monkeypatch.setenv(engines.VARIABLE, ways)
+        assert chosen() == ways
+        assert is_called(djpt.load_dict({"type": "scene", "m": mesh(sphere(30))})) == (ways == "call")
+    with ray_queries("call"):
+        assert chosen() == "call"
+    monkeypatch.setenv(engines.VARIABLE, "cal")
+    with pytest.raises(SceneError, match=r"unknown way of ray queries 'cal'; did you mean 'call'"):
+        chosen()
+    with pytest.raises(SceneError, match="unknown way of ray queries"), ray_queries("stepwise"):
+        pass
+
+
+def test_what_fails_its_test_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(engines.VARIABLE, raising=False)
+    right = engine.call_any
+    monkeypatch.setattr(engine, "call_any", lambda *arguments: ~right(*arguments))
+    assert not engine.proved()
+    monkeypatch.setattr(engines, "why_not", lambda: "rays with known hits got other results")
+    assert chosen() == "steps"
+    assert not is_called(scene("auto", mesh(sphere(30))))
+    with pytest.raises(SceneError, match=r"don't work: rays with known hits got other results; possible: steps"):
+        scene("call", mesh(sphere(30)))
+
+
+def test_a_missing_function_of_the_core_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: Any) -> Bool:
+        raise engine.CallError("this version of Dr.Jit has no calls of functions")
+
+    monkeypatch.setattr(engine, "call_closest", missing)
+    engine.why_not.cache_clear()
+    try:
+        assert engine.why_not() == "this version of Dr.Jit has no calls of functions"
+    finally:
+        engine.why_not.cache_clear()
