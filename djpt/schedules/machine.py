@@ -6,6 +6,9 @@ steps through the tree for a ray of any kind, and when its own ray has ended it 
 process a path vertex, add the light that a shadow ray found free, or begin the next sample. Lanes of
 one packet are all in different places at any time.
 
+It is made for trees whose search is a sequence of steps. Where a search is one call, a turn is a whole
+search, and the flat schedule is faster.
+
 The estimator is the integrator's `vertex`, as in the flat schedule, with the same samples in the
 same order. docs/performance.md, "Meshes", has the measurements.
 """
