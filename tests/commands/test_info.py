@@ -37,7 +37,7 @@ def test_info_describes_the_tree_of_a_mesh() -> None:
     assert said["triangles"].strip() == str(len(ball.indices))
     nodes, depth = (int(word.split()[-1]) for word in said["nodes"].split(","))
     # Nodes have up to four children each.
-    assert len(ball.indices) / 3 <= nodes < len(ball.indices)
+    assert len(ball.indices) / 64 <= nodes < len(ball.indices)
     assert depth >= np.log(len(ball.indices)) / np.log(4)
     assert 1 < float(said["SAH cost"]) < len(ball.indices) / 20
     assert float(said["memory"].split()[0]) > 0.1

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.geometry.engines import ray_queries
 from djpt.validation import agreement
 from tests.kit.mesh_scenes import PATH, gallery, uv_texture
 from tests.kit.renders import pixels, theirs
@@ -170,7 +171,10 @@ def test_bands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_allclose(split, whole, rtol=1e-5, atol=1e-6)
 
 
-def test_auto_is_the_machine(folder: Path) -> None:
-    scene = djpt.load_dict(gallery(folder))
-    auto, machine = images(scene, 4, schedules=("auto", "machine"))
-    np.testing.assert_array_equal(auto, machine)
+@pytest.mark.parametrize("ways", ["steps", "auto"])
+def test_auto_is_the_machine_where_lanes_take_steps(folder: Path, ways: str) -> None:
+    with ray_queries(ways):
+        scene = djpt.load_dict(gallery(folder))
+    fastest = "machine" if scene.geometry.stepwise else "flat"
+    auto, other = images(scene, 4, schedules=("auto", fastest))
+    np.testing.assert_array_equal(auto, other)

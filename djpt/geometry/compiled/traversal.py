@@ -167,10 +167,6 @@ class Search:
         with f.when(rest == 0):
             self.current.value = first_child
             descent.again()
-        if self.any_hit:
-            self.push_all(children, rest)
-            self.current.value = first_child
-            return
         self.entries.store(entry)
 
         def waiting(slot: Value, child: Value) -> Value:
@@ -210,18 +206,6 @@ class Search:
             address = self.tree.at((child & REFERENCE).to(I64) * ROW_BYTES)
             for line in range(2):
                 self.f.prefetch(address.at(LINE * line))
-
-    def push_all(self, children: Value, met: Value) -> None:
-        """Put the children of a mask on the stack, in any order."""
-        f, remaining = self.f, self.f.variable(I32, met)
-        with f.loop() as more:
-            bits = remaining.value
-            child = f.load(I32, children.at(lowest_bit(bits).to(I64) * 4))
-            place = self.top.value
-            self.stack[place] = child.to(I64)
-            self.top.value = place + 1
-            remaining.value = bits & (bits - 1)
-            more.stop_if(remaining.value == 0)
 
     def insert(self, base: Value, entry: Value) -> None:
         """Put an entry on the stack, above all that are farther among those from `base` on."""
