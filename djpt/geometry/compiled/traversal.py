@@ -16,7 +16,17 @@ from dataclasses import dataclass, replace
 
 from djpt.geometry.bvh.records import SOLID
 from djpt.geometry.canonical import HITS, KINDS
-from djpt.geometry.compiled.layout import CHILDREN, DETAIL_WORD, LABEL_WORD, LEAF, PLACED, REFERENCE, ROOT, ROW_BYTES
+from djpt.geometry.compiled.layout import (
+    CHILDREN,
+    DETAIL_WORD,
+    LABEL_WORD,
+    LEAF,
+    LEAF_ROWS,
+    PLACED,
+    REFERENCE,
+    ROOT,
+    ROW_BYTES,
+)
 from djpt.geometry.compiled.placed import Features, Placed, Triple
 from djpt.geometry.compiled.ray import BoxRay, PlaneRay, RayTerms, TriangleTest
 from djpt.llvm import arithmetic
@@ -204,7 +214,7 @@ class Search:
         """Ask for the memory of children that have to wait for each other."""
         for child in children:
             address = self.tree.at((child & REFERENCE).to(I64) * ROW_BYTES)
-            for line in range(2):
+            for line in range(LEAF_ROWS * ROW_BYTES // LINE):
                 self.f.prefetch(address.at(LINE * line))
 
     def insert(self, base: Value, entry: Value) -> None:
