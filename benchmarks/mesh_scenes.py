@@ -67,9 +67,9 @@ def bumpy_sphere(file: Path, face_normals: bool) -> dict[str, Any]:
     return {"type": "ply", "filename": str(file), "face_normals": face_normals, "bsdf": diffuse((0.7, 0.5, 0.4))}
 
 
-def textured_sphere(file: Path) -> dict[str, Any]:
+def textured_sphere(module: Any, file: Path) -> dict[str, Any]:
     """A shape from `write_bumpy_sphere` with vertex normals and a texture."""
-    squares = {"type": "checkerboard", "to_uv": djpt.ScalarTransform4f().scale([20, 10, 1])}
+    squares = {"type": "checkerboard", "to_uv": module.ScalarTransform4f().scale([20, 10, 1])}
     return {**bumpy_sphere(file, False), "bsdf": {"type": "diffuse", "reflectance": squares}}
 
 

@@ -64,7 +64,7 @@ def image_rows(folder: Path, pairs: int, quick: bool) -> Iterator[Row]:
         )
         yield image_row(
             "  with vertex normals, uv and a texture",
-            lambda m, file=file: over_floor(m, textured_sphere(file)),
+            lambda m, file=file: over_floor(m, textured_sphere(m, file)),
             pairs,
             1.1,
             1.4,

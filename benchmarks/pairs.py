@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from djpt.llvm.lanes import INSTRUCTION_SETS, force_lanes, instruction_set, lane_count
+from djpt.llvm.lanes import force_lanes, instruction_set, lane_count
 from djpt.variants import load_backend
 
 __all__ = ["Row", "in_pairs", "report", "seconds"]
@@ -86,7 +86,7 @@ def machine() -> dict[str, Any]:
         cpu = fields.get("model name", cpu)
     return {
         "cpu": cpu,
-        "vectors": f"{INSTRUCTION_SETS.get(instruction_set(), '')}, {lane_count()} lanes",
+        "vectors": f"{instruction_set()}, {lane_count()} lanes",
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "threads": dr.thread_count(),
         "load": os.getloadavg()[0],
