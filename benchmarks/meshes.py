@@ -72,9 +72,7 @@ def image_rows(folder: Path, pairs: int, quick: bool) -> Iterator[Row]:
     files = [write_bumpy_sphere(folder, 5000, seed) for seed in range(20)]
     yield image_row("twenty meshes of 5000, 8 materials", lambda m: twenty_meshes(m, files), pairs, 1.2, 1.5)
     file = write_bumpy_sphere(folder, 10_000)
-    yield image_row(
-        "1000 instances of 10000 triangles, 1 spp", lambda m: instances(m, file), min(pairs, 3), 1.1, 1.4, spp=1
-    )
+    yield image_row("1000 instances of 10000 triangles", lambda m: instances(m, file), min(pairs, 2), 1.1, 1.4)
     yield image_row("64 analytic shapes", many_shapes, pairs, 4, None)
 
 
@@ -175,6 +173,8 @@ def build_alone(file: Path) -> None:
     from djpt.geometry.mesh_set import MeshSet
 
     meshes = MeshSet([djpt.load_dict(bumpy_sphere(file, True))])
+    # What is compiled once and kept on disk doesn't count.
+    Forest(MeshSet([djpt.Mesh("one", [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])]), [1], [], []).tree()
     dr.sync_thread()
     before, sizes, done = memory_in_use(), [0.0], threading.Event()
 
