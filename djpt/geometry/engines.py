@@ -5,7 +5,7 @@
 ``steps``
     By steps that all lanes of a kernel take together: see `djpt.geometry.bvh`. Works everywhere.
 ``auto``
-    By calls if they work on this machine. They are faster in nearly all cases: docs/performance.md, "Ray queries".
+    By calls if they work on this machine. They are faster in nearly all cases: docs/performance.md, "Calls and steps".
 """
 
 from __future__ import annotations

@@ -40,9 +40,15 @@ class Code:
 
     @staticmethod
     def at(address: int) -> Code:
-        """The function at an address."""
-        word = np.ctypeslib.as_array((ctypes.c_uint32 * 1).from_address(address))
-        return Code(UInt32(word))
+        """The function at an address.
+
+        Raises:
+            CallError: Dr.Jit copies the code, though it is to share the memory.
+        """
+        word = UInt32(np.ctypeslib.as_array((ctypes.c_uint32 * 1).from_address(address)))
+        if core().address_of(word) != address:
+            raise CallError("Dr.Jit doesn't share the memory of functions")
+        return Code(word)
 
 
 @dataclass
@@ -92,11 +98,13 @@ class Core:
 
     def pointer_to(self, array: UInt32) -> int:
         """A variable that holds the address of an array's memory and keeps it alive."""
+        return int(self.pointer(dr.JitBackend.LLVM.value, self.address_of(array), array.index, 0))
+
+    def address_of(self, array: UInt32) -> int:
+        """The address of an array's memory; the array is evaluated if need be."""
         address = ctypes.c_void_p()
-        owner = self.data(array.index, ctypes.byref(address))
-        result = int(self.pointer(dr.JitBackend.LLVM.value, address, owner, 0))
-        self.release(owner)
-        return result
+        self.release(self.data(array.index, ctypes.byref(address)))
+        return address.value or 0
 
 
 @cache

@@ -19,6 +19,9 @@ from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["functions", "why_not"]
 
+WIDTHS = (4, 8, 16)
+"""The lanes of packets that functions are called with: for a single one the interface is another."""
+
 
 @cache
 def functions(features: Features) -> Functions:
@@ -37,6 +40,8 @@ def why_not() -> str | None:
     if dr.backend_v(Float) != dr.JitBackend.LLVM:
         return "they are for processors, not for CUDA"
     try:
+        if lane_count() not in WIDTHS:
+            return f"packets have {lane_count()} lanes"
         return None if proved() else "rays with known hits got other results"
     except (CallError, DjptError, OSError, AttributeError) as error:
         return str(error)
