@@ -47,6 +47,7 @@ __all__ = [
     "NUMBER",
     "PORTAL",
     "ROOT",
+    "SLACK",
     "SOLID",
     "WORDS",
     "Leaves",

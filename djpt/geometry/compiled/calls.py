@@ -23,9 +23,6 @@ __all__ = ["CallError", "Code", "Met", "call_any", "call_closest"]
 
 INPUTS, OUTPUTS = 14, 8
 
-VALID, T, B1, B2, RECORD, INSIDE = range(6)
-"""The results of a call for the closest hit."""
-
 
 class CallError(RuntimeError):
     """Dr.Jit's core lacks the functions by which kernels make calls."""

@@ -24,13 +24,13 @@ Coordinates count from the middle of their tree.
 from __future__ import annotations
 
 __all__ = [
+    "ANY_HIT",
     "CHILDREN",
-    "DETAIL_WORD",
     "HEADER_ROWS",
-    "LABEL_WORD",
     "LEAF",
     "LEAF_ROWS",
     "NODE_ROWS",
+    "PASSES_LIGHTS",
     "PLACED",
     "REFERENCE",
     "ROOT",
@@ -49,5 +49,5 @@ LEAF, PLACED, REFERENCE = 0x80000000, 0xC0000000, 0x3FFFFFFF
 ROOT = HEADER_ROWS
 """The row of the root."""
 
-LABEL_WORD, DETAIL_WORD = 4, 5
-"""Words of a record's row: the label; the face, or what a placed primitive is."""
+PASSES_LIGHTS, ANY_HIT = 1, 2
+"""Bits of a ray's flags: shapes that emit aren't hit; any hit ends the search, also one for the closest."""

@@ -6,9 +6,10 @@ array per field, with a number for each lane of the packet.
 
 from __future__ import annotations
 
+from djpt.geometry.compiled.layout import ANY_HIT
 from djpt.geometry.compiled.placed import Features
 from djpt.geometry.compiled.ray import RayTerms
-from djpt.geometry.compiled.traversal import ANY, ANY_HIT, CLOSEST, FIELDS, Hit, add_search
+from djpt.geometry.compiled.traversal import ANY, CLOSEST, FIELDS, Hit, add_search
 from djpt.llvm.ir import F32, I32, PTR, Function, Module, Value, vector
 
 __all__ = ["ANY_OF_PACKET", "CLOSEST_OF_PACKET", "packet_functions"]

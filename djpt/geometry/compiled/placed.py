@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from djpt.geometry.bvh.records import EMITS
-from djpt.geometry.compiled.layout import LABEL_WORD, ROW_BYTES, ROW_WORDS
+from djpt.geometry.compiled.layout import PASSES_LIGHTS, ROW_BYTES, ROW_WORDS
+from djpt.geometry.query import LABEL
 from djpt.llvm.arithmetic import fma
 from djpt.llvm.ir import F32, I32, I64, Function, Value
 
@@ -31,8 +32,8 @@ class Features:
 
     def passed(self, f: Function, scene: Value, record: Value, flags: Value) -> Value:
         """Whether a ray with `flags` passes through the shape at a record since it is part of a light."""
-        label = f.load(I32, scene.at(record.to(I64) * ROW_BYTES).at(4 * LABEL_WORD))
-        return ((flags & 1) != 0) & ((label & EMITS) != 0)
+        label = f.load(I32, scene.at(record.to(I64) * ROW_BYTES).at(4 * LABEL))
+        return ((flags & PASSES_LIGHTS) != 0) & ((label & EMITS) != 0)
 
 
 class Triple(NamedTuple):

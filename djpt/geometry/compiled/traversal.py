@@ -18,8 +18,6 @@ from djpt.geometry.bvh.records import SOLID
 from djpt.geometry.canonical import HITS, KINDS
 from djpt.geometry.compiled.layout import (
     CHILDREN,
-    DETAIL_WORD,
-    LABEL_WORD,
     LEAF,
     LEAF_ROWS,
     PLACED,
@@ -29,17 +27,15 @@ from djpt.geometry.compiled.layout import (
 )
 from djpt.geometry.compiled.placed import Features, Placed, Triple
 from djpt.geometry.compiled.ray import BoxRay, PlaneRay, RayTerms, TriangleTest
+from djpt.geometry.query import DETAIL, LABEL
 from djpt.llvm import arithmetic
-from djpt.llvm.arithmetic import lowest_bit, select
+from djpt.llvm.arithmetic import any_of, lowest_bit, select
 from djpt.llvm.ir import F32, I8, I32, I64, PTR, Function, Loop, Module, Type, Value, Variable
 
-__all__ = ["ANY", "ANY_HIT", "CLOSEST", "FIELDS", "PASSES_LIGHTS", "Hit", "Rays", "add_search"]
+__all__ = ["ANY", "CLOSEST", "FIELDS", "Hit", "Rays", "add_search"]
 
 CLOSEST, ANY = "closest", "any"
 """The kinds of searches: for the first hit, or whether there is one."""
-
-PASSES_LIGHTS, ANY_HIT = 1, 2
-"""Bits of a ray's flags: shapes that emit aren't hit; any hit ends the search, also one for the closest."""
 
 STACK = 512
 """Entries of the stack: seven for each level that a builder may make, and the last node's."""
@@ -251,7 +247,7 @@ class Search:
     def visit_leaf(self, leaf: Value, test: TriangleTest) -> None:
         """Test eight triangles, and note the closest that is hit."""
         f = self.f
-        with f.when(test.inside.bits_as(I8) != 0):
+        with f.when(any_of(test.inside)):
             t, b1, b2 = test.distance()
             hit = test.inside & (t > 0.0) & (t < self.reach.value)
             hits = hit.bits_as(I8).to(I32)
@@ -300,13 +296,13 @@ class Search:
         record = (child & REFERENCE) * 2 + self.f.load(I32, self.scene.at(4))
         placed = Placed(self.f, self.scene, record)
         o, d = placed.into(self.ray.o, self.ray.d)
-        detail = placed.word(DETAIL_WORD)
+        detail = placed.word(DETAIL)
         if not self.features.kinds:
             self.visit_instance(placed, detail, o, d)
         elif not self.features.instances:
             self.visit_solid(placed, detail, o, d)
         else:
-            with self.f.either((placed.word(LABEL_WORD) & SOLID) != 0) as branch:
+            with self.f.either((placed.word(LABEL) & SOLID) != 0) as branch:
                 self.visit_solid(placed, detail, o, d)
                 branch.otherwise()
                 self.visit_instance(placed, detail, o, d)

@@ -16,7 +16,8 @@ from djpt.geometry.compiled.build.binary_nodes import ALONE, BIAS, NODE_SIZE, PR
 from djpt.geometry.compiled.build.functions import functions
 from djpt.geometry.compiled.build.refit import NO_BOXES, TRIANGLES, Built, chunks, extent_of, fit, floats
 from djpt.geometry.compiled.build.workers import Workers, workers
-from djpt.geometry.compiled.layout import CHILDREN, LEAF_ROWS, NODE_ROWS, ROOT
+from djpt.geometry.compiled.layout import CHILDREN, LEAF_ROWS, NODE_ROWS, ROOT, ROW_WORDS
+from djpt.kernels import aligned
 
 __all__ = ["DEEPEST", "build"]
 
@@ -149,17 +150,9 @@ class Plan:
 
     def emit(self, triangles: int, team: Workers) -> Built:
         """Write what stays when primitives move."""
-        memory = aligned(8 * (ROOT + NODE_ROWS * self.nodes + LEAF_ROWS * self.leaves))
-        memory[: 8 * ROOT] = 0
+        memory = aligned((ROW_WORDS * (ROOT + NODE_ROWS * self.nodes + LEAF_ROWS * self.leaves),))
         order = np.empty(triangles, np.uint32)
         arrays = (self.references, self.starts, self.places, self.sorted, memory, order)
         addresses = [array.ctypes.data for array in arrays]
         team.map(lambda part: functions().emit(*addresses, self.nodes, *part), chunks(self.nodes, CHUNK))
         return Built(memory, self.nodes, self.leaves, order, self.depth, self.ends)
-
-
-def aligned(words: int) -> NDArray[np.uint32]:
-    """Words of memory from a multiple of 64 on, without initial values."""
-    memory = np.empty(words + 16, np.uint32)
-    skipped = -memory.ctypes.data % 64 // 4
-    return memory[skipped : skipped + words]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.bvh.extent import Extent
+from djpt.geometry.bvh.records import SLACK
 from djpt.geometry.compiled.build.collapse_functions import LEAF_COST, NODE_COST
 from djpt.geometry.compiled.build.functions import functions
 from djpt.geometry.compiled.build.workers import Workers, workers
@@ -23,9 +24,6 @@ CHUNK = 1024
 
 TRIANGLES = 1 << 16
 """Triangles of one task that reads all corners."""
-
-SLACK = 4e-7
-"""What boxes are larger, as in `djpt.geometry.bvh.records`, in units of the diagonal."""
 
 NO_BOXES = np.zeros((0, 6), np.float32)
 
