@@ -9,6 +9,7 @@ without vertex normals have no code for them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -41,7 +42,9 @@ class MeshSet:
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         self.meshes = tuple(meshes)
-        self.areas: AreaTable | None = None
+        self._areas: AreaTable | None = None
+        self._steps = 0
+        self._topology: list[Topology] = []
         self._tabulate()
 
     def refresh(self) -> None:
@@ -60,10 +63,16 @@ class MeshSet:
         self._has_texcoords = Presence([mesh.texcoords is not None for mesh in self.meshes], HAS_TEXCOORDS)
         self._flips = Presence([mesh.flip_normals for mesh in self.meshes], FLIPS)
         self._positions = self._table([mesh.positions for mesh in self.meshes], 4)
-        # A scene's BVH may hold analytic shapes alone: the table is then never read.
-        self._faces = own_copy(self._face_rows() if self.meshes else np.zeros((1, 4), np.uint32))
+        topology = [Topology(mesh.indices, len(mesh.positions), self._bits(i)) for i, mesh in enumerate(self.meshes)]
+        if topology != self._topology or not topology:
+            # A scene's BVH may hold analytic shapes alone: the table is then never read.
+            self._faces = own_copy(self._face_rows() if topology else np.zeros((1, 4), np.uint32))
+            self._topology = topology
         self._attributes = {name: Attribute(self.meshes, name) for mesh in self.meshes for name in mesh.attributes}
-        self.areas = AreaTable(self.meshes, 0 if self.areas is None else self.areas.steps)
+        self._areas = None
+        if any(mesh.emitter is not None for mesh in self.meshes):
+            # Kernels will want it: recording them is no time to build a table.
+            _ = self.areas
         for mesh, first in zip(self.meshes, self.first_face, strict=True):
             mesh.join(self, first)
 
@@ -75,9 +84,13 @@ class MeshSet:
             part = rows[first : first + len(mesh.indices)]
             part[:, :3] = mesh.indices
             part[:, :3] += np.uint32(vertex)
-            part[:, 3] = self._has_normals.bit(i) | self._has_texcoords.bit(i) | self._flips.bit(i)
+            part[:, 3] = self._bits(i)
             vertex += len(mesh.positions)
         return rows
+
+    def _bits(self, mesh: int) -> int:
+        """The flags of a mesh."""
+        return self._has_normals.bit(mesh) | self._has_texcoords.bit(mesh) | self._flips.bit(mesh)
 
     def _table(self, parts: Sequence[NDArray[np.float32] | None], width: int) -> UInt32 | None:
         """Vertex data of all meshes in rows of `width`; zeros where a mesh has none. None if no mesh has any."""
@@ -91,6 +104,14 @@ class MeshSet:
                 rows[start : start + count, : part.shape[1]] = part
             start += count
         return own_copy(rows)
+
+    @property
+    def areas(self) -> AreaTable:
+        """The areas of faces, for the choice of points; computed when asked for."""
+        if self._areas is None:
+            self._areas = AreaTable(self.meshes, self._steps)
+            self._steps = self._areas.steps
+        return self._areas
 
     # ---- in kernels ------------------------------------------------------------------
 
@@ -210,6 +231,21 @@ class MeshSet:
         row = self.face_row(face)
         c0, c1, c2 = (attribute.at(row[k]) for k in range(3))
         return dr.fma(c2, b2, dr.fma(c1, b1, c0 * (1 - b1 - b2)))
+
+
+@dataclass(eq=False)
+class Topology:
+    """How the rows of a mesh's faces were made."""
+
+    indices: NDArray[np.uint32]
+    vertex_count: int
+    flags: int
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the rows would be the same; edits put new arrays in the place of old ones."""
+        return isinstance(other, Topology) and (
+            self.indices is other.indices and self.vertex_count == other.vertex_count and self.flags == other.flags
+        )
 
 
 class Presence:

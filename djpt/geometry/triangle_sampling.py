@@ -20,14 +20,8 @@ class AreaTable:
     """The running sums of the areas of faces, for one mesh after the other."""
 
     def __init__(self, meshes: Sequence[Mesh], least_steps: int = 0) -> None:
-        """Build the table, and tell each mesh where its part begins: its attribute `first_area`.
-
-        `least_steps` is the number of steps before an edit, so that fewer faces don't need a new kernel.
-        """
+        """Build the table; `least_steps` is the number of steps before an edit, lest fewer faces need a new kernel."""
         sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in meshes]
-        starts = np.cumsum([0, *(len(part) for part in sums)])
-        for mesh, start in zip(meshes, starts[:-1], strict=True):
-            mesh.first_area = dr.opaque(UInt32, int(start))
         self._sums = Float(np.concatenate(sums)) if sums else Float(1)
         # Unevaluated arithmetic would make its inputs a part of kernels.
         dr.make_opaque(self._sums)
@@ -37,7 +31,7 @@ class AreaTable:
         """Choose a face with a probability proportional to its area, and stretch the sample for use within it.
 
         Args:
-            first: where the mesh's part of the table begins.
+            first: the set-wide number of the mesh's first face.
             count: the number of its faces.
             total: the area of all of them.
             sample: uniform in [0, 1).

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import drjit as dr
@@ -22,7 +23,7 @@ from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
-from djpt.shapes.meshes.normals import face_areas
+from djpt.shapes.meshes.measures import Measures
 from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.topology import is_closed
 from djpt.types import Float, Point2f, UInt32
@@ -57,7 +58,7 @@ class Mesh(Shape):
     """
 
     of_triangles = True
-    values = dict.fromkeys(("first_face", "first_area", "own_faces", "area"), HIDDEN)
+    values = dict.fromkeys(("first_face", "own_faces", "area"), HIDDEN)
     statics = ("flip_normals",)
 
     def __init__(
@@ -104,7 +105,7 @@ class Mesh(Shape):
         }
         self.set: MeshSet | None = None
         """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
-        self.first_face = self.first_area = dr.opaque(UInt32, 0)
+        self.first_face = dr.opaque(UInt32, 0)
         for key in self.attributes:
             if hasattr(self, key) or key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
                 raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
@@ -145,7 +146,9 @@ class Mesh(Shape):
         if not changed:
             return
         positions = self._read("vertex_positions", 3)
-        indices = self._read("faces", 3, "faces_parameter").astype(np.uint32)
+        indices = self.indices
+        if "faces" in changed:
+            indices = self._read("faces", 3, "faces_parameter").astype(np.uint32)
         if not len(indices):
             raise ParameterError(f"{self.id}.faces: a mesh needs at least one triangle")
         try:
@@ -195,16 +198,19 @@ class Mesh(Shape):
     # ---- on the host -------------------------------------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        self._measure()
+        # Whatever kernels read was computed when the mesh was made or edited.
+        pass
 
     def _measure(self) -> None:
-        """Compute the numbers that kernels read, and the extent."""
-        self._areas = face_areas(self.positions, self.indices)
-        self.area = as_float(float(self._areas.sum()))
+        """Begin to measure the mesh anew."""
+        self._measures = Measures(self.positions, self.indices)
+        self.__dict__.pop("area", None)
         self.own_faces = dr.opaque(UInt32, len(self.indices))
-        used = np.zeros(len(self.positions), bool)
-        used[self.indices.ravel()] = True
-        self._used = self.positions if used.all() else self.positions[used]
+
+    @cached_property
+    def area(self) -> Float:
+        """The area of all triangles."""
+        return as_float(self._measures.area)
 
     def write_ply(self, filename: str | os.PathLike[str]) -> None:
         """Write the mesh as it is now, in world space, to a binary PLY file with all its attributes.
@@ -220,11 +226,10 @@ class Mesh(Shape):
 
     def face_areas(self) -> NDArray[np.float64]:
         """The areas of all triangles, (F,)."""
-        return self._areas
+        return self._measures.face_areas
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
-        along = self._used @ direction
-        return float(along.min()), float(along.max())
+        return self._measures.interval(direction)
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -234,8 +239,7 @@ class Mesh(Shape):
     def sample_position(self, sample: Point2f) -> PositionSample3f:
         # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.
         assert self.set is not None
-        assert self.set.areas is not None
-        index, y = self.set.areas.sample(self.first_area, self.own_faces, self.area, sample.y)
+        index, y = self.set.areas.sample(self.first_face, self.own_faces, self.area, sample.y)
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
         return PositionSample3f(p, n, uv, dr.rcp(self.area))
