@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 
-from djpt.kernels import maximum, minimum
+from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["FLAT_KINDS", "HITS", "KINDS", "Arithmetic", "LocalSurface", "intersect", "surface"]
+__all__ = ["FLAT_KINDS", "HITS", "KINDS", "LocalSurface", "intersect", "surface"]
 
 KINDS = ("rectangle", "disk", "cube", "sphere", "cylinder")
 """The square [-1, 1]^2, the unit disk, the cube [-1, 1]^3, the unit sphere, the unit cylinder 0 <= z <= 1."""
@@ -38,24 +37,6 @@ class LocalSurface:
 
 FLAT_KINDS = 3
 """So many of the first `KINDS` are flat, or meshes in Mitsuba."""
-
-
-class Arithmetic(Protocol):
-    """Functions of numbers: of Dr.Jit's, or of those of `djpt.llvm.arithmetic`."""
-
-    fma: Callable[..., Any]
-    rcp: Callable[..., Any]
-    sqrt: Callable[..., Any]
-    abs: Callable[..., Any]
-    select: Callable[..., Any]
-    minimum: Callable[..., Any]
-    maximum: Callable[..., Any]
-
-
-KERNELS: Any = SimpleNamespace(
-    fma=dr.fma, rcp=dr.rcp, sqrt=dr.sqrt, abs=dr.abs, select=dr.select, minimum=minimum, maximum=maximum
-)
-"""The arithmetic of Dr.Jit."""
 
 
 def intersect(kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt: Float) -> tuple[Bool, Float]:

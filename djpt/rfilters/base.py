@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
+from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.description.plugin import Plugin
 from djpt.types import Float
 
@@ -13,6 +14,7 @@ __all__ = ["ReconstructionFilter"]
 class ReconstructionFilter(Plugin):
     """A separable, symmetric kernel w(x, y) = eval(x) eval(y) that spreads samples over pixels.
 
+    A filter has a `formula`, or overrides `eval` where the arithmetic lacks what it needs.
     Distances are in pixels. The film divides by the sum of weights, so kernels need not
     integrate to one.
     """
@@ -23,5 +25,15 @@ class ReconstructionFilter(Plugin):
     """The distance, in pixels, beyond which `eval` is 0."""
 
     def eval(self, x: Float) -> Float:
-        """The kernel at distance `x`, which may be negative."""
+        """The kernel at distance `x`, which may be negative: by `formula`, unless a filter has none."""
+        result: Float = self.formula(KERNELS, x)
+        return result
+
+    def formula(self, m: Arithmetic, x: Any) -> Any:
+        """`eval` by the functions of an arithmetic: also compiled functions can then weigh samples."""
         raise NotImplementedError
+
+    @property
+    def has_formula(self) -> bool:
+        """Whether `eval` is `formula`."""
+        return type(self).eval is ReconstructionFilter.eval

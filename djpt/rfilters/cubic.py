@@ -5,12 +5,12 @@ D. Mitchell and A. Netravali, "Reconstruction Filters in Computer Graphics", SIG
 
 from __future__ import annotations
 
-import drjit as dr
+from typing import Any
 
+from djpt.arithmetic import Arithmetic
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Float
 
 __all__ = ["CatmullRom", "Mitchell"]
 
@@ -29,12 +29,12 @@ class Mitchell(ReconstructionFilter):
         self.b = props.float("B", 1 / 3)
         self.c = props.float("C", 1 / 3)
 
-    def eval(self, x: Float) -> Float:
+    def formula(self, m: Arithmetic, x: Any) -> Any:
         b, c = self.b, self.c
-        x = dr.abs(x)
-        near = ((12 - 9 * b - 6 * c) * x + (-18 + 12 * b + 6 * c)) * dr.square(x) + (6 - 2 * b)
+        x = m.abs(x)
+        near = ((12 - 9 * b - 6 * c) * x + (-18 + 12 * b + 6 * c)) * (x * x) + (6 - 2 * b)
         far = (((-b - 6 * c) * x + (6 * b + 30 * c)) * x + (-12 * b - 48 * c)) * x + (8 * b + 24 * c)
-        return dr.select(x < 1, near, dr.select(x < 2, far, 0)) * (1 / 6)
+        return m.select(x < 1, near, m.select(x < 2, far, 0)) * (1 / 6)
 
 
 class CatmullRom(Mitchell):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-import drjit as dr
-
+from djpt.arithmetic import Arithmetic
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Float
 
 __all__ = ["Gaussian"]
 
@@ -47,14 +46,14 @@ class Gaussian(ReconstructionFilter):
         self.stddev = props.float("stddev", 0.5, low=0.0, low_open=True, high=4.0)
         self.radius = 4 * self.stddev
 
-    def eval(self, x: Float) -> Float:
-        y = dr.square(x)
+    def formula(self, m: Arithmetic, x: Any) -> Any:
+        y = x * x
         scale = 1 / self.stddev**2
-        w = estrin(y, [Float(c * scale**i) for i, c in enumerate(MINIMAX)])
-        return dr.select(w > 0, w, 0)
+        w = estrin(m, y, [c * scale**i for i, c in enumerate(MINIMAX)])
+        return m.select(w > 0, w, 0)
 
 
-def estrin(x: Float, coefficients: Sequence[Float]) -> Float:
+def estrin(m: Arithmetic, x: Any, coefficients: Sequence[Any]) -> Any:
     """A polynomial, lowest coefficient first, by Estrin's scheme: pairs in parallel, then pairs of pairs.
 
     Near the edge terms of size 1 cancel to 1e-6, so the order of operations shows: it is
@@ -62,10 +61,10 @@ def estrin(x: Float, coefficients: Sequence[Float]) -> Float:
     """
     if len(coefficients) == 1:
         return coefficients[0]
-    paired = [dr.fma(x, coefficients[i + 1], coefficients[i]) for i in range(0, len(coefficients) - 1, 2)]
+    paired = [m.fma(x, coefficients[i + 1], coefficients[i]) for i in range(0, len(coefficients) - 1, 2)]
     if len(coefficients) % 2:
         paired.append(coefficients[-1])
-    return estrin(dr.square(x), paired)
+    return estrin(m, x * x, paired)
 
 
 register_rfilter("gaussian", Gaussian)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import drjit as dr
+from typing import Any
 
+from djpt.arithmetic import Arithmetic
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Float
 
 __all__ = ["Tent"]
 
@@ -24,9 +24,9 @@ class Tent(ReconstructionFilter):
         super().__init__(props)
         self.radius = props.float("radius", 1.0, low=0.0, low_open=True, high=16.0)
 
-    def eval(self, x: Float) -> Float:
-        w = 1 - dr.abs(x) * (1 / self.radius)
-        return dr.select(w > 0, w, 0)
+    def formula(self, m: Arithmetic, x: Any) -> Any:
+        w = 1 - m.abs(x) * (1 / self.radius)
+        return m.select(w > 0, w, 0)
 
 
 register_rfilter("tent", Tent)

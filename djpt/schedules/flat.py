@@ -25,11 +25,13 @@ from djpt.kernels import wide
 from djpt.llvm.lanes import small_blocks
 from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
+from djpt.schedules.called_sums import CalledSums, gathered, usable
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
 from djpt.schedules.passes import develop, filtered_sums, register_spp, stepwise_sums
-from djpt.schedules.reconstruction import by_pixels
-from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
+from djpt.schedules.reconstruction import by_pixels, collect
+from djpt.schedules.sinks import CalledFilmSums, FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
+from djpt.schedules.tap_function import Taps
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Flat"]
@@ -47,6 +49,10 @@ class Flat(Schedule):
                 return radiance_sums(job, begin, end, sums)
 
             return develop(job, stepwise_sums(job, step), dr.opaque(Float, job.spp))
+        taps = Taps(job.film.taps, job.channel_count())
+        if usable(taps, job.film.rfilter):
+            *sums, weight = filtered_sums(job, called_film_sums, register_spp(job), spread_called)
+            return develop(job, sums, weight)
         if by_pixels(job, job.channel_count() + 1):
             *sums, weight = filtered_sums(job, film_sums, register_spp(job))
             return develop(job, sums, weight)
@@ -171,6 +177,27 @@ def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> l
     with small_blocks():
         dr.eval(result)
     return result
+
+
+def called_film_sums(job: Job, band: Band, begin: int, end: int, memory: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to the film's sums by calls; the result goes to `spread_called`."""
+    lanes = interleaved(job, band, begin, end)
+    taps, width = Taps(job.film.taps, job.channel_count()), dr.width(lanes.pixel)
+    sums = CalledSums(taps, job.film.rfilter, width, None if memory is None else memory[0])
+    count = run(job, lanes, CalledFilmSums(job.on_film(*job.coordinates(lanes.pixel)), sums))
+    with small_blocks():
+        dr.eval(count)
+    return [sums.memory]
+
+
+def spread_called(job: Job, band: Band, memory: list[Float], image: list[Float]) -> list[Float]:
+    """Add a finished band's sums to the image, as `spread` does."""
+    taps = Taps(job.film.taps, job.channel_count())
+
+    def read(lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
+        return gathered(memory[0], taps, lane, row, column, active)
+
+    return collect(job, band, dr.width(memory[0]) // taps.sums, read, image)
 
 
 def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:

@@ -40,6 +40,9 @@ BAND_PIXELS = 2**16
 AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
 """Adds the samples begin <= k < end of a band to the film's sums."""
 
+Collect = Callable[[Job, Band, list[Float], list[Float]], list[Float]]
+"""Adds a finished band's sums to the image: see `djpt.schedules.reconstruction.spread`."""
+
 Samples = Callable[[Job, Band, int, int], list[Float]]
 """Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
 
@@ -104,7 +107,7 @@ def box_sums(job: Job, samples: Samples) -> Iterator[list[Float]]:
         yield sums
 
 
-def filtered_sums(job: Job, add: AddToFilm, default_spp: int) -> list[Float]:
+def filtered_sums(job: Job, add: AddToFilm, default_spp: int, collect: Collect = spread) -> list[Float]:
     """The weighted sums of all channels and of the weights, over the whole grid."""
     image = [dr.opaque(Float, 0, job.width * job.height) for _ in range(job.channel_count() + 1)]
     for band in job.bands(BAND_PIXELS):
@@ -113,7 +116,7 @@ def filtered_sums(job: Job, add: AddToFilm, default_spp: int) -> list[Float]:
             sums = add(job, band, begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
         assert sums is not None
-        image = spread(job, band, sums, image)
+        image = collect(job, band, sums, image)
         if band.rows < job.height:
             dr.sync_thread()
     return image

@@ -16,12 +16,14 @@ of additions depends on the image alone, not on passes or bands.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import drjit as dr
 
 from djpt.schedules.job import Band, Job
-from djpt.types import Float, Int32, Point2f, UInt32
+from djpt.types import Bool, Float, Int32, Point2f, UInt32
 
-__all__ = ["Sums", "add_box", "add_samples", "add_taps", "by_pixels", "sample_adjoints", "spread"]
+__all__ = ["Sums", "add_box", "add_samples", "add_taps", "by_pixels", "collect", "sample_adjoints", "spread"]
 
 Sums = list[Float]
 """The lanes' sums for one band: one array per tap and channel; the last channel is the weight."""
@@ -110,11 +112,25 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
 
 def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
     """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes."""
-    taps, channels, pixels = job.film.taps, len(image), band.rows * job.width
+    taps, channels = job.film.taps, len(image)
+
+    def read(lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
+        return [dr.gather(Float, sums[(row * taps + column) * channels + c], lane, active) for c in range(channels)]
+
+    return collect(job, band, dr.width(sums[0]), read, image)
+
+
+Read = Callable[[UInt32, int, int, Bool], list[Float]]
+"""Reads the sums of a lane for a row tap and a column tap, where active: one number per channel."""
+
+
+def collect(job: Job, band: Band, lanes: int, read: Read, image: list[Float]) -> list[Float]:
+    """Add to each pixel of an image what the lanes of the pixels around it hold for it."""
+    taps, pixels = job.film.taps, band.rows * job.width
     reach = taps // 2
     _, column, row, _ = pixels_of(job, Band(0, job.height))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
-    size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, dr.width(sums[0]))
+    size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, lanes)
 
     def body(start: UInt32, image: list[Float]) -> tuple[UInt32, list[Float]]:
         result = list(image)
@@ -123,9 +139,8 @@ def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> 
             for i in reversed(range(taps)):
                 x = column - (i - reach)
                 inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
-                slot = start + UInt32(y * width + x)
-                for c in range(channels):
-                    result[c] = result[c] + dr.gather(Float, sums[(j * taps + i) * channels + c], slot, inside)
+                parts = read(start + UInt32(y * width + x), j, i, inside)
+                result = [total + part for total, part in zip(result, parts, strict=True)]
         return start + size, result
 
     start = dr.zeros(UInt32, dr.width(column))

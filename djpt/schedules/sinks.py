@@ -12,11 +12,23 @@ from typing import Any, Protocol
 
 import drjit as dr
 
+from djpt.schedules.called_sums import CalledSums
 from djpt.schedules.job import Band, Job
 from djpt.schedules.reconstruction import add_taps
 from djpt.types import Bool, Float, Point2f, UInt32
 
-__all__ = ["FilmSums", "Finished", "Sink", "Store", "Sums", "Write", "blank_sums", "sample_buffers"]
+__all__ = [
+    "CalledFilmSums",
+    "FilmSink",
+    "FilmSums",
+    "Finished",
+    "Sink",
+    "Store",
+    "Sums",
+    "Write",
+    "blank_sums",
+    "sample_buffers",
+]
 
 
 def blank_sums(lanes: int, count: int) -> list[Float]:
@@ -107,20 +119,16 @@ class Store:
         return state
 
 
-class FilmSums:
-    """Adds samples to the pixels in reach of a filter, weighted: one sum per tap and channel.
+class FilmSink:
+    """Takes samples for a film whose filter reaches several pixels.
 
-    That costs about half as much as a path vertex, for all lanes of a packet as soon as one has
+    Adding a sample there costs about half as much as a path vertex, for all lanes of a packet as soon as one has
     finished. Therefore it is done once every two vertices. A lane can finish two samples in that
     time only if a path has a single vertex; the second then waits for the next iteration.
     """
 
     steps = 2
-
-    def __init__(self, job: Job, corner: Point2f, state: list[Float]) -> None:
-        """Begin with the sums `state`; `corner` is the film position of each lane's pixel."""
-        self.state: list[Any] = state
-        self._job, self._corner = job, corner
+    state: list[Any]
 
     def take(
         self, state: list[Any], waiting: Finished | None, channels: list[Float], offset: Point2f | None, ready: Bool
@@ -133,6 +141,36 @@ class FilmSums:
         return state, Finished(merged, dr.select(taken, offset, waiting.offset), waiting.full | taken), taken
 
     def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
+        """Add the samples."""
+        raise NotImplementedError
+
+
+class FilmSums(FilmSink):
+    """Adds samples to the pixels in reach, weighted: one sum per tap and channel, in registers."""
+
+    def __init__(self, job: Job, corner: Point2f, state: list[Float]) -> None:
+        """Begin with the sums `state`; `corner` is the film position of each lane's pixel."""
+        self.state = state
+        self._job, self._corner = job, corner
+
+    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
         assert waiting is not None
         present: Any = dr.select(waiting.full, Float(1), 0)
         return add_taps(self._job, self._corner, waiting.offset, waiting.channels, present, state)
+
+
+class CalledFilmSums(FilmSink):
+    """Adds samples to the pixels in reach, weighted: to sums in memory, by calls.
+
+    The state is the number of samples that each lane has handed over.
+    """
+
+    def __init__(self, corner: Point2f, sums: CalledSums) -> None:
+        """`corner` is the film position of each lane's pixel."""
+        self.state = [dr.zeros(UInt32, dr.width(corner))]
+        self._corner, self._sums = corner, sums
+
+    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
+        assert waiting is not None
+        taken = self._sums.add(self._corner, waiting.offset, waiting.channels, waiting.full)
+        return [state[0] + dr.select(taken, UInt32(1), 0)]

@@ -9,18 +9,16 @@ import numpy as np
 
 from djpt.errors import DjptError
 from djpt.geometry.compiled.build.builder import build
-from djpt.geometry.compiled.calls import CallError, Code, call_any, call_closest
+from djpt.geometry.compiled.calls import call_any, call_closest
 from djpt.geometry.compiled.packets import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.compiled.placed import Features
 from djpt.geometry.compiled.tree import Functions
+from djpt.llvm.calls import WIDTHS, CallError, Code
 from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["functions", "why_not"]
-
-WIDTHS = (4, 8, 16)
-"""The lanes of packets that functions are called with: for a single one the interface is another."""
 
 
 @cache

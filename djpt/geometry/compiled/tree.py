@@ -8,9 +8,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.geometry.bvh.approach import enter
-from djpt.geometry.compiled.calls import Code, call_any, call_closest
+from djpt.geometry.compiled.calls import call_any, call_closest
 from djpt.geometry.compiled.layout import ANY_HIT, PASSES_LIGHTS, ROW_WORDS
 from djpt.geometry.query import NONE, Found
+from djpt.llvm.calls import Code
 from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 

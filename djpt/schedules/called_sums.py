@@ -1,0 +1,99 @@
+"""Sums of a film in memory, to which kernels add samples by calls: see `djpt.schedules.tap_function`."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.description.properties import Properties
+from djpt.errors import DjptError
+from djpt.geometry.engines import chosen
+from djpt.llvm.calls import WIDTHS, CallError, Code, call
+from djpt.llvm.compiler import compiled
+from djpt.llvm.lanes import lane_count
+from djpt.rfilters.base import ReconstructionFilter
+from djpt.rfilters.tent import Tent
+from djpt.schedules.tap_function import ADD_SAMPLES, CHANNELS, Taps, tap_function
+from djpt.types import ArrayXf, Bool, Float, Point2f, UInt32
+
+__all__ = ["CalledSums", "gathered", "usable"]
+
+
+class CalledSums:
+    """The sums of some lanes; the lanes of a kernel have the same numbers."""
+
+    def __init__(self, taps: Taps, rfilter: ReconstructionFilter, lanes: int, memory: Float | None = None) -> None:
+        """Begin with the sums in `memory`, which is written to, or with zeros."""
+        self.memory = blank(lanes * taps.sums) if memory is None else memory
+        self._code = function(tap_function(taps, rfilter, lane_count()))
+        self._lane, self._lanes = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes)
+
+    def add(self, corner: Point2f, offset: Point2f, channels: list[Float], active: Bool) -> Bool:
+        """Add a sample of each active lane; return where there was one.
+
+        `offset` is the sample's place on its pixel, whose corner has the film position `corner`. The call takes
+        place only if the result is used.
+        """
+        # The last packet may have lanes beyond the last one.
+        active = active & (self._lane < self._lanes)
+        # Distances come from rounded film positions, as in Mitsuba: in the filter's tail the rounding shows.
+        position = corner + offset
+        unused, end = Float(0), Float(1)
+        words: list[Any] = [*channels, *[unused] * (len(CHANNELS) - len(channels))]
+        last = [dr.reinterpret_array(UInt32, word) for word in words[4:]]
+        floats = [position.x, position.y, corner.x, corner.y, *words[:4], end]
+        inputs = [Bool(False), active, *floats, self._lane, *last]
+        # The function leaves the end of the "ray" as it is, so nothing is ever blocked.
+        (blocked,) = call(self._code, self.memory, [dr.detach(x) for x in inputs], [Bool(False)], any_hit=True)
+        taken: Bool = active & ~blocked
+        return taken
+
+
+def gathered(memory: Float, taps: Taps, lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
+    """The sums of some lanes for one tap, the weight's included."""
+    channels = taps.channels + 1
+    index = lane * taps.count**2 + (row * taps.count + column)
+    sums: Any = dr.gather(ArrayXf, memory, index, active, shape=(channels, dr.width(lane)))
+    return list(sums)
+
+
+def blank(count: int) -> Float:
+    """Zeros in memory of their own."""
+    memory = dr.opaque(Float, 0, count)
+    dr.make_opaque(memory)
+    return memory
+
+
+@cache
+def function(text: str) -> Code:
+    """A function, compiled at the first call."""
+    return Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+
+
+def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
+    """Whether samples can be added by calls."""
+    return rfilter.has_formula and taps.channels <= len(CHANNELS) and chosen() == "call" and proved()
+
+
+@cache
+def proved() -> bool:
+    """Whether calls add what they are to add: samples whose sums are known."""
+    if lane_count() not in WIDTHS:
+        return False
+    lanes, skipped, taps, tent = 2 * lane_count() + 3, 1, Taps(3, 1), Tent(Properties("rfilter", "tent", {}))
+    try:
+        sums = CalledSums(taps, tent, lanes)
+        lane = dr.arange(UInt32, lanes)
+        corner = Point2f(Float(lane), Float(2 * lane))
+        taken = sums.add(corner, Point2f(0.25, 0.5), [Float(lane) + 1], lane != skipped)
+        dr.eval(taken)
+    except (CallError, DjptError, OSError, AttributeError):
+        return False
+    weights = np.outer([0, 1, 0], [0.25, 0.75, 0])
+    expected = np.multiply.outer(np.arange(1, lanes + 1), weights)[..., None]
+    expected = np.concatenate([expected, np.broadcast_to(weights[..., None], expected.shape)], axis=-1)
+    expected[skipped] = 0
+    return bool(np.allclose(np.array(sums.memory).reshape(expected.shape), expected))
