@@ -94,7 +94,7 @@ class Mesh(Shape):
         if face_normals:
             data.normals = None
         data.transform(self.to_world)
-        clean(data, where)
+        areas = clean(data, where)
         if compute_normals and not face_normals and data.normals is None:
             data.compute_normals()
         self.positions, self.indices = data.positions, data.indices
@@ -109,7 +109,7 @@ class Mesh(Shape):
             if hasattr(self, key) or key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
                 raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
         self._expose()
-        self._measure()
+        self._measure(areas)
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""
@@ -170,7 +170,7 @@ class Mesh(Shape):
             data.compute_normals()
             self.normals = data.normals
         self._expose()
-        self._measure()
+        self._measure(face_areas(positions, indices))
 
     def _read(self, name: str, width: int, attribute: str | None = None) -> NDArray[Any]:
         """Read a parameter as rows on the host."""
@@ -195,12 +195,12 @@ class Mesh(Shape):
     # ---- on the host -------------------------------------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        self._measure()
+        """Do nothing: a mesh has no axes, and was measured when it was made or edited."""
 
-    def _measure(self) -> None:
+    def _measure(self, areas: NDArray[np.float64]) -> None:
         """Compute the numbers that kernels read, and the extent."""
-        self._areas = face_areas(self.positions, self.indices)
-        self.area = as_float(float(self._areas.sum()))
+        self._areas = areas
+        self.area = as_float(float(areas.sum()))
         self.own_faces = dr.opaque(UInt32, len(self.indices))
         used = np.zeros(len(self.positions), bool)
         used[self.indices.ravel()] = True
