@@ -12,14 +12,11 @@ so many channels that sums per tap would not fit.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
-from djpt.gradients import replay
-from djpt.gradients.leaves import Numbering
-from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.llvm.lanes import small_blocks
@@ -31,6 +28,10 @@ from djpt.schedules.passes import develop, filtered_sums, register_spp, stepwise
 from djpt.schedules.reconstruction import by_pixels
 from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+
+if TYPE_CHECKING:
+    from djpt.gradients.leaves import Numbering
+    from djpt.gradients.modes import Mode
 
 __all__ = ["Flat"]
 
@@ -66,6 +67,8 @@ class Flat(Schedule):
     def replay(
         self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
     ) -> tuple[Mode, list[Float], UInt32]:
+        from djpt.gradients import replay
+
         lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
         count = dr.width(lanes.pixel)
         mode = mode_of(count, lanes.pixel)

@@ -201,7 +201,7 @@ def test_obj_with_lines_in_any_order() -> None:
     assert found.indices.tolist() == [[0, 1, 2], [3, 4, 5]]
     for name in ("positions", "indices", "normals", "texcoords"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    with pytest.raises(SceneError, match=r"x.obj, line 12: 'v' must be followed by 3 numbers, found '1 2'"):
+    with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found '1 2'"):
         read_obj(mixed.replace("g f 1 2 3", "v 1 2").encode(), "x.obj")
 
 
