@@ -10,10 +10,11 @@ if __name__ != "djpt.scenes":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.scenes instead")
 
 NAMES = ("cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "furnace", "shader_ball", "stage")
-"""The scenes that commands know: the names of functions, each call of which makes a new dict."""
+"""The keys of `SCENES`, for commands that need one of them only."""
 
 if TYPE_CHECKING:
     from djpt.scenes.analytic import furnace as furnace
+    from djpt.scenes.catalogue import SCENES as SCENES
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.scenes.cornell import cornell_box_boxfilter as cornell_box_boxfilter
     from djpt.scenes.cornell import cornell_box_spheres as cornell_box_spheres

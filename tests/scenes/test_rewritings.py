@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import djpt
-from djpt import scenes
+from djpt.scenes import SCENES
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation.statistics import Batches, mean_test
 
@@ -175,7 +175,7 @@ EFFORT = 8
 """Samples of integrators that meet lights by chance, for one of those that sample them."""
 INTEGRATORS: dict[str, int] = {"path": SAMPLES, "path_nee": SAMPLES, "ptracer": SAMPLES, "prb_basic": EFFORT * SAMPLES}
 SUBJECTS: dict[str, Callable[[], Description]] = {
-    **{name: getattr(scenes, name) for name in scenes.NAMES if name != "cornell_box_boxfilter"},
+    **{name: scene for name, scene in SCENES.items() if name != "cornell_box_boxfilter"},
     "room": room,
     "room, lights by reference": lambda: drawn_out(room(), "emitter", first=True),
     "room, backwards": lambda: backwards(drawn_out(room(), "emitter", first=True)),
