@@ -152,8 +152,10 @@ def _read_hdr(path: Path) -> Pixels:
         if height * width * 4 > len(body) * 64:
             raise ValueError("the file is too short for its size")
         rgbe = _rgbe_run_lengths(body, height, width)
-    scale = np.where(rgbe[..., 3] > 0, np.ldexp(1.0, rgbe[..., 3].astype(np.int32) - 136), 0.0)
-    return (rgbe[..., :3] * scale[..., None]).astype(np.float32)
+    # By exponent; exact in single precision, as are the products. Exponent 0 is black.
+    scale = np.ldexp(np.float32(1), np.arange(256, dtype=np.int32) - 136)
+    scale[0] = 0
+    return np.multiply(rgbe[..., :3], scale[rgbe[..., 3]][..., None], dtype=np.float32)
 
 
 def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
