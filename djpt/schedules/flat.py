@@ -24,7 +24,7 @@ from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
-from djpt.schedules.passes import develop, filtered_sums, register_spp, stepwise_sums
+from djpt.schedules.passes import REGISTER_BAND_PIXELS, develop, filtered_sums, register_spp, stepwise_sums
 from djpt.schedules.reconstruction import by_pixels
 from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
@@ -49,7 +49,7 @@ class Flat(Schedule):
 
             return develop(job, stepwise_sums(job, step), dr.opaque(Float, job.spp))
         if by_pixels(job, job.channel_count() + 1):
-            *sums, weight = filtered_sums(job, film_sums, register_spp(job))
+            *sums, weight = filtered_sums(job, film_sums, register_spp(job), REGISTER_BAND_PIXELS)
             return develop(job, sums, weight)
         return super().image(job)
 
