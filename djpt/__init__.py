@@ -85,7 +85,7 @@ if TYPE_CHECKING:
     from djpt.rendering import channel_names as channel_names
     from djpt.rendering import render as render
     from djpt.scene import Scene as Scene
-    from djpt.scenes import cornell_box as cornell_box
+    from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.shapes import Mesh as Mesh
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms import Transform4f as Transform4f
@@ -141,7 +141,7 @@ _EXPORTS = {
     ),
     "djpt.rendering": "channel_names render",
     "djpt.scene": "Scene",
-    "djpt.scenes": "cornell_box",
+    "djpt.scenes.cornell": "cornell_box",
     "djpt.shapes": "Mesh",
     "djpt.images.tone_mapping": "tonemap",
     "djpt.transforms": "ScalarTransform4f Transform4f",

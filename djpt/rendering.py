@@ -9,7 +9,6 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.gradients.derivatives import differentiable
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
@@ -70,7 +69,12 @@ def render(
     parameters = attached_parameters(job.scene)
     if not job.channel_names():
         return centres(job)
-    image = differentiable(job, how, parameters, seed_grad, spp_grad) if parameters else primal(job, how)
+    if parameters:
+        from djpt.gradients.derivatives import differentiable
+
+        image = differentiable(job, how, parameters, seed_grad, spp_grad)
+    else:
+        image = primal(job, how)
     return dr.concat([image, centres(job)], axis=2) if job.integrator.unfiltered_names() else image
 
 

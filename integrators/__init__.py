@@ -1,28 +1,33 @@
-"""Light transport, one estimator per file. The file registers its integrator; one line here imports it."""
+"""Light transport, one estimator per file. The file registers its integrator; one line here says where it is."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from djpt.lazy import lazily
 
 if __name__ != "djpt.integrators":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.integrators instead")
 
-from djpt.integrators.aov import AOV as AOV
-from djpt.integrators.base import Integrator as Integrator
-from djpt.integrators.base import PathIntegrator as PathIntegrator
-from djpt.integrators.base import PathState as PathState
-from djpt.integrators.base import Vertex as Vertex
-from djpt.integrators.depth import Depth as Depth
-from djpt.integrators.direct import Direct as Direct
-from djpt.integrators.distributed import Distributed as Distributed
-from djpt.integrators.moment import Moment as Moment
-from djpt.integrators.passes import PassIntegrator as PassIntegrator
-from djpt.integrators.path import Path as Path
-from djpt.integrators.path_naive import PathNaive as PathNaive
-from djpt.integrators.path_nee import PathNEE as PathNEE
-from djpt.integrators.prb import PRB as PRB
-from djpt.integrators.prb_basic import PRBBasic as PRBBasic
-from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
-from djpt.integrators.raycast import Raycast as Raycast
-from djpt.integrators.unidirectional import UnidirectionalPath as UnidirectionalPath
-from djpt.integrators.whitted import Whitted as Whitted
-
-__all__ = [name for name, value in globals().items() if isinstance(value, type)]
+if TYPE_CHECKING:
+    from djpt.integrators.aov import AOV as AOV
+    from djpt.integrators.base import Integrator as Integrator
+    from djpt.integrators.base import PathIntegrator as PathIntegrator
+    from djpt.integrators.base import PathState as PathState
+    from djpt.integrators.base import Vertex as Vertex
+    from djpt.integrators.depth import Depth as Depth
+    from djpt.integrators.direct import Direct as Direct
+    from djpt.integrators.distributed import Distributed as Distributed
+    from djpt.integrators.moment import Moment as Moment
+    from djpt.integrators.passes import PassIntegrator as PassIntegrator
+    from djpt.integrators.path import Path as Path
+    from djpt.integrators.path_naive import PathNaive as PathNaive
+    from djpt.integrators.path_nee import PathNEE as PathNEE
+    from djpt.integrators.prb import PRB as PRB
+    from djpt.integrators.prb_basic import PRBBasic as PRBBasic
+    from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
+    from djpt.integrators.raycast import Raycast as Raycast
+    from djpt.integrators.unidirectional import UnidirectionalPath as UnidirectionalPath
+    from djpt.integrators.whitted import Whitted as Whitted
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)

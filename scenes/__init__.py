@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from djpt.lazy import lazily
+
 if __name__ != "djpt.scenes":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.scenes instead")
 
-from collections.abc import Callable
-from typing import Any
+NAMES = ("cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "furnace", "shader_ball", "stage")
+"""The keys of `SCENES`, for commands that need one of them only."""
 
-from djpt.scenes.analytic import furnace
-from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres
-from djpt.scenes.gallery import shader_ball
-from djpt.scenes.stage import sky, stage
-
-__all__ = [
-    "SCENES",
-    "cornell_box",
-    "cornell_box_boxfilter",
-    "cornell_box_spheres",
-    "furnace",
-    "shader_ball",
-    "sky",
-    "stage",
-]
-
-SCENES: dict[str, Callable[[], dict[str, Any]]] = {
-    "cornell_box": cornell_box,
-    "cornell_box_boxfilter": cornell_box_boxfilter,
-    "cornell_box_spheres": cornell_box_spheres,
-    "furnace": furnace,
-    "shader_ball": shader_ball,
-    "stage": stage,
-}
-"""The functions of the built-in scenes by name, for the command line. Each call makes a new dict."""
+if TYPE_CHECKING:
+    from djpt.scenes.analytic import furnace as furnace
+    from djpt.scenes.catalogue import SCENES as SCENES
+    from djpt.scenes.cornell import cornell_box as cornell_box
+    from djpt.scenes.cornell import cornell_box_boxfilter as cornell_box_boxfilter
+    from djpt.scenes.cornell import cornell_box_spheres as cornell_box_spheres
+    from djpt.scenes.gallery import shader_ball as shader_ball
+    from djpt.scenes.stage import sky as sky
+    from djpt.scenes.stage import stage as stage
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)

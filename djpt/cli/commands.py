@@ -91,10 +91,11 @@ def render(
     """Render SCENE to an image file."""
     with readable_errors():
         from djpt.description.overrides import described, override
-        from djpt.images.image import check_writable
 
         require_positive(spp=spp, width=width, height=height)
         name, description = described(scene, parameters(define))
+        from djpt.images.image import check_writable
+
         target = output or Path(f"{name}.exr")
         check_writable(target)
         toned = tonemap is not None or exposure != "0" or white_balance is not None
@@ -226,11 +227,11 @@ def info(scene: SceneName, define: Defines = None) -> None:
 def scenes() -> None:
     """List the built-in scenes."""
     with readable_errors():
-        from djpt.scenes import SCENES
+        from djpt.scenes import NAMES
 
-        width = max(len(name) for name in SCENES)
-        for name in sorted(SCENES):
-            summary = (SCENES[name].__doc__ or "").strip().splitlines()
+        width = max(len(name) for name in NAMES)
+        for name in NAMES:
+            summary = (getattr(djpt.scenes, name).__doc__ or "").strip().splitlines()
             print(f"{name:<{width}}  {summary[0] if summary else ''}".rstrip())
 
 
@@ -323,17 +324,16 @@ class _Tone:
 
 def _facts(scene: djpt.Scene, sensor: int, spp: int | None, seed: int) -> dict[str, Any]:
     """The metadata that files of an image carry."""
-    from djpt.description.registry import registered
+    from djpt.description.registry import name_of
 
-    def name_of(plugin: Any) -> str:
-        names = {factory: name for name, factory in registered(plugin.kind).items()}
-        return names.get(type(plugin), type(plugin).__name__)
+    def type_of(plugin: Any) -> str:
+        return name_of(type(plugin)) or type(plugin).__name__
 
     sampler, integrator = scene.sensors()[sensor].sampler, scene.integrator()
     return {
         "Software": f"djpt {djpt.__version__}",
-        "integrator": "path" if integrator is None else name_of(integrator),
-        "sampler": name_of(sampler),
+        "integrator": "path" if integrator is None else type_of(integrator),
+        "sampler": type_of(sampler),
         "sensor": sensor,
         "spp": sampler.round_count(spp or sampler.sample_count),
         "seed": seed,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from enum import IntEnum
@@ -32,6 +33,10 @@ __all__ = [
     "require_positive",
     "short",
 ]
+
+
+FORCE_TERMINAL = frozenset({"FORCE_COLOR", "TTY_COMPATIBLE"})
+"""Variables by which `rich` takes something else for a terminal."""
 
 
 class ExitCode(IntEnum):
@@ -107,13 +112,19 @@ def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, 
 
     Nothing is shown with --quiet, or if the output isn't a terminal.
     """
+    nothing: Callable[[int, int], None] = lambda done, total: None  # noqa: E731
+    # Asked before `rich` is imported, which takes longer than small pictures.
+    if quiet or not (sys.stderr.isatty() or set(os.environ) & FORCE_TERMINAL):
+        yield nothing
+        return
+
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.text import Text
 
     console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield lambda done, total: None
+    if not console.is_terminal:
+        yield nothing
         return
 
     class Speed(ProgressColumn):

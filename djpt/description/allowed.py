@@ -35,6 +35,11 @@ class Allowed:
         # Numbers may be float32, which rounds 0.1 up: the bounds are compared as float32, too.
         smallest = -np.inf if self.low is None else np.float32(self.low)
         largest = np.inf if self.high is None else np.float32(self.high)
+        # Nearly always the extremes tell; a NaN among them doesn't.
+        if numbers.size and numbers.max() <= largest:
+            least = numbers.min()
+            if least > smallest or (least == smallest and not self.low_open):
+                return
         outside = numbers[(numbers <= smallest if self.low_open else numbers < smallest) | (numbers > largest)]
         if outside.size:
             raise SceneError(

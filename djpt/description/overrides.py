@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.description.numeric import describe
+from djpt.description.xml.source import check_readable
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["described", "override", "rfilter_name"]
@@ -49,12 +50,16 @@ def described(
     `parameters` are values for the ``$name`` of a file. Raises `SceneError` for unknown names, with those that
     there are, and the errors of `djpt.load_file`.
     """
-    from djpt.description.scene_files import read_file
-    from djpt.scenes import SCENES
-
     if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
+        # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
+        check_readable(Path(scene))
+        from djpt.description.scene_files import read_file
+
         document = read_file(scene, **(parameters or {}))
         return document.name, document
+    from djpt import scenes
+    from djpt.description.numeric import describe
+
     if parameters:
         what = f"'{scene}'" if isinstance(scene, str) else describe(scene)
         raise SceneError(f"only scene files (XML) have parameters, found {', '.join(parameters)} for {what}")
@@ -64,10 +69,10 @@ def described(
         return "scene", dict(scene)
     if not isinstance(scene, str):
         raise SceneError(f"a scene is a dict, a file or the name of a built-in scene, found {type(scene).__name__}")
-    if scene not in SCENES:
+    if scene not in scenes.NAMES:
         hint = f"; the file would be '{scene}.xml'" if os.path.exists(f"{scene}.xml") else ""
-        raise SceneError(f"unknown scene '{scene}'{hint}{near_miss(scene, SCENES)}")
-    return scene, SCENES[scene]()
+        raise SceneError(f"unknown scene '{scene}'{hint}{near_miss(scene, scenes.NAMES)}")
+    return scene, getattr(scenes, scene)()
 
 
 def override(

@@ -262,11 +262,11 @@ class Properties:
 
     def check_all_used(self) -> None:
         """Raise `SceneError` for the first key that the plugin didn't ask for."""
-        own = kind_of(self.plugin_name) or "plugin"
-        name = f"'{self.plugin_name}'" if own == self.plugin_name else f"{own} '{self.plugin_name}'"
         for key, value in self._values.items():
             if key in self._used or key in self._asked:
                 continue
+            own = kind_of(self.plugin_name) or "plugin"
+            name = f"'{self.plugin_name}'" if own == self.plugin_name else f"{own} '{self.plugin_name}'"
             held = f" ({article(value.kind)})" if isinstance(value, Plugin) else ""
             raise SceneError(f"{self._place(key)}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
 

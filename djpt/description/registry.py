@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 from djpt.errors import SceneError, near_miss
@@ -20,6 +21,7 @@ __all__ = [
     "Factory",
     "kind_of",
     "lookup",
+    "name_of",
     "register",
     "register_bsdf",
     "register_emitter",
@@ -46,9 +48,8 @@ PACKAGES = (
     "djpt.samplers",
     "djpt.sensors",
     "djpt.integrators",
-    "djpt.scene",
 )
-"""The modules that register djpt's own plugins when they are imported."""
+"""The packages that djpt's own plugins stand in, besides the scene. Usually a plugin's file bears its name."""
 
 MITSUBA = {
     "bsdf": (
@@ -167,12 +168,19 @@ def register_texture(name: str, factory: Factory) -> None:
 def registered(kind: str | None = None) -> dict[str, Factory]:
     """All plugins by name, or those of one kind."""
     _import_own_packages()
-    return {name: factory for name, (of, factory) in _plugins.items() if kind in (None, of)}
+    # In an order that doesn't depend on what was imported first.
+    return {name: factory for name, (of, factory) in sorted(_plugins.items()) if kind in (None, of)}
 
 
 def kind_of(name: str) -> str | None:
     """The kind that `name` was registered for, or None."""
+    _import_home(name)
     return _plugins[name][0] if name in _plugins else None
+
+
+def name_of(factory: Factory) -> str | None:
+    """The name that `factory` was registered by, or None."""
+    return next((name for name, (_, known) in _plugins.items() if known is factory), None)
 
 
 def lookup(kind: str | None, name: str) -> Factory:
@@ -185,7 +193,7 @@ def lookup(kind: str | None, name: str) -> Factory:
     Raises:
         SceneError: no plugin of that kind has that name; the message lists the names that exist.
     """
-    _import_own_packages()
+    _import_home(name)
     if name in _plugins and kind in (None, _plugins[name][0]):
         return _plugins[name][1]
     if name in _plugins:
@@ -198,6 +206,21 @@ def lookup(kind: str | None, name: str) -> Factory:
     raise SceneError(f"unknown {what} '{name}'{near_miss(name, registered(kind))}")
 
 
+def _import_home(name: str) -> None:
+    """Let the file that a plugin of djpt stands in register it: the one of that name, else all files."""
+    if name in _plugins or _own_packages_imported:
+        return
+    if name == "scene":
+        importlib.import_module("djpt.scene")
+        return
+    for package in PACKAGES if name.isidentifier() else ():
+        if find_spec(f"{package}.{name}") is not None:
+            importlib.import_module(f"{package}.{name}")
+            if name in _plugins:
+                return
+    _import_own_packages()
+
+
 def _import_own_packages() -> None:
     """Let djpt's packages register their plugins, once."""
     global _own_packages_imported
@@ -206,8 +229,10 @@ def _import_own_packages() -> None:
     # Set before the imports: a package that is being imported may look up a plugin.
     _own_packages_imported = True
     try:
-        for package in PACKAGES:
-            importlib.import_module(package)
+        for package in map(importlib.import_module, PACKAGES):
+            for public in package.__all__:
+                getattr(package, public)
+        importlib.import_module("djpt.scene")
     except ImportError:
         _own_packages_imported = False  # so that the next call raises the same error
         raise

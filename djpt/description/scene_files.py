@@ -12,6 +12,7 @@ from djpt.description.numeric import describe
 from djpt.description.xml.naming import Naming
 from djpt.description.xml.nodes import Node
 from djpt.description.xml.reader import Reader
+from djpt.description.xml.source import check_readable
 from djpt.errors import FileError, SceneError
 
 __all__ = ["load_file", "load_string", "read_file", "read_string"]
@@ -55,8 +56,7 @@ def read_file(path: str | os.PathLike[str], /, **parameters: Any) -> Document:
     if not isinstance(path, (str, os.PathLike)):
         raise FileError(f"the path of a scene file is a string or a path, found {describe(path)}")
     source = Path(os.fspath(path))
-    if source.is_dir():
-        raise FileError(f"can't read '{source}': it is a folder")
+    check_readable(source)
     reader = Reader(parameters)
     return _document(reader, reader.read_file(source), str(source), source.stem)
 

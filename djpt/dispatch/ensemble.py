@@ -15,7 +15,6 @@ How values are looked up is the ensemble's `Lookup`:
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
@@ -217,7 +216,9 @@ def leaves_of(tree: dict[str, Any]) -> list[Leaf]:
 
 def representative(plugin: Any, tree: dict[str, Any], slot: UInt32, lookup: Lookup) -> Any:
     """A shallow copy of `plugin` and of its children, with looked-up values."""
-    clone = copy.copy(plugin)
+    # As by `copy.copy`, which takes a dozen times as long.
+    clone = object.__new__(type(plugin))
+    clone.__dict__.update(plugin.__dict__)
     for name, node in tree.items():
         if isinstance(node, dict):
             value = representative(getattr(plugin, name), node, slot, lookup)

@@ -8,7 +8,7 @@ larger ones a gather.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 import drjit as dr
@@ -36,8 +36,13 @@ def runs(members: Iterable[int]) -> list[tuple[int, int]]:
 
 def is_one_of(index: UInt32, members: Iterable[int]) -> Bool:
     """True where `index` is in `members`: one range test per run. For few runs; `Members` serves many, too."""
+    return is_in_runs(index, runs(members))
+
+
+def is_in_runs(index: UInt32, ranges: Iterable[tuple[int, int]]) -> Bool:
+    """True where `index` is in one of the ranges (first, last)."""
     result = Bool(False)
-    for low, high in runs(members):
+    for low, high in ranges:
         if low == high:
             result |= index == low
         elif low == 0:
@@ -63,10 +68,23 @@ def choose(index: UInt32, rows: Sequence[Any], identity: Sequence[Hashable] | No
     object). The row that most indices share is the chain's default. Indices beyond the table
     give an unspecified row.
     """
-    groups = same_rows([id(row) for row in rows] if identity is None else identity)
-    result = rows[groups[0][0]]
-    for group in groups[1:]:
-        result = dr.select(is_one_of(index, group), rows[group[0]], result)
+    return chosen(index, rows, plan([id(row) for row in rows] if identity is None else identity))
+
+
+Plan = list[tuple[int, list[tuple[int, int]]]]
+"""Of each group of equal rows one row, and the runs of indices; the default's group first."""
+
+
+def plan(identity: Iterable[Hashable]) -> Plan:
+    """The order of a chain of selects; tables make it once, since kernels are traced for each image."""
+    return [(group[0], runs(group)) for group in same_rows(identity)]
+
+
+def chosen(index: UInt32, rows: Sequence[Any] | Mapping[int, Any], order: Plan) -> Any:
+    """The row ``rows[index]`` per lane, by a chain of selects in the given order."""
+    result = rows[order[0][0]]
+    for row, ranges in order[1:]:
+        result = dr.select(is_in_runs(index, ranges), rows[row], result)
     return result
 
 
@@ -100,12 +118,12 @@ class Rows:
 
     def __init__(self, rows: Sequence[Any], identity: Sequence[Hashable] | None = None) -> None:
         """Build the table; `rows` and `identity` are as for `choose`."""
-        self._rows, self._identity = list(rows), [id(row) for row in rows] if identity is None else list(identity)
-        self._flat = Flat(rows) if len(same_rows(self._identity)) > MAX_CHAIN else None
+        self._rows, self._order = list(rows), plan([id(row) for row in rows] if identity is None else identity)
+        self._flat = Flat(rows) if len(self._order) > MAX_CHAIN else None
 
     def at(self, index: UInt32) -> Any:
         """The row at `index`."""
-        return choose(index, self._rows, self._identity) if self._flat is None else self._flat.at(index)
+        return chosen(index, self._rows, self._order) if self._flat is None else self._flat.at(index)
 
 
 class Numbers:
@@ -113,7 +131,8 @@ class Numbers:
 
     def __init__(self, values: Sequence[int]) -> None:
         self.values = tuple(values)
-        self._long = own_copy(np.array(self.values, np.uint32)) if len(same_rows(self.values)) > MAX_CHAIN else None
+        self._order = plan(self.values)
+        self._long = own_copy(np.array(self.values, np.uint32)) if len(self._order) > MAX_CHAIN else None
 
     def at(self, index: UInt32) -> UInt32:
         """The number at `index`, an unspecified one beyond the last; 0 if the table is empty."""
@@ -121,7 +140,7 @@ class Numbers:
             return dr.gather(UInt32, self._long, inside(index, len(self.values) - 1))
         if not self.values:
             return UInt32(0)
-        return choose(index, [UInt32(v) for v in self.values], self.values)
+        return chosen(index, {row: UInt32(self.values[row]) for row, _ in self._order}, self._order)
 
 
 class Members:
@@ -129,16 +148,17 @@ class Members:
 
     def __init__(self, members: Iterable[int], size: int) -> None:
         """Build the set of `members`, some of the numbers 0 .. size - 1."""
-        self._members = sorted(set(members))
-        long = len(runs(self._members)) > MAX_CHAIN
+        members = set(members)
+        self._runs = runs(members)
+        long = len(self._runs) > MAX_CHAIN
         # One number beyond the last stands for "none of them" (an emitter index may say so).
-        self._long = own_copy(np.isin(np.arange(size + 1), self._members).astype(np.uint32)) if long else None
+        self._long = own_copy(np.isin(np.arange(size + 1), list(members)).astype(np.uint32)) if long else None
 
     def contain(self, index: UInt32) -> Bool:
         """True where `index` is in the set."""
         if self._long is not None:
             return dr.gather(UInt32, self._long, index) != 0
-        return is_one_of(index, self._members)
+        return is_in_runs(index, self._runs)
 
 
 def inside(index: UInt32, last: int) -> UInt32:

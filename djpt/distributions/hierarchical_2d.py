@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -58,23 +58,24 @@ class Hierarchical2D(Plugin):
 
     def set(self, values: NDArray[Any]) -> None:
         """Take (rows + 1, columns + 1) numbers, at the corners of rows x columns cells; not negative, not all 0."""
-        corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]], -1).astype(np.float64)
-        mass = corners.mean(axis=-1)
-        self.corners = packets(corners / mass.mean())
-        self.at_corners = values / mass.mean()
+        values = np.asarray(values, np.float64)
+        mass = (values[:-1, :-1] + values[:-1, 1:] + values[1:, :-1] + values[1:, 1:]) / 4
+        self.at_corners = at = values / mass.mean()
+        self.corners = packets([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]])
         rows, columns = mass.shape
         self.columns = dr.opaque(UInt32, columns)
         self.levels = ((rows - 1).bit_length(), (columns - 1).bit_length())
         """The numbers of halvings of rows and of columns."""
         full = np.zeros((1 << self.levels[0], 1 << self.levels[1]))
         full[:rows, :columns] = mass
-        nodes = []
+        levels = []
         while full.size > 1:
-            node, full = halved(full)
-            nodes.append(node)
-        tree = np.concatenate(nodes[::-1] or [np.zeros((1, 4))])
-        self.splits = packets(tree)
-        self.root = as_vector(tree[0, :3])
+            shares, full = halved(full)
+            levels.append([share.ravel() for share in shares])
+        # From the root down.
+        tree = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)] or [np.zeros(1)] * 3
+        self.splits = packets([*tree, np.zeros(len(tree[0]))])
+        self.root = as_vector(np.array([share[0] for share in tree]))
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -140,25 +141,38 @@ class Hierarchical2D(Plugin):
 # ---- on the host ---------------------------------------------------------------------------
 
 
-def packets(numbers: Numbers) -> TensorXf:
-    """Rows of four numbers as a table."""
-    return TensorXf(np.ascontiguousarray(numbers, np.float32).reshape(-1, 1, 4))
+def packets(columns: Sequence[Numbers]) -> TensorXf:
+    """Four numbers side by side as a table."""
+    table = np.empty((*columns[0].shape, 4), np.float32)
+    for k, column in enumerate(columns):
+        table[..., k] = column
+    return TensorXf(table.reshape(-1, 1, 4))
 
 
-def halved(mass: Numbers) -> tuple[Numbers, Numbers]:
-    """Nodes (N, 4) over cells in twos or, where there are several rows and columns, in fours; and their masses."""
+def halved(mass: Numbers) -> tuple[tuple[Numbers, Numbers, Numbers], Numbers]:
+    """Nodes over cells in twos or, where there are several rows and columns, in fours; and their masses.
+
+    A node is the share of the upper half, and of the left half of either.
+    """
     rows, columns = mass.shape
-    tall, wide = min(rows, 2), min(columns, 2)
-    blocks = np.zeros((max(rows // 2, 1), 2, max(columns // 2, 1), 2))
-    blocks[:, :tall, :, :wide] = mass.reshape(-1, tall, max(columns // 2, 1), wide)
-    halves = blocks.sum(axis=3)
-    total = halves.sum(axis=1)
-    nodes = np.zeros((*total.shape, 4))
-    # Where there is no mass, no sample arrives.
-    nodes[..., 0] = np.divide(halves[:, 0], total, out=nodes[..., 0], where=total > 0)
-    shares = np.divide(blocks[..., 0], halves, out=np.zeros_like(halves), where=halves > 0)
-    nodes[..., 1], nodes[..., 2] = shares[:, 0], shares[:, 1]
-    return nodes.reshape(-1, 4), total
+    if 1 in mass.shape:
+        mass = np.pad(mass, ((0, rows % 2), (0, columns % 2)))
+    upper, lower = mass[::2], mass[1::2]
+    halves = [half[:, ::2] + half[:, 1::2] for half in (upper, lower)]
+    total = halves[0] + halves[1]
+    return (
+        (
+            share_of(halves[0], total),
+            share_of(upper[:, ::2], halves[0]),
+            share_of(lower[:, ::2], halves[1]),
+        ),
+        total,
+    )
+
+
+def share_of(part: Numbers, whole: Numbers) -> Numbers:
+    """The ratio, 0 where there is no mass: no sample arrives there."""
+    return np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
 # ---- in kernels ----------------------------------------------------------------------------

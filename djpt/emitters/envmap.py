@@ -142,8 +142,9 @@ class EnvironmentMap(OrientedEmitter):
             if bright.any():
                 self.distribution.set(bright)
         # Radiance with the density of `distribution` at the texels: a lookup gives both.
-        density = self.distribution.at_corners[:, :-1, None]
-        self.texels = TensorXf(np.concatenate([texels, density], axis=2).astype(np.float32))
+        table = np.empty((rows, columns, 4), np.float32)
+        table[..., :3], table[..., 3] = texels, self.distribution.at_corners[:, :-1]
+        self.texels = TensorXf(table)
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
@@ -313,6 +314,11 @@ def is_attached(table: Any) -> bool:
 def with_halo(texels: TensorXf) -> TensorXf:
     """Texels (H, W, 1 or 3) as (H, W + 2, 3): three channels, and at each end a column that repeats the other end."""
     rows, columns, channels = texels.shape
+    if not dr.grad_enabled(texels) and is_readable():
+        numbers = numbers_of(texels)
+        data = np.empty((rows, columns + 2, 3), np.float32)
+        data[:, 1:-1], data[:, 0], data[:, -1] = numbers, numbers[:, -1], numbers[:, 0]
+        return TensorXf(data)
     index = np.arange(rows * columns * channels, dtype=np.uint32).reshape(texels.shape)
     index = np.broadcast_to(np.concatenate([index[:, -1:], index, index[:, :1]], axis=1), (rows, columns + 2, 3))
     return TensorXf(dr.gather(Float, texels.array, UInt32(index.ravel())), index.shape)
@@ -359,7 +365,8 @@ def mean_over_sphere(texels: NDArray[Any]) -> float:
     # Integrals of sin(theta) times the hat of each row.
     shares = np.sin(np.arange(rows) * step) * (2 * (1 - math.cos(step)) / step)
     shares[[0, -1]] = 1 - math.sin(step) / step
-    return float(np.average(texels.mean(axis=(1, 2), dtype=np.float64), weights=shares))
+    means = np.array([row.mean(dtype=np.float64) for row in texels])
+    return float(np.average(means, weights=shares))
 
 
 register_emitter("envmap", EnvironmentMap)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.description.numeric import as_array
 from djpt.errors import SceneError
-from djpt.shapes import Mesh, Shape
+from djpt.shapes import Shape
 from djpt.textures import Texture
 
 __all__ = ["area_of", "box_of", "mean_of", "normals_of", "number", "require_area"]
@@ -54,7 +54,7 @@ def normals_of(shape: Shape) -> tuple[Vector, float]:
     """A cone that holds a shape's normals: its axis, and the angle between axis and side in radians."""
     if shape.plane() is not None and hasattr(shape, "normal"):
         return as_array(dr.detach(shape.normal)), 0.0
-    if isinstance(shape, Mesh):
+    if shape.of_triangles:
         normals = mesh_normals(shape)
         axis = normals.sum(axis=0)
         length = float(np.linalg.norm(axis))
@@ -64,7 +64,7 @@ def normals_of(shape: Shape) -> tuple[Vector, float]:
     return np.array([0.0, 0.0, 1.0]), math.pi
 
 
-def mesh_normals(mesh: Mesh) -> Vector:
+def mesh_normals(mesh: Any) -> Vector:
     """Unit normals of all faces, and of all vertices if they have any: (N, 3)."""
     a, b, c = np.moveaxis(mesh.positions.astype(np.float64)[mesh.indices], 1, 0)
     normals = np.cross(b - a, c - a)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from djpt.geometry.axes import AxisPool
-from djpt.geometry.forest import Forest, Placement
-from djpt.geometry.mesh_set import MeshSet
-from djpt.geometry.triangles import Triangles
 from djpt.shapes.base import Shape
 from djpt.shapes.instance import Instance
-from djpt.shapes.mesh import Mesh
 from djpt.shapes.shapegroup import ShapeGroup
+
+if TYPE_CHECKING:
+    from djpt.geometry.triangles import Triangles
+    from djpt.shapes.mesh import Mesh
 
 __all__ = ["Contents", "unseen"]
 
@@ -60,10 +61,15 @@ class Contents:
 
     def triangles(self) -> Triangles | None:
         """All meshes, and the instances of those in groups; None if there are none."""
-        meshes = [s for s in self.shapes if isinstance(s, Mesh)]
+        meshes: list[Any] = [s for s in self.shapes if s.of_triangles]
         solids = [self.shapes[i] for i in self._solids]
         if not meshes and not solids:
             return None
+        # Scenes without meshes need no trees, and don't import what builds and searches them.
+        from djpt.geometry.forest import Forest, Placement
+        from djpt.geometry.mesh_set import MeshSet
+        from djpt.geometry.triangles import Triangles
+
         mesh_set = MeshSet(meshes)
         world = sum(s.of_triangles for s in self._own)
         parts = [world, *(sum(s.of_triangles for s in group.shapes) for group in self._groups)]
@@ -87,7 +93,8 @@ class Contents:
 
     def moved_meshes(self, changed: Sequence[Shape]) -> list[Mesh]:
         """The meshes among the changed shapes."""
-        return [s for s in changed if isinstance(s, Mesh)]
+        meshes: list[Any] = [s for s in changed if s.of_triangles]
+        return meshes
 
     def moved_instances(self, changed: Sequence[Shape]) -> bool:
         """Tell the trees where the changed instances are; true if one of them has changed."""

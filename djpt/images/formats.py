@@ -10,6 +10,7 @@ The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The disp
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -17,10 +18,12 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from djpt.images.srgb import Codes, to_srgb8
+
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "RESERVED", "Format", "Labels", "from_srgb8", "to_srgb8"]
+__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "RESERVED", "Format", "Labels"]
 
 Pixels = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
@@ -39,31 +42,8 @@ class Format(NamedTuple):
 
     channels: tuple[int, ...]
     encode: Callable[[Path, Pixels, Labels], None]
-    decode: Callable[[Path], Pixels]
-
-
-# ---------------------------------------------------------------- sRGB
-
-
-def to_srgb8(linear: Pixels) -> Bytes:
-    """Convert linear values to 8-bit sRGB (IEC 61966-2-1): clipped to [0, 1], encoded, rounded to nearest.
-
-    Shape (H, W, C), any C. The last of 2 or 4 channels is alpha, which stays linear. NaN becomes 0.
-    """
-    x = np.clip(np.nan_to_num(linear, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float64)
-    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
-    if linear.shape[2] in (2, 4):
-        encoded[..., -1] = x[..., -1]
-    return np.floor(encoded * 255.0 + 0.5).astype(np.uint8)
-
-
-def from_srgb8(encoded: Bytes) -> Pixels:
-    """Convert 8-bit sRGB to linear values, such that `to_srgb8(from_srgb8(b)) == b`."""
-    x = encoded.astype(np.float64) / 255.0
-    linear = np.where(x <= 0.04045, x / 12.92, np.power((x + 0.055) / 1.055, 2.4))
-    if encoded.shape[2] in (2, 4):
-        linear[..., -1] = x[..., -1]
-    return linear.astype(np.float32)
+    decode: Callable[[Path], Pixels | Codes]
+    """Gives linear values; those of display formats are whole numbers, encoded as sRGB."""
 
 
 # ---------------------------------------------------------------- OpenEXR
@@ -103,16 +83,28 @@ def _exr_metadata(path: Path) -> dict[str, str]:
 def _read_exr(path: Path) -> Pixels:
     import OpenEXR
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        planes = {name: channel.pixels for name, channel in file.channels().items()}
-        order = str(file.header().get(_EXR_ORDER, "")).split(",")
-    if sorted(order) != sorted(planes):
+    with OpenEXR.File(str(path), header_only=True) as file:
+        header = file.header()
+        # What belongs to the file is emptied when it is closed.
+        stored = {channel.name: (channel.xSampling, channel.ySampling) for channel in header["channels"]}
+        order = str(header.get(_EXR_ORDER, "")).split(",")
+    if sorted(order) != sorted(stored):
         # A file of another program: colour first, in the usual order, then the rest by name.
         usual = ("R", "G", "B", "Y", "A")
-        order = [name for name in usual if name in planes] + sorted(set(planes) - set(usual))
-    if len({plane.shape for plane in planes.values()}) != 1:
+        order = [name for name in usual if name in stored] + sorted(set(stored) - set(usual))
+    if set(stored.values()) != {(1, 1)}:
         raise ValueError("subsampled channels are not supported")
-    return np.stack([planes[name].astype(np.float32) for name in order], axis=2)
+    together = "".join(order)
+    if together in ("RGB", "RGBA"):
+        # The library refuses to put channels of different types side by side.
+        with contextlib.suppress(ValueError), OpenEXR.File(str(path)) as file:
+            return np.asarray(file.channels()[together].pixels, np.float32)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        planes = {name: channel.pixels for name, channel in file.channels().items()}
+    image = np.empty((*planes[order[0]].shape, len(order)), np.float32)
+    for i, name in enumerate(order):
+        image[..., i] = planes[name]
+    return image
 
 
 # ---------------------------------------------------------------- Radiance RGBE
@@ -160,8 +152,10 @@ def _read_hdr(path: Path) -> Pixels:
         if height * width * 4 > len(body) * 64:
             raise ValueError("the file is too short for its size")
         rgbe = _rgbe_run_lengths(body, height, width)
-    scale = np.where(rgbe[..., 3] > 0, np.ldexp(1.0, rgbe[..., 3].astype(np.int32) - 136), 0.0)
-    return (rgbe[..., :3] * scale[..., None]).astype(np.float32)
+    # By exponent; exact in single precision, as are the products. Exponent 0 is black.
+    scale = np.ldexp(np.float32(1), np.arange(256, dtype=np.int32) - 136)
+    scale[0] = 0
+    return np.multiply(rgbe[..., :3], scale[rgbe[..., 3]][..., None], dtype=np.float32)
 
 
 def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
@@ -280,18 +274,17 @@ def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
     return image if image.dtype == np.uint8 else to_srgb8(image)
 
 
-def _read_picture(path: Path) -> Pixels:
+def _read_picture(path: Path) -> Codes:
     from PIL import Image
 
     with Image.open(path, formats=("PNG", "JPEG")) as file:
         picture: Picture = file
         if picture.mode.startswith("I"):  # 16 bit grey
-            wide = np.asarray(picture, np.float64)[..., None] / 65535.0
-            return np.where(wide <= 0.04045, wide / 12.92, ((wide + 0.055) / 1.055) ** 2.4).astype(np.float32)
+            return np.asarray(picture).astype(np.uint16)[..., None]
         if picture.mode not in _MODES.values():
             picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
         pixels = np.asarray(picture, np.uint8)
-    return from_srgb8(pixels[..., None] if pixels.ndim == 2 else pixels)
+    return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
 # ---------------------------------------------------------------- the table

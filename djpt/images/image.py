@@ -31,8 +31,8 @@ from djpt.images.formats import (
     Format,
     Labels,
     encode_png,
-    to_srgb8,
 )
+from djpt.images.srgb import from_srgb, shares, to_srgb8
 
 if TYPE_CHECKING:
     from djpt.types import TensorXf
@@ -70,7 +70,7 @@ class Image:
         return self._pixels
 
     def srgb(self) -> npt.NDArray[np.uint8]:
-        """The pixels as they are displayed: (H, W, C) bytes of sRGB; see `djpt.images.formats.to_srgb8`."""
+        """The pixels as they are displayed: (H, W, C) bytes of sRGB; see `djpt.images.srgb.to_srgb8`."""
         shown = self._pixels if self._pixels.shape[2] <= 4 else self._pixels[..., :3]
         return shown if shown.dtype == np.uint8 else to_srgb8(shown)
 
@@ -160,12 +160,18 @@ def read(path: str | os.PathLike[str]) -> TensorXf:
     return TensorXf(read_pixels(path))
 
 
-def read_pixels(path: str | os.PathLike[str]) -> npt.NDArray[np.float32]:
-    """Read an image as a NumPy array, float32 (H, W, C), as `read` does. Needs no Dr.Jit backend."""
+def read_pixels(path: str | os.PathLike[str], raw: bool = False) -> npt.NDArray[np.float32]:
+    """Read an image as a NumPy array, float32 (H, W, C), as `read` does. Needs no Dr.Jit backend.
+
+    `raw`: leave the numbers of png and jpg encoded, in [0, 1].
+    """
     source = Path(path)
     form = _format(source, "read")
     with _reading(source):
-        return np.ascontiguousarray(form.decode(source), np.float32)
+        pixels: npt.NDArray[Any] = form.decode(source)
+        if pixels.dtype.kind == "u":
+            return shares(pixels) if raw else from_srgb(pixels)
+        return np.ascontiguousarray(pixels, np.float32)
 
 
 def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:

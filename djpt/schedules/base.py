@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from djpt.dispatch.ensemble import Detached
 from djpt.errors import RenderError
-from djpt.gradients.leaves import Numbering
-from djpt.gradients.modes import Mode
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import stored_image
 from djpt.types import Float, TensorXf, UInt32
 
+if TYPE_CHECKING:
+    from djpt.gradients.leaves import Numbering
+    from djpt.gradients.modes import Mode
+
 __all__ = ["ModeOf", "Schedule"]
 
-ModeOf = Callable[[int, UInt32], Mode]
-"""Makes the mode of a replay for a number of lanes, and for the pixel of each lane if it has one pixel only."""
+ModeOf = Callable[[int, UInt32], Any]
+"""Makes the `Mode` of a replay for a number of lanes, and for the pixel of each lane if it has one pixel only."""
 
 
 class Schedule:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+import importlib
+
 from djpt.errors import RenderError, near_miss
 from djpt.schedules.base import Schedule
-from djpt.schedules.flat import Flat
 from djpt.schedules.job import Job
-from djpt.schedules.machine import Machine
-from djpt.schedules.progressive import Progressive
-from djpt.schedules.wave import Wave
 
 __all__ = ["choose"]
 
-SCHEDULES: dict[str, Schedule] = {
-    schedule.name: schedule for schedule in (Machine(), Flat(), Progressive(), Wave())
-}  # the fastest first
+SCHEDULES = {"machine": "Machine", "flat": "Flat", "progressive": "Progressive", "wave": "Wave"}
+"""The modules of the schedules and their classes, the fastest first."""
 NAMES = ("auto", "flat", "machine", "wave")
 
 
@@ -36,7 +34,14 @@ def choose(name: str, job: Job) -> Schedule:
     if name == "machine" and not has_tree:
         raise RenderError("the schedule 'machine' walks a BVH, and the scene has no meshes: use schedule='flat'")
     if name in possible:
-        return SCHEDULES[name]
+        return schedule(name)
     # A search that is one call leaves no lane waiting for another: lanes needn't be state machines.
     stepwise = job.scene.geometry.stepwise
-    return next(s for n, s in SCHEDULES.items() if n in possible and (stepwise or n != "machine"))
+    return schedule(next(n for n in SCHEDULES if n in possible and (stepwise or n != "machine")))
+
+
+@functools.cache
+def schedule(name: str) -> Schedule:
+    """The schedule of a name; imported when it is first used."""
+    made: Schedule = getattr(importlib.import_module(f"djpt.schedules.{name}"), SCHEDULES[name])()
+    return made

@@ -12,14 +12,11 @@ so many channels that sums per tap would not fit.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
-from djpt.gradients import replay
-from djpt.gradients.leaves import Numbering
-from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.llvm.lanes import small_blocks
@@ -28,11 +25,15 @@ from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.called_sums import CalledSums, gathered, usable
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
-from djpt.schedules.passes import develop, filtered_sums, register_spp, stepwise_sums
+from djpt.schedules.passes import REGISTER_BAND_PIXELS, develop, filtered_sums, register_spp, stepwise_sums
 from djpt.schedules.reconstruction import by_pixels, collect
 from djpt.schedules.sinks import CalledFilmSums, FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.schedules.tap_function import Taps
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+
+if TYPE_CHECKING:
+    from djpt.gradients.leaves import Numbering
+    from djpt.gradients.modes import Mode
 
 __all__ = ["Flat"]
 
@@ -51,10 +52,10 @@ class Flat(Schedule):
             return develop(job, stepwise_sums(job, step), dr.opaque(Float, job.spp))
         taps = Taps(job.film.taps, job.channel_count())
         if usable(taps, job.film.rfilter):
-            *sums, weight = filtered_sums(job, called_film_sums, register_spp(job), spread_called)
+            *sums, weight = filtered_sums(job, called_film_sums, register_spp(job), REGISTER_BAND_PIXELS, spread_called)
             return develop(job, sums, weight)
         if by_pixels(job, job.channel_count() + 1):
-            *sums, weight = filtered_sums(job, film_sums, register_spp(job))
+            *sums, weight = filtered_sums(job, film_sums, register_spp(job), REGISTER_BAND_PIXELS)
             return develop(job, sums, weight)
         return super().image(job)
 
@@ -72,6 +73,8 @@ class Flat(Schedule):
     def replay(
         self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
     ) -> tuple[Mode, list[Float], UInt32]:
+        from djpt.gradients import replay
+
         lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
         count = dr.width(lanes.pixel)
         mode = mode_of(count, lanes.pixel)

@@ -16,15 +16,12 @@ same order. docs/performance.md, "Meshes", has the measurements.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
 from djpt.geometry.query import Query
-from djpt.gradients import machine_replay
-from djpt.gradients.leaves import Numbering
-from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
@@ -33,6 +30,10 @@ from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import TiledLanes
 from djpt.schedules.sinks import Write, sample_buffers
 from djpt.types import Bool, Color3f, Float, UInt32
+
+if TYPE_CHECKING:
+    from djpt.gradients.leaves import Numbering
+    from djpt.gradients.modes import Mode
 
 __all__ = ["Machine"]
 
@@ -51,6 +52,8 @@ class Machine(Schedule):
     def replay(
         self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
     ) -> tuple[Mode, list[Float], UInt32]:
+        from djpt.gradients import machine_replay
+
         lanes = TiledLanes(job, band, begin, end)
         mode = mode_of(lanes.count, UInt32())
         return mode, *machine_replay.run(job, values, numbering, lanes, mode)

@@ -37,6 +37,9 @@ STORED_SAMPLES = 2**22
 BAND_PIXELS = 2**16
 """The number of pixels of a band when samples are stored."""
 
+REGISTER_BAND_PIXELS = 2**18
+"""The number of pixels of a band when lanes keep up to `MAX_SUMS` sums: 128 MiB. Each band is traced anew."""
+
 AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
 """Adds the samples begin <= k < end of a band to the film's sums."""
 
@@ -54,7 +57,7 @@ def stored_image(job: Job, samples: Samples) -> TensorXf:
         def add(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
             return add_samples(job, band, computed(samples, job, band, begin, end), begin, end, sums)
 
-        *sums, weight = filtered_sums(job, add, stored_spp(job))
+        *sums, weight = filtered_sums(job, add, stored_spp(job), BAND_PIXELS)
         return develop(job, sums, weight)
     sums = [dr.concat(parts) for parts in zip(*box_sums(job, samples), strict=True)]
     return develop(job, sums, dr.opaque(Float, job.spp))
@@ -107,10 +110,12 @@ def box_sums(job: Job, samples: Samples) -> Iterator[list[Float]]:
         yield sums
 
 
-def filtered_sums(job: Job, add: AddToFilm, default_spp: int, collect: Collect = spread) -> list[Float]:
-    """The weighted sums of all channels and of the weights, over the whole grid."""
+def filtered_sums(
+    job: Job, add: AddToFilm, default_spp: int, band_pixels: int, collect: Collect = spread
+) -> list[Float]:
+    """The weighted sums of all channels and of the weights, over the whole grid, band by band."""
     image = [dr.opaque(Float, 0, job.width * job.height) for _ in range(job.channel_count() + 1)]
-    for band in job.bands(BAND_PIXELS):
+    for band in job.bands(band_pixels):
         sums = None
         for begin, end in ranges(job.spp, job.pass_spp or default_spp):
             sums = add(job, band, begin, end, sums)
@@ -139,7 +144,9 @@ def stored_passes(job: Job) -> Iterator[tuple[Band, int, int]]:
 
 def register_spp(job: Job) -> int:
     """Samples per pixel of a pass that stores nothing."""
-    return max(1, PASS_SAMPLES // min(job.width * job.height, BAND_PIXELS if job.film.filters else MAX_SAMPLES))
+    return max(
+        1, PASS_SAMPLES // min(job.width * job.height, REGISTER_BAND_PIXELS if job.film.filters else MAX_SAMPLES)
+    )
 
 
 def stored_spp(job: Job) -> int:

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import drjit as dr
+import numpy as np
 
+from djpt.kernels import aligned
 from djpt.schedules.called_sums import CalledSums
 from djpt.schedules.job import Band, Job
 from djpt.schedules.reconstruction import add_taps
@@ -32,8 +34,12 @@ __all__ = [
 
 
 def blank_sums(lanes: int, count: int) -> list[Float]:
-    """Zeros in memory: as literals they would give a first pass a kernel of its own."""
-    return [dr.opaque(Float, 0, lanes) for _ in range(count)]
+    """Zeros in memory: as literals they would give a first pass a kernel of its own.
+
+    All are the same memory, which is only read, and stays in the caches: a film's sums are up to a hundred arrays.
+    """
+    zeros = aligned((lanes,)).view(np.float32)
+    return [Float(zeros) for _ in range(count)]
 
 
 Write = Callable[[UInt32, list[Float], Bool], None]

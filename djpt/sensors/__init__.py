@@ -1,12 +1,19 @@
-"""Sensors, one per file. The file registers its sensor; one line here imports it."""
+"""Sensors, one per file. The file registers its sensor; one line here says where it is."""
 
-from djpt.sensors.base import Sensor as Sensor
-from djpt.sensors.batch import Batch as Batch
-from djpt.sensors.distant import Distant as Distant
-from djpt.sensors.irradiancemeter import IrradianceMeter as IrradianceMeter
-from djpt.sensors.orthographic import Orthographic as Orthographic
-from djpt.sensors.perspective import Perspective as Perspective
-from djpt.sensors.radiancemeter import RadianceMeter as RadianceMeter
-from djpt.sensors.thinlens import ThinLens as ThinLens
+from __future__ import annotations
 
-__all__ = [name for name, value in globals().items() if isinstance(value, type)]
+from typing import TYPE_CHECKING
+
+from djpt.lazy import lazily
+
+if TYPE_CHECKING:
+    from djpt.sensors.base import Sensor as Sensor
+    from djpt.sensors.batch import Batch as Batch
+    from djpt.sensors.distant import Distant as Distant
+    from djpt.sensors.irradiancemeter import IrradianceMeter as IrradianceMeter
+    from djpt.sensors.orthographic import Orthographic as Orthographic
+    from djpt.sensors.perspective import Perspective as Perspective
+    from djpt.sensors.radiancemeter import RadianceMeter as RadianceMeter
+    from djpt.sensors.thinlens import ThinLens as ThinLens
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)

@@ -1,25 +1,32 @@
-"""Shapes, one per file. The file registers its shape; one line here imports it."""
+"""Shapes, one per file. The file registers its shape; one line here says where it is."""
 
-from djpt.shapes.base import Face as Face
-from djpt.shapes.base import Hit as Hit
-from djpt.shapes.base import Shape as Shape
-from djpt.shapes.cone import Cone as Cone
-from djpt.shapes.cube import Cube as Cube
-from djpt.shapes.cuboid import Cuboid as Cuboid
-from djpt.shapes.cylinder import Cylinder as Cylinder
-from djpt.shapes.disk import Disk as Disk
-from djpt.shapes.implicit import Implicit as Implicit
-from djpt.shapes.implicit import Metaballs as Metaballs
-from djpt.shapes.implicit import Torus as Torus
-from djpt.shapes.instance import Instance as Instance
-from djpt.shapes.mesh import Mesh as Mesh
-from djpt.shapes.obj import Obj as Obj
-from djpt.shapes.plane import Plane as Plane
-from djpt.shapes.ply import Ply as Ply
-from djpt.shapes.rectangle import Rectangle as Rectangle
-from djpt.shapes.sdfgrid import SDFGrid as SDFGrid
-from djpt.shapes.serialized import Serialized as Serialized
-from djpt.shapes.shapegroup import ShapeGroup as ShapeGroup
-from djpt.shapes.sphere import Sphere as Sphere
+from __future__ import annotations
 
-__all__ = [name for name, value in globals().items() if isinstance(value, type)]
+from typing import TYPE_CHECKING
+
+from djpt.lazy import lazily
+
+if TYPE_CHECKING:
+    from djpt.shapes.base import Face as Face
+    from djpt.shapes.base import Hit as Hit
+    from djpt.shapes.base import Shape as Shape
+    from djpt.shapes.cone import Cone as Cone
+    from djpt.shapes.cube import Cube as Cube
+    from djpt.shapes.cuboid import Cuboid as Cuboid
+    from djpt.shapes.cylinder import Cylinder as Cylinder
+    from djpt.shapes.disk import Disk as Disk
+    from djpt.shapes.implicit import Implicit as Implicit
+    from djpt.shapes.implicit import Metaballs as Metaballs
+    from djpt.shapes.implicit import Torus as Torus
+    from djpt.shapes.instance import Instance as Instance
+    from djpt.shapes.mesh import Mesh as Mesh
+    from djpt.shapes.obj import Obj as Obj
+    from djpt.shapes.plane import Plane as Plane
+    from djpt.shapes.ply import Ply as Ply
+    from djpt.shapes.rectangle import Rectangle as Rectangle
+    from djpt.shapes.sdfgrid import SDFGrid as SDFGrid
+    from djpt.shapes.serialized import Serialized as Serialized
+    from djpt.shapes.shapegroup import ShapeGroup as ShapeGroup
+    from djpt.shapes.sphere import Sphere as Sphere
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)

@@ -95,7 +95,7 @@ class Mesh(Shape):
         if face_normals:
             data.normals = None
         data.transform(self.to_world)
-        clean(data, where)
+        areas = clean(data, where)
         if compute_normals and not face_normals and data.normals is None:
             data.compute_normals()
         self.positions, self.indices = data.positions, data.indices
@@ -110,7 +110,7 @@ class Mesh(Shape):
             if hasattr(self, key) or key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
                 raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
         self._expose()
-        self._measure()
+        self._measure(areas)
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""
@@ -198,12 +198,11 @@ class Mesh(Shape):
     # ---- on the host -------------------------------------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        # Whatever kernels read was computed when the mesh was made or edited.
-        pass
+        """Do nothing: a mesh has no axes, and begins to be measured when it is made or edited."""
 
-    def _measure(self) -> None:
-        """Begin to measure the mesh anew."""
-        self._measures = Measures(self.positions, self.indices)
+    def _measure(self, areas: NDArray[np.float64] | None = None) -> None:
+        """Begin to measure the mesh anew; `areas` are those of its triangles if they are known."""
+        self._measures = Measures(self.positions, self.indices, areas)
         self.__dict__.pop("area", None)
         self.own_faces = dr.opaque(UInt32, len(self.indices))
 

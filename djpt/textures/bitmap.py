@@ -18,7 +18,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
 from djpt.kernels import as_float, maximum, minimum
 from djpt.textures.brightness import cell_weights, luminance
-from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
+from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
 from djpt.warp import square_to_tent
@@ -74,7 +74,7 @@ class Bitmap(UVTexture):
         height, width, self.channels = self.data.shape
         self.resolution = Vector2f(as_float(width), as_float(height))
         if is_readable():
-            colour = numbers_of(self.data).mean(axis=(0, 1), dtype=np.float64)
+            colour = mean_texel(numbers_of(self.data))
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
 
     def prepare_sampling(self) -> None:

@@ -28,9 +28,11 @@ LEAST = 0.01
 
 def luminance(texels: NDArray[Any]) -> NDArray[np.float64]:
     """The weights of texels (H, W, 1 or 3) that are the cells themselves, as in Mitsuba; (H, W)."""
-    channels = [1.0] if texels.shape[2] == 1 else list(LUMINANCE)
-    weights: NDArray[np.float64] = np.maximum(texels.astype(np.float64) @ np.array(channels), 0)
-    return weights
+    shares = [1.0] if texels.shape[2] == 1 else list(LUMINANCE)
+    weights: NDArray[np.float64] = np.zeros(texels.shape[:2])
+    for k, share in enumerate(shares):
+        weights += share * texels[..., k].astype(np.float64)
+    return np.maximum(weights, 0, out=weights)
 
 
 def cell_weights(texture: UVTexture, resolution: tuple[int, int]) -> NDArray[np.float64]:

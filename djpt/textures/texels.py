@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -13,11 +12,11 @@ from djpt.description.files import resolve
 from djpt.description.numeric import LARGEST, describe
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
-from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import read_pixels
+from djpt.images.srgb import decoded, from_srgb, shares
 from djpt.types import TensorXf
 
-__all__ = ["as_texels", "check_texels", "load_texels"]
+__all__ = ["as_texels", "check_texels", "load_texels", "mean_texel", "numbers_of"]
 
 Pixels = NDArray[np.float32]
 SOURCES = ("filename", "bitmap", "data")
@@ -38,10 +37,10 @@ def load_texels(props: Properties, raw: bool, half: bool) -> TensorXf:
         if key == "data":
             texels = as_texels(value)
         else:
-            pixels = from_file(props.string(key), raw) if key == "filename" else from_object(value, raw)
-            texels = tensor(without_alpha(pixels))
+            pixels = read_pixels(resolve(props.string(key)), raw) if key == "filename" else from_object(value, raw)
+            texels = TensorXf(np.ascontiguousarray(without_alpha(pixels)))
         if half:
-            texels = tensor(rounded(numbers_of(texels)))
+            texels = TensorXf(rounded(numbers_of(texels)))
         check_texels(numbers_of(texels))
     except FileError as error:
         raise SceneError(f"{props.node}: '{key}': {error}") from None
@@ -65,7 +64,9 @@ def as_texels(value: Any) -> TensorXf:
         array = as_pixels(value)
         if array.dtype == np.uint8:
             raise SceneError("holds linear numbers, found bytes; pass 8-bit images as 'bitmap'")
-        texels = tensor(array)
+        # A copy, so that the caller's memory isn't shared.
+        with np.errstate(over="ignore"):
+            texels = TensorXf(np.array(array, np.float32, order="C"))
     if len(texels.shape) == 2:
         texels = TensorXf(texels.array, (*texels.shape, 1))
     shape = tuple(texels.shape)
@@ -76,18 +77,8 @@ def as_texels(value: Any) -> TensorXf:
     return texels
 
 
-def from_file(name: str, raw: bool) -> Pixels:
-    """The pixels of an image file."""
-    path: Path = resolve(name)
-    pixels = read_pixels(path)
-    if raw and path.suffix.lower() in DISPLAY_FORMATS:
-        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
-        pixels[..., :colours] = srgb_encoded(pixels[..., :colours])
-    return pixels
-
-
-def from_object(value: Any, raw: bool) -> NDArray[Any]:
-    """The pixels of a bitmap object: Mitsuba's, a djpt image, or anything that NumPy takes for an array.
+def from_object(value: Any, raw: bool) -> Pixels:
+    """A copy of the pixels of a bitmap object: Mitsuba's, a djpt image, or anything that NumPy takes for an array.
 
     Whole numbers are shares of the type's largest; bytes are sRGB unless the object says otherwise.
     """
@@ -97,14 +88,19 @@ def from_object(value: Any, raw: bool) -> NDArray[Any]:
         raise SceneError("holds XYZ colours; convert the bitmap to RGB")
     pixels = as_pixels(value)
     encoded = bool(getattr(value, "srgb_gamma", lambda: pixels.dtype == np.uint8)())
-    if pixels.dtype.kind in "iu":
-        pixels = pixels / np.iinfo(pixels.dtype).max
-    pixels = np.array(pixels[..., None] if pixels.ndim == 2 else pixels, np.float32)
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
     if pixels.ndim != 3 or 0 in pixels.shape:
         raise SceneError(f"must have the shape (height, width, channels), found {pixels.shape}")
+    if pixels.dtype in (np.uint8, np.uint16):
+        return from_srgb(pixels) if encoded and not raw else shares(pixels)
+    if pixels.dtype.kind in "iu":
+        pixels = pixels / np.iinfo(pixels.dtype).max
+    with np.errstate(over="ignore"):
+        pixels = np.array(pixels, np.float32, order="C")
     if encoded and not raw:
         colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
-        pixels[..., :colours] = srgb_decoded(pixels[..., :colours])
+        pixels[..., :colours] = decoded(pixels[..., :colours])
     return pixels
 
 
@@ -132,37 +128,29 @@ def without_alpha(pixels: Pixels) -> Pixels:
 
 def check_texels(pixels: Pixels) -> None:
     """Raise `SceneError` unless all numbers are finite."""
-    # `not <=` also catches NaN.
-    bad = ~(np.abs(pixels) <= LARGEST)
-    if bad.any():
-        y, x, channel = np.argwhere(bad)[0]
+    # False for NaN, which is both the least and the greatest number wherever it occurs.
+    if not (pixels.min() >= -LARGEST and pixels.max() <= LARGEST):
+        y, x, channel = np.argwhere(~(np.abs(pixels) <= LARGEST))[0]
         raise SceneError(f"must be finite, found {pixels[y, x, channel]} in row {y}, column {x}")
 
 
 def numbers_of(texels: TensorXf) -> Pixels:
-    """The texels on the host."""
-    return np.array(dr.detach(texels))
+    """The texels on the host, to be read: where the backend allows it they aren't copied."""
+    numbers: Pixels = np.asarray(dr.detach(texels))
+    numbers.flags.writeable = False
+    return numbers
 
 
-def tensor(pixels: NDArray[Any]) -> TensorXf:
-    """A tensor of a copy of the array, so that the caller's memory isn't shared."""
-    with np.errstate(over="ignore"):
-        return TensorXf(np.array(pixels, np.float32, order="C"))
+def mean_texel(pixels: Pixels) -> NDArray[np.float64]:
+    """The mean of each channel, (C,)."""
+    rows, columns, channels = pixels.shape
+    # Whole rows are added up: much faster than sums over two axes.
+    total = np.add.reduce(pixels.reshape(rows, -1), axis=0, dtype=np.float64)
+    mean: NDArray[np.float64] = total.reshape(columns, channels).sum(axis=0) / (rows * columns)
+    return mean
 
 
 def rounded(pixels: Pixels) -> Pixels:
     """The pixels rounded to half precision, as float32."""
     with np.errstate(over="ignore"):
         return pixels.astype(np.float16).astype(np.float32)
-
-
-def srgb_decoded(x: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Linear values of sRGB-encoded ones (IEC 61966-2-1), not rounded and not clipped."""
-    wide = x.astype(np.float64)
-    return np.where(wide <= 0.04045, wide / 12.92, ((np.maximum(wide, 0) + 0.055) / 1.055) ** 2.4)
-
-
-def srgb_encoded(x: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The inverse of `srgb_decoded`."""
-    wide = x.astype(np.float64)
-    return np.where(wide <= 0.0031308, 12.92 * wide, 1.055 * np.maximum(wide, 0) ** (1 / 2.4) - 0.055)

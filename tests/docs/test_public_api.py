@@ -78,6 +78,36 @@ print(sorted(heavy & set(sys.modules)))
     assert run_python("-c", code).stdout == "[]\n"
 
 
+def test_a_scene_imports_what_it_has() -> None:
+    """The Cornell box has no meshes, textures, trees of lights or derivatives; all else comes at its first use."""
+    code = """
+import sys, djpt
+djpt.render(djpt.load_dict(djpt.cornell_box()), spp=1)
+needless = ("geometry.forest", "geometry.compiled", "geometry.bvh", "shapes.mesh", "shapes.sphere", "gradients.modes",
+            "materials.principled", "textures.bitmap", "emitters.envmap", "emitters.choice.tree", "images.formats",
+            "integrators.direct", "schedules.machine", "scenes.gallery", "cli")
+print(sorted(name for name in needless if f"djpt.{name}" in sys.modules))
+from djpt import shapes
+print(djpt.materials.Principled.__name__, shapes.mesh.Mesh is djpt.Mesh, "Sphere" in dir(shapes))
+"""
+    done = run_python("-c", code)
+    assert done.stdout == "[]\nPrincipled True True\n", done.stderr
+
+
+def test_a_missing_scene_file_is_found_without_drjit() -> None:
+    code = """
+import sys
+from djpt.description.overrides import described
+from djpt.errors import FileError
+try:
+    described("nothing.xml")
+except FileError as error:
+    print(error)
+print(sorted({"drjit", "numpy"} & set(sys.modules)))
+"""
+    assert run_python("-c", code).stdout == "can't read 'nothing.xml': No such file or directory\n[]\n"
+
+
 def test_rendering_does_not_import_mitsuba() -> None:
     code = """
 import sys, djpt

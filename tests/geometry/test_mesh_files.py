@@ -188,6 +188,23 @@ def test_obj_beyond_what_mitsuba_reads() -> None:
     assert mesh.normals.tolist() == [[0, 0, 0], [0, 0, 0], [0, 0, 2], [0, 1, 1]]
 
 
+def test_obj_with_lines_in_any_order() -> None:
+    """Numbers count the lines of a kind, wherever these stand, and errors name the line."""
+    mixed = (
+        "# f 9 9 9\nv 0 0 0\nvt 0 0\nv 1 0 0 # v 7 7 7\n\nvn 0 0 1\nf 1/1/1 2/2/1 3/1/1\n  vt 1 \\\n 0\n"
+        "vp 1 2 3\nv 0 1 0\nf 3 2 4\ng f 1 2 3\n\tv 1 1 0"
+    )
+    kinds = ("v ", "vt ", "vn ", "f ")
+    lines = [line.strip().split(" #")[0] for line in mixed.replace("\\\n", "").split("\n")]
+    sorted_ = "\n".join(line for kind in kinds for line in lines if line.startswith(kind))
+    found, expected = (read_obj(text.encode(), "x.obj") for text in (mixed, sorted_))
+    assert found.indices.tolist() == [[0, 1, 2], [3, 4, 5]]
+    for name in ("positions", "indices", "normals", "texcoords"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found '1 2'"):
+        read_obj(mixed.replace("g f 1 2 3", "v 1 2").encode(), "x.obj")
+
+
 # ---------------------------------------------------------------- serialized
 
 

@@ -15,8 +15,9 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image as Picture
 
 from djpt.errors import DjptError, FileError
-from djpt.images.formats import FORMATS, from_srgb8, to_srgb8
+from djpt.images.formats import FORMATS
 from djpt.images.image import Image, check_writable, read, read_metadata, read_pixels, write
+from djpt.images.srgb import from_srgb, to_srgb8
 from djpt.util import convert_to_bitmap, write_bitmap
 
 
@@ -79,7 +80,7 @@ def test_hdr_with_run_lengths(tmp_path: Path) -> None:
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_png_holds_every_srgb_byte(tmp_path: Path, channels: int) -> None:
     codes = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
-    write(tmp_path / "a.png", from_srgb8(codes))
+    write(tmp_path / "a.png", from_srgb(codes))
     np.testing.assert_array_equal(np.asarray(Picture.open(tmp_path / "a.png")).reshape(codes.shape), codes)
     np.testing.assert_array_equal(to_srgb8(read_pixels(tmp_path / "a.png")), codes)
 
@@ -394,3 +395,18 @@ def test_metadata_that_cannot_be_read(tmp_path: Path) -> None:
         path.write_bytes(b"nothing")
         with pytest.raises(FileError, match="can't read"):
             read_metadata(path)
+
+
+def test_exr_of_half_precision(tmp_path: Path) -> None:
+    """Colours are stored together or one by one, in either precision: the numbers are the same."""
+    import OpenEXR
+
+    image = radiance(channels=4).astype(np.float16)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    whole = {"RGBA": image}
+    single = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGBA")}
+    mixed = {**single, "G": single["G"].astype(np.float32)}
+    for index, channels in enumerate((whole, single, mixed)):
+        path = tmp_path / f"{index}.exr"
+        OpenEXR.File(header, channels).write(str(path))
+        np.testing.assert_array_equal(read_pixels(path), image.astype(np.float32))

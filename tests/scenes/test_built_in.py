@@ -84,3 +84,7 @@ def test_furnace_is_closed() -> None:
     scene["sensor"]["film"].update(width=32, height=32)
     image = np.array(djpt.render(djpt.load_dict(scene), spp=16))
     np.testing.assert_allclose(image, 2.0, rtol=1e-6)
+
+
+def test_commands_know_all_scenes() -> None:
+    assert tuple(sorted(SCENES)) == djpt.scenes.NAMES

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
+from djpt.schedules import flat
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
 from tests.kit.kernels import Watched
@@ -79,6 +80,13 @@ def test_large_images_in_bands() -> None:
     for count, pass_spp in ((1, 2), (2, 1)):
         with threads(count):
             np.testing.assert_array_equal(pixels(djpt.render(scene, spp=5, pass_spp=pass_spp)), image)
+
+
+def test_bands_of_sums_in_registers(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = djpt.load_dict(box((23, 17), "gaussian", PATH))
+    image = pixels(djpt.render(scene, spp=5, schedule="flat"))
+    monkeypatch.setattr(flat, "REGISTER_BAND_PIXELS", 4 * 23)
+    np.testing.assert_array_equal(pixels(djpt.render(scene, spp=5, schedule="flat")), image)
 
 
 @pytest.mark.parametrize("spp", [128, 200])

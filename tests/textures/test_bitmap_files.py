@@ -11,7 +11,7 @@ from PIL import Image as Pictures
 
 import djpt
 from djpt.errors import SceneError
-from djpt.images.formats import from_srgb8
+from djpt.images.srgb import from_srgb
 from djpt.types import TensorXf
 
 
@@ -32,7 +32,7 @@ def load(**keys: Any) -> Any:
 
 
 def linear(bytes_: np.ndarray) -> np.ndarray:
-    return from_srgb8(bytes_)
+    return from_srgb(bytes_)
 
 
 # ---------------------------------------------------------------- files

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from djpt.images.formats import encode_png, to_srgb8
+from djpt.images.formats import encode_png
 from djpt.images.image import Image
+from djpt.images.srgb import to_srgb8
 
 __all__ = ["ERROR_COLORS", "address", "error_map", "error_range", "pixel_errors", "shown"]
 

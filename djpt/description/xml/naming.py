@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from djpt.description.registry import home_of, kind_of, registered
+from djpt.description.registry import home_of, kind_of
 from djpt.description.xml.nodes import Entry, Node, Reference
 from djpt.description.xml.reader import OBJECTS
 from djpt.errors import SceneError, near_miss
@@ -28,7 +28,6 @@ class Naming:
         self.ids = ids
         self.places: dict[str, str] = {}
         """File and line of each node and entry, by path."""
-        registered()  # so that the kinds of djpt's plugins are known
 
     def dict_of(self, node: Node, path: str = "") -> dict[str, Any]:
         """Convert a node, with all that is nested in it, to a dict. Raises `SceneError`."""

@@ -50,6 +50,16 @@ def parse_file(path: Path) -> Element:
     return parse(data, str(path))
 
 
+def check_readable(path: Path) -> None:
+    """Raise `FileError` if a scene file can't be opened."""
+    if path.is_dir():
+        raise FileError(f"can't read '{path}': it is a folder")
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise FileError(f"can't read '{path}': {error.strerror or error}") from None
+
+
 def parse(text: str | bytes, name: str) -> Element:
     """Parse a text into its root element; `name` is the file's name in messages. Raises `SceneError`."""
     builder = _Builder(name)

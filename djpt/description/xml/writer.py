@@ -72,7 +72,6 @@ class _Writer:
     """One call of `to_xml`."""
 
     def __init__(self, description: Mapping[str, Any], folder: Path | None) -> None:
-        registered()  # so that the kinds of djpt's plugins are known
         self.loader = Loader(description)
         self.loader.collect()
         self.folder = folder

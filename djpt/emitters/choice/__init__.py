@@ -4,11 +4,8 @@ from collections.abc import Sequence
 
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice.base import EmitterChoice
-from djpt.emitters.choice.tree import TreeChoice
-from djpt.emitters.choice.uniform import UniformChoice
-from djpt.emitters.choice.weighted import WeightedChoice
 
-__all__ = ["CHOICES", "EmitterChoice", "TreeChoice", "UniformChoice", "WeightedChoice", "make_choice"]
+__all__ = ["CHOICES", "EmitterChoice", "make_choice"]
 
 CHOICES = ("uniform", "power", "tree")
 
@@ -18,10 +15,15 @@ def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
 
     `sampling_weight`s count as in Mitsuba: as soon as one of them isn't 1.
     """
-    if name == "power":
-        return WeightedChoice(emitters, by_power=True)
+    # A scene imports the one that it has.
     if name == "tree":
+        from djpt.emitters.choice.tree import TreeChoice
+
         return TreeChoice(emitters)
-    if any(e.sampling_weight != 1 for e in emitters):
-        return WeightedChoice(emitters, by_power=False)
+    if name == "power" or any(e.sampling_weight != 1 for e in emitters):
+        from djpt.emitters.choice.weighted import WeightedChoice
+
+        return WeightedChoice(emitters, by_power=name == "power")
+    from djpt.emitters.choice.uniform import UniformChoice
+
     return UniformChoice(emitters)

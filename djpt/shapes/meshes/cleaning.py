@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 from djpt.shapes.meshes.data import MeshData, unit
-from djpt.shapes.meshes.normals import CHUNK, face_crosses
+from djpt.shapes.meshes.normals import face_areas
 
 __all__ = ["check_indices", "clean"]
 
-SMALLEST = float(np.finfo(np.float32).tiny)
-"""The least squared length of a cross product of edges that has a direction in single precision."""
+SMALLEST = 0.5 * float(np.finfo(np.float32).tiny) ** 0.5
+"""The least area: the cross product of the edges has a direction in single precision."""
 
 
 def check_indices(indices: NDArray[np.uint32], vertex_count: int, where: str) -> None:
@@ -25,7 +25,7 @@ def check_indices(indices: NDArray[np.uint32], vertex_count: int, where: str) ->
         raise SceneError(f"{where}: face {face} refers to vertex {worst}; there are {vertex_count}, counted from 0")
 
 
-def clean(data: MeshData, where: str) -> None:
+def clean(data: MeshData, where: str) -> NDArray[np.float64]:
     """Drop triangles that have no area or a corner at infinity or NaN, in place and with one warning.
 
     Such triangles can't be hit, and have no normal. Vertices keep their numbers.
@@ -33,6 +33,9 @@ def clean(data: MeshData, where: str) -> None:
     Args:
         data: in world space.
         where: names the mesh in messages.
+
+    Returns:
+        The areas of the triangles that stay, (F,).
 
     Raises:
         SceneError: an index is out of range, or nothing is left.
@@ -44,19 +47,17 @@ def clean(data: MeshData, where: str) -> None:
     lost = np.zeros(len(data.indices), np.bool_)
     if not finite.all():
         lost |= ~finite[data.indices].all(axis=1)
-    flat = np.zeros(len(data.indices), bool)
-    for start in range(0, len(flat), CHUNK):
-        part = slice(start, start + CHUNK)
-        with np.errstate(invalid="ignore", over="ignore"):
-            n = face_crosses(data.positions, data.indices[part])
-            flat[part] = ~(np.einsum("ij,ij->i", n, n) >= SMALLEST)
-    flat &= ~lost
+    areas = face_areas(data.positions, data.indices)
+    # Also false for NaN.
+    flat = ~(areas >= SMALLEST) & ~lost
     if lost.any() or flat.any():
         drop(data, lost, flat, where)
+        areas = areas[~(lost | flat)]
     # A vertex that no triangle uses must not disturb the mesh's extent.
     if not finite.all():
         data.positions = np.where(finite[:, None], data.positions, data.positions[data.indices[0, 0]])
     clean_vertex_data(data, where)
+    return areas
 
 
 def drop(data: MeshData, lost: NDArray[np.bool_], flat: NDArray[np.bool_], where: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.shapes.meshes.normals import weighted_normals
+from djpt.shapes.meshes.normals import CHUNK, length, weighted_normals
 from djpt.transforms import ScalarTransform4f
 
 __all__ = ["MeshData"]
@@ -46,8 +46,11 @@ class MeshData:
 
 def unit(vectors: NDArray[np.floating]) -> NDArray[np.float32]:
     """Scale vectors (N, 3) to length 1; those without a direction become zero."""
-    wide = vectors.astype(np.float64)
-    length = np.sqrt(np.einsum("ij,ij->i", wide, wide))
-    usable = np.isfinite(length) & (length > 0)
-    scale = np.divide(1.0, length, out=np.zeros_like(length), where=usable)
-    return np.where(usable[:, None], wide * scale[:, None], 0.0).astype(np.float32)
+    result = np.zeros(vectors.shape, np.float32)
+    for start in range(0, len(vectors), CHUNK):
+        rows = vectors[start : start + CHUNK].T.astype(np.float64)
+        size = length(rows)
+        usable = np.isfinite(size) & (size > 0)
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=usable)
+        result[start : start + CHUNK] = np.where(usable, rows * scale, 0.0).T
+    return result

@@ -15,8 +15,13 @@ __all__ = ["Measures"]
 class Measures:
     """What is measured on the triangles of a mesh; the arrays must stay as they are."""
 
-    def __init__(self, positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> None:
+    def __init__(
+        self, positions: NDArray[np.float32], indices: NDArray[np.uint32], areas: NDArray[np.float64] | None = None
+    ) -> None:
+        """`areas` are those of the triangles if they are known."""
         self._positions, self._indices = positions, indices
+        if areas is not None:
+            self.face_areas = areas
 
     @cached_property
     def face_areas(self) -> NDArray[np.float64]:

@@ -83,7 +83,6 @@ def table(element: Element, names: Sequence[str]) -> NDArray[np.float32] | None:
 def triangles(column: Column, vertex_count: int, where: str) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
     """The triangles of all faces, and the face that each is a part of."""
     assert column.counts is not None
-    corners, polygon = fans(column.counts)
     values = column.values
     # Checked before the conversion to unsigned numbers, which would wrap; `not` catches NaN.
     if len(values) and not (values.min() >= 0 and values.max() < vertex_count):
@@ -93,8 +92,9 @@ def triangles(column: Column, vertex_count: int, where: str) -> tuple[NDArray[np
             f"{where}: face {row} refers to vertex {values[worst]:.9g}; there are {vertex_count}, counted from 0"
         )
     own = values.astype(np.uint32)
-    if len(corners) * 3 == len(own):  # triangles only: corners are in order
-        return own.reshape(-1, 3), polygon
+    if (column.counts == 3).all():
+        return own.reshape(-1, 3), np.arange(len(column.counts))
+    corners, polygon = fans(column.counts)
     return own[corners], polygon
 
 

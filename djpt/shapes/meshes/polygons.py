@@ -18,8 +18,6 @@ def fans(counts: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int
         The triangles as positions in the list, (F, 3), and the polygon of each, (F,).
     """
     starts = np.cumsum(counts) - counts
-    if len(counts) and (counts == 3).all():
-        return starts[:, None] + np.arange(3), np.arange(len(counts))
     triangles = np.maximum(counts.astype(np.int64) - 2, 0)
     polygon = np.repeat(np.arange(len(counts)), triangles)
     step = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)

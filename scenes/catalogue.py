@@ -1,0 +1,19 @@
+"""All built-in scenes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from djpt.scenes.analytic import furnace
+from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres
+from djpt.scenes.gallery import shader_ball
+from djpt.scenes.stage import stage
+
+__all__ = ["SCENES"]
+
+SCENES: dict[str, Callable[[], dict[str, Any]]] = {
+    scene.__name__: scene
+    for scene in (cornell_box, cornell_box_boxfilter, cornell_box_spheres, furnace, shader_ball, stage)
+}
+"""The functions of the built-in scenes by name. Each call makes a new dict."""
