@@ -108,7 +108,7 @@ def _times(pair: Sequence[float] | None) -> str:
 def line(row: SceneRow) -> str:
     """One line of the table."""
     text = LAYOUT.format(row.name, *(cell(row) for _, cell in COLUMNS)).rstrip()
-    return text + "".join(f"\n    {who}: {why[:200]}" for who, why in row.failures.items())
+    return text + "".join(f"\n    {who}: {why[:300]}" for who, why in row.failures.items())
 
 
 def markdown(rows: Sequence[SceneRow]) -> str:
@@ -143,7 +143,7 @@ def summary(rows: Sequence[SceneRow]) -> Iterator[str]:
     failed = [row for row in rows if row.failures]
     yield f"\nNot shown by both ({len(failed)}):"
     for row in failed:
-        yield from (f"  {row.name}: {who}: {why[:240]}" for who, why in row.failures.items())
+        yield from (f"  {row.name}: {who}: {why[:300]}" for who, why in row.failures.items())
 
 
 def _quantile(values: Sequence[float], share: float) -> float:

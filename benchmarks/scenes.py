@@ -78,6 +78,9 @@ def measured(file: Path, name: str, arguments: argparse.Namespace) -> SceneRow:
         if end:
             who, what = found.get("stage") or ("both", "start")
             found["failures"][who] = f"{what}: {end}"
+        # Messages name files by their whole paths.
+        for who, why in found["failures"].items():
+            found["failures"][who] = why.replace(f"{arguments.folder.resolve()}/", "")
         return SceneRow.of(name, found)
 
 
