@@ -5,6 +5,7 @@ from __future__ import annotations
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
 import argparse
 import json
+import math
 import os
 import platform
 import statistics
@@ -20,7 +21,7 @@ import mitsuba as mi
 from djpt.llvm.lanes import force_lanes, instruction_set, lane_count
 from djpt.variants import load_backend
 
-__all__ = ["Row", "in_pairs", "report", "seconds"]
+__all__ = ["Row", "heading", "in_pairs", "machine", "report", "seconds", "times_in_pairs"]
 
 
 @dataclass
@@ -61,14 +62,30 @@ def seconds(work: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> tuple[list[float], str]:
-    """Measure interleaved calls: their ratios, and the median times in words. Each call gets a new seed."""
-    for seed in (0, 1):
+def times_in_pairs(
+    ours: Callable[[int], Any],
+    theirs: Callable[[int], Any],
+    pairs: int,
+    warm_up: int = 2,
+    limit: float = math.inf,
+) -> list[tuple[float, float]]:
+    """Measure interleaved calls: pairs of seconds, theirs and ours, after `warm_up` pairs. Each call gets a new seed.
+
+    There are fewer than `pairs`, but at least one, if they take longer than `limit` seconds together.
+    """
+    for seed in range(warm_up):
         seconds(lambda seed=seed: ours(seed))
         seconds(lambda seed=seed: theirs(seed))
-    times = []
-    for seed in range(2, pairs + 2):
+    times: list[tuple[float, float]] = []
+    while len(times) < pairs and sum(map(sum, times)) < limit:
+        seed = len(times) + 2
         times.append((seconds(lambda seed=seed: theirs(seed)), seconds(lambda seed=seed: ours(seed))))
+    return times
+
+
+def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> tuple[list[float], str]:
+    """Measure interleaved calls: their ratios, and the median times in words. Each call gets a new seed."""
+    times = times_in_pairs(ours, theirs, pairs)
     their_time, our_time = (statistics.median(column) for column in zip(*times, strict=True))
     return [a / b for a, b in times], f"{1e3 * their_time:.0f} ms / {1e3 * our_time:.0f} ms"
 

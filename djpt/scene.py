@@ -403,8 +403,8 @@ class Scene(Plugin):
         return self.light_sampling.pdf(at, ds, active)
 
 
-KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape")
-"""The kinds of plugins that may stand at the top level of a scene."""
+KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter")
+"""The kinds of plugins that may stand at the top level of a scene: as its parts, or for others to refer to."""
 
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission

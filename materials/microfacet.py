@@ -213,14 +213,17 @@ def distribution_name(props: Properties) -> str:
 
 
 def alpha_textures(props: Properties) -> tuple[Texture, Texture | None]:
-    """The textures `alpha_u` and `alpha_v`, in (0, 1]; for one `alpha` (default 0.1) that texture and None."""
+    """The textures `alpha_u` and `alpha_v`, in [0, 1]; for one `alpha` (default 0.1) that texture and None.
+
+    Textures of roughness often hold zeros; the distribution raises what is below `MIN_ALPHA`.
+    """
     pair = [key for key in ("alpha_u", "alpha_v") if key in props]
     if not pair:
-        return props.texture_1("alpha", 0.1, low=0.0, high=1.0, low_open=True), None
+        return props.texture_1("alpha", 0.1, low=0.0, high=1.0), None
     if "alpha" in props:
         raise props.error("alpha", f"can't stand beside '{pair[0]}': give either 'alpha' or 'alpha_u' and 'alpha_v'")
     if len(pair) == 1:
         other = "alpha_v" if pair == ["alpha_u"] else "alpha_u"
         raise SceneError(f"{props.node}: '{pair[0]}' needs '{other}' beside it; 'alpha' stands for both")
-    alpha_u, alpha_v = (props.texture_1(key, low=0.0, high=1.0, low_open=True) for key in ("alpha_u", "alpha_v"))
+    alpha_u, alpha_v = (props.texture_1(key, low=0.0, high=1.0) for key in ("alpha_u", "alpha_v"))
     return alpha_u, alpha_v

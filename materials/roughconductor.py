@@ -30,7 +30,7 @@ class RoughConductor(SharedWorkBSDF):
         material: a name of `djpt.materials.metals.METALS` (default `none`: everything is reflected); or
         eta, k: the complex index (textures in [0, 1e6], defaults 0 and 1).
         distribution: of the microfacets, `beckmann` (default) or `ggx`.
-        alpha: roughness (scalar texture in (0, 1], default 0.1); or
+        alpha: roughness (scalar texture in [0, 1], default 0.1; at least 1e-4 counts); or
         alpha_u, alpha_v: roughness along dp/du and dp/dv.
         sample_visible: sample only microfacets that are seen (default true).
         specular_reflectance: a factor (texture in [0, 1]; default: none), which real metals don't have.

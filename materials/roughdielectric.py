@@ -39,7 +39,7 @@ class RoughDielectric(SharedWorkBSDF):
         int_ior, ext_ior: index of refraction behind and in front of the surface (> 0, or a name of
             `djpt.materials.ior.IOR`; defaults `bk7`, `air`), which must differ. As a parameter their quotient, `eta`.
         distribution: of the microfacets, `beckmann` (default) or `ggx`.
-        alpha: roughness (scalar texture in (0, 1], default 0.1); or
+        alpha: roughness (scalar texture in [0, 1], default 0.1; at least 1e-4 counts); or
         alpha_u, alpha_v: roughness along dp/du and dp/dv.
         sample_visible: sample only microfacets that are seen (default true); otherwise all of a slightly rougher
             surface, which bounds the weights (Walter et al., section 5.3).

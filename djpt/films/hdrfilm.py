@@ -28,8 +28,8 @@ class HDRFilm(Plugin):
     Parameters: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
     `crop_height` (the rest), `pixel_format` (`rgb`, `rgba` or `luminance`; default `rgb`),
     `component_format` and `file_format` (checked, then without effect: `djpt.write` chooses the format
-    and stores float32), `sample_border` (default false:
-    no samples outside the crop, so border pixels see fewer), a nested `rfilter` (default `gaussian`).
+    and stores float32), `banner` (without effect, for scenes of older versions of Mitsuba), `sample_border`
+    (default false: no samples outside the crop, so border pixels see fewer), a nested `rfilter` (default `gaussian`).
     """
 
     kind: ClassVar[str] = "film"
@@ -47,6 +47,7 @@ class HDRFilm(Plugin):
         self.pixel_format = props.string("pixel_format", "rgb", choices=tuple(CHANNELS))
         props.string("component_format", "float16", choices=("float16", "float32", "uint32"))
         props.string("file_format", "openexr", choices=("openexr", "exr", "rgbe", "pfm"))
+        props.boolean("banner", False)
         self.sample_border = props.boolean("sample_border", False)
         default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
         self.rfilter: ReconstructionFilter = props.child("rfilter", default)

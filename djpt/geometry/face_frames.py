@@ -69,9 +69,9 @@ def unit(v: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def tangents(n: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """`djpt.frame.coordinate_system` on the host."""
+    """`djpt.frame.coordinate_system` on the host; as in kernels, -0 is no negative number."""
     x, y, z = n.T
-    sign = np.copysign(np.float32(1), z)
+    sign = np.where(z < 0, np.float32(-1), np.float32(1))
     a = -1 / (sign + z)
     b = x * y * a
     s = np.stack([sign * x * x * a + 1, sign * b, -sign * x], axis=1)

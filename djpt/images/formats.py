@@ -5,7 +5,7 @@ return such an array. They don't use djpt's types and errors: `djpt.images.image
 makes writes atomic and turns all exceptions raised here into a `FileError`.
 
 The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The display formats
-(`png`, `jpg`) carry 8-bit sRGB, without dithering, so that equal images give equal bytes.
+(`png`, `jpg`, `bmp`, `tga`, `ppm`) carry 8-bit sRGB, without dithering, so that equal images give equal bytes.
 """
 
 from __future__ import annotations
@@ -223,9 +223,10 @@ def _read_npy(path: Path) -> Pixels:
     return np.array(pixels, np.float32)
 
 
-# ---------------------------------------------------------------- PNG, JPEG
+# ---------------------------------------------------------------- PNG, JPEG, BMP, TGA, PPM
 
 _MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
+_PICTURES = ("PNG", "JPEG", "BMP", "TGA", "PPM")
 
 
 def encode_png(file: Path | IO[bytes], pixels: Bytes, metadata: Mapping[str, str] | None = None) -> None:
@@ -270,6 +271,11 @@ def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
     _picture(pixels).save(path, format="JPEG", quality=95, subsampling=0)
 
 
+def _write_plain(path: Path, image: Pixels, labels: Labels) -> None:
+    """Write the format that the extension names (`bmp`, `tga` or `ppm`), without compression."""
+    _picture(_as_bytes(image)).save(path, format=path.suffix[1:].upper())
+
+
 def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
     return image if image.dtype == np.uint8 else to_srgb8(image)
 
@@ -277,7 +283,7 @@ def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
 def _read_picture(path: Path) -> Codes:
     from PIL import Image
 
-    with Image.open(path, formats=("PNG", "JPEG")) as file:
+    with Image.open(path, formats=_PICTURES) as file:
         picture: Picture = file
         if picture.mode.startswith("I"):  # 16 bit grey
             return np.asarray(picture).astype(np.uint16)[..., None]
@@ -297,9 +303,12 @@ FORMATS = {
     ".png": Format((1, 2, 3, 4), _write_png, _read_picture),
     ".jpg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
     ".jpeg": Format((1, 2, 3, 4), _write_jpg, _read_picture),
+    ".bmp": Format((1, 3), _write_plain, _read_picture),
+    ".tga": Format((1, 2, 3, 4), _write_plain, _read_picture),
+    ".ppm": Format((3,), _write_plain, _read_picture),
 }
 
-DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg"})
+DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm"})
 
 METADATA = {".exr": _exr_metadata, ".png": _png_metadata}
 """The formats that carry metadata, and the function that reads them."""

@@ -98,10 +98,10 @@ def write(
     """Write an image; the extension of `path` chooses the format.
 
     * `image`: `TensorXf`, NumPy array or `Image`; (H, W) or (H, W, C), linear values. `uint8`
-      values are taken for sRGB and only accepted by png and jpg.
+      values are taken for sRGB and only accepted by the formats that hold it.
     * `exr`, `hdr` (3 channels), `pfm` (1 or 3), `npy`: linear, float32 (`hdr`: shared 8-bit exponent).
-    * `png`, `jpg`, `jpeg` (1 to 4 channels): 8-bit sRGB: clipped to [0, 1] and rounded, never
-      dithered, so equal images give equal bytes. `jpg` drops alpha.
+    * `png`, `tga`, `jpg`, `jpeg` (1 to 4 channels), `bmp` (1 or 3), `ppm` (3): 8-bit sRGB: clipped to [0, 1] and
+      rounded, never dithered, so equal images give equal bytes. `jpg` drops alpha.
     * `channels`: names for the channels of an `exr`, such as those of an `aov` integrator.
       Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take the part before the last dot
       for a layer: `albedo.R`, `albedo.G` and `albedo.B` are the layer `albedo`.
@@ -151,8 +151,8 @@ def write(
 def read(path: str | os.PathLike[str]) -> TensorXf:
     """Read an image as a tensor of shape (H, W, C) with linear values.
 
-    exr, hdr, pfm and npy are read as they are; png and jpg are decoded from sRGB (alpha is linear). Images that
-    `write` wrote are read back bit for bit from exr, pfm and npy, and to the nearest representable value
+    exr, hdr, pfm and npy are read as they are; png, jpg, bmp, tga and ppm are decoded from sRGB (alpha is linear).
+    Images that `write` wrote are read back bit for bit from exr, pfm and npy, and to the nearest representable value
     from the others. Raises `FileError` if the file is missing, damaged or of an unknown format.
     """
     from djpt.types import TensorXf

@@ -33,7 +33,7 @@ class Bitmap(UVTexture):
 
     Parameters: one of
 
-    * `filename`: a png, jpg, exr, hdr, pfm or npy file;
+    * `filename`: a png, jpg, bmp, tga, ppm, exr, hdr, pfm or npy file;
     * `bitmap`: an image in memory (Mitsuba's `Bitmap`, `djpt.Image`, a NumPy array; bytes are sRGB);
     * `data`: linear numbers, (H, W), (H, W, 1) or (H, W, 3);
 

@@ -73,3 +73,23 @@ def test_moving_vertices_compiles_no_kernel_for_rendering(tmp_path: Path) -> Non
     params["lamp.vertex_positions"] = np.array(params["lamp.vertex_positions"]) * 0.99
     params.update()
     assert kernels() <= first
+
+
+def test_walls_with_a_zero_in_their_normals_give_the_pixels_of_mitsuba(tmp_path: Path) -> None:
+    """A normal's z may be -0, which is no negative number: its tangents are those of +0."""
+    pytest.importorskip("mitsuba")
+    wall = tmp_path / "wall.obj"
+    wall.write_text("v -1 1 -1\nv -1 1 1\nv -1 -1 1\nv -1 -1 -1\nf 1 2 3\nf 1 3 4\n")
+
+    def edit(scene: dict[str, Any]) -> None:
+        white = {"type": "diffuse", "reflectance": 0.8}
+        for name in ("red-wall", "green-wall"):
+            side = T().scale([1.0 if name == "red-wall" else -1.0, 1, 1])
+            flipped = name == "green-wall"
+            scene[name] = {
+                "type": "obj", "filename": str(wall), "to_world": side, "flip_normals": flipped, "bsdf": white,
+            }  # fmt: skip
+
+    scene = box(32, edit=edit)
+    a, b = ours(scene, spp=8), theirs(scene, spp=8)
+    assert (np.abs(a - b) <= 1e-3 * b.mean()).all(axis=-1).mean() > 0.995

@@ -85,6 +85,17 @@ def test_png_holds_every_srgb_byte(tmp_path: Path, channels: int) -> None:
     np.testing.assert_array_equal(to_srgb8(read_pixels(tmp_path / "a.png")), codes)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "channels"), [("bmp", 1), ("bmp", 3), ("tga", 1), ("tga", 3), ("tga", 4), ("ppm", 3)]
+)
+def test_plain_formats_hold_every_srgb_byte(tmp_path: Path, suffix: str, channels: int) -> None:
+    codes = np.random.default_rng(0).permutation(256).astype(np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
+    codes[..., 0] = codes[::-1, :, 0]  # which rows and channels are where
+    write(tmp_path / f"a.{suffix}", from_srgb8(codes))
+    np.testing.assert_array_equal(np.asarray(Picture.open(tmp_path / f"a.{suffix}")).reshape(codes.shape), codes)
+    np.testing.assert_array_equal(to_srgb8(read_pixels(tmp_path / f"a.{suffix}")), codes)
+
+
 def test_jpg_is_close_and_drops_alpha(tmp_path: Path) -> None:
     smooth = np.linspace(0, 1, 16 * 16, dtype=np.float32).reshape(16, 16, 1).repeat(4, axis=2)
     for name in ("a.jpg", "b.jpeg"):
@@ -113,6 +124,9 @@ def test_sixteen_bit_and_palette_pictures_are_read(tmp_path: Path) -> None:
         ("npy", b"\x93NUMPY"),
         ("png", b"\x89PNG\r\n\x1a\n"),
         ("jpg", b"\xff\xd8\xff"),
+        ("bmp", b"BM"),
+        ("tga", b"\0\0\x02"),
+        ("ppm", b"P6"),
     ],
 )
 def test_a_file_is_what_its_extension_says(tmp_path: Path, suffix: str, magic: bytes) -> None:

@@ -51,3 +51,9 @@ def test_every_pixel_is_mitsubas(rfilter: dict[str, Any], crop: dict[str, int], 
     assert error[edge].mean() < 1e-4
     assert error.mean() < 1e-4
     assert error.max() < 1e-3
+
+
+def test_banners_of_old_files_are_ignored_as_in_mitsuba() -> None:
+    plain, with_banner = (box(6, **film) for film in ({}, {"banner": True}))
+    np.testing.assert_array_equal(ours(plain), ours(with_banner))
+    np.testing.assert_array_equal(theirs(plain), theirs(with_banner))

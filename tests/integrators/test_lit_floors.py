@@ -41,6 +41,15 @@ def test_point_light(integrator: str, height: float, aside: float) -> None:
     np.testing.assert_allclose(ours(scene, 4), expected, rtol=1e-3)
 
 
+@pytest.mark.parametrize("count", [2, 5])
+def test_point_light_with_several_samples(count: int) -> None:
+    """Their mean. Mitsuba 3.9.1 adds up the samples of lights without extent."""
+    scene = on_the_floor(light={"type": "point", "position": [0, 0, 2.0], "intensity": 3.0})
+    scene["integrator"] = {"type": "direct", "emitter_samples": count, "bsdf_samples": 0}
+    expected = ALBEDO / math.pi * 3.0 / 2.0**2
+    np.testing.assert_allclose(ours(scene, 4), expected, rtol=1e-3)
+
+
 def over_a_corner(shape: str) -> tuple[dict[str, Any], float]:
     """A rectangular lamp over one quadrant, as a rectangle or as the lower face of a box."""
     a, b, c = 1.5, 0.8, 0.7

@@ -24,6 +24,14 @@ def test_equal_pixels(name: str) -> None:
     assert share >= 0.95
 
 
+@pytest.mark.parametrize("metal", [True, False])
+def test_textures_of_roughness_may_hold_zeros(metal: bool) -> None:
+    alpha = {"type": "checkerboard", "color0": 0.0, "color1": 0.4, "to_uv": djpt.ScalarTransform4f().scale([4, 4, 1])}
+    material = {"type": "roughconductor", "material": "Au"} if metal else {"type": "roughdielectric"}
+    scene = ball({**material, "alpha": alpha})
+    assert agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share >= 0.95
+
+
 QUICK = ["roughconductor-gold", "principled-everything", "mask-diffuse", "roughdielectric-glass"]
 
 

@@ -190,9 +190,9 @@ def rough(**keys: Any) -> Any:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"alpha": 0.0}, r"'alpha' must lie in \(0, 1\], found 0"),
-        ({"alpha": 1.5}, r"'alpha' must lie in \(0, 1\], found 1.5"),
-        ({"alpha_u": 0.1, "alpha_v": 0.0}, r"'alpha_v' must lie in \(0, 1\], found 0"),
+        ({"alpha": -0.1}, r"'alpha' must lie in \[0, 1\], found -0.1"),
+        ({"alpha": 1.5}, r"'alpha' must lie in \[0, 1\], found 1.5"),
+        ({"alpha_u": 0.1, "alpha_v": 1.1}, r"'alpha_v' must lie in \[0, 1\], found 1.1"),
         ({"distribution": "beckman"}, "'distribution' can't be 'beckman'; did you mean 'beckmann'?"),
         ({"distribution": "phong"}, "'distribution' can't be 'phong'; possible: beckmann, ggx"),
         ({"alpha": 0.1, "alpha_u": 0.1}, "'alpha' can't stand beside 'alpha_u': give either"),

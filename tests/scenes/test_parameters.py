@@ -45,6 +45,13 @@ def test_names_are_mitsubas(mi: Any) -> None:
     two = {"type": "twosided", "a": {"type": "diffuse"}, "b": {"type": "diffuse"}}
     description["panel"] = {"type": "rectangle", "bsdf": two}
     description["unused"] = {"type": "diffuse", "id": "renamed"}
+    description["sampler"] = {"type": "independent"}
+    description["film"] = {"type": "hdrfilm", "width": 20, "height": 10}
+    description["second"] = {
+        "type": "perspective",
+        "sampler": {"type": "ref", "id": "sampler"},
+        "film": {"type": "ref", "id": "film"},
+    }
     ours = djpt.traverse(djpt.load_dict(description))
     theirs = mi.traverse(mi.load_dict(djpt.validation.to_mitsuba(description), optimize=False))
     assert list(ours) == [key for key in theirs.keys() if key != "allow_thread_reordering"]  # noqa: SIM118

@@ -88,6 +88,19 @@ def test_transforms_are_mitsubas(mi: Any, operations: str) -> None:
     np.testing.assert_allclose(transform(operations), theirs, atol=2e-6)
 
 
+@pytest.mark.parametrize(
+    "operation", ['<rotate y="1" z="1" angle="15"/>', '<rotate value="0.3 -0.2 0.1" angle="130"/>']
+)
+def test_an_axis_without_unit_length_is_taken_as_in_mitsuba(mi: Any, operation: str) -> None:
+    text = (
+        f'<scene version="3.0.0"><shape type="obj" id="s"><transform name="t">{operation}</transform></shape></scene>'
+    )
+    theirs = numbers(mi.parser.parse_string(mi.parser.ParserConfig("llvm_ad_rgb"), text).nodes[1].props["t"])
+    with pytest.warns(UserWarning, match=r"<string>:\d+: <rotate>: the axis has the length (1\.414|0\.3742)"):
+        found = transform(operation)
+    np.testing.assert_allclose(found, theirs, atol=2e-6)
+
+
 def test_operations_apply_in_the_order_of_the_file() -> None:
     expected = T().translate([1, 0, 0]).rotate([0, 1, 0], 30).scale(2).matrix
     np.testing.assert_allclose(transform(OPERATIONS[-3]), expected, atol=1e-15)

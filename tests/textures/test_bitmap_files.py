@@ -67,6 +67,16 @@ def test_pictures_are_read_as_in_mitsuba(channels: int, raw: bool, mi: Any, tmp_
     np.testing.assert_allclose(found, np.array(mi.traverse(reference)["data"]), atol=1e-6)
 
 
+@pytest.mark.parametrize("suffix", ["bmp", "tga", "ppm"])
+def test_plain_pictures_are_read_as_in_mitsuba(suffix: str, mi: Any, tmp_path: Path) -> None:
+    path = tmp_path / f"picture.{suffix}"
+    Pictures.fromarray(octets(5, 4, 3)).save(path)
+    for raw in (False, True):
+        reference = mi.load_dict({"type": "bitmap", "filename": str(path), "raw": raw, "format": "variant"})
+        expected = np.array(mi.traverse(reference)["data"])
+        np.testing.assert_allclose(data(load(filename=str(path), raw=raw)), expected, atol=1e-6)
+
+
 def test_sixteen_bits_are_read_as_in_mitsuba(mi: Any, tmp_path: Path) -> None:
     path = tmp_path / "deep.png"
     wide = np.random.default_rng(6).integers(0, 65536, (4, 5), dtype=np.uint16)
@@ -191,8 +201,8 @@ def test_files_that_cant_be_used(tmp_path: Path) -> None:
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     assert f"'filename': can't read '{broken}'" in problem(filename=str(broken))
-    (tmp_path / "image.tga").write_bytes(b"")
-    assert "unknown extension 'tga'; possible: " in problem(filename=str(tmp_path / "image.tga"))
+    (tmp_path / "image.gif").write_bytes(b"")
+    assert "unknown extension 'gif'; possible: " in problem(filename=str(tmp_path / "image.gif"))
     (tmp_path / "folder.png").mkdir()
     assert "it is a folder" in problem(filename=str(tmp_path / "folder.png"))
     assert "'filename' must be a string" in problem(filename=3)

@@ -180,9 +180,9 @@ def unit(v: Vector) -> Vector:
 
 
 def tangents(n: Vector) -> tuple[Vector, Vector]:
-    """`djpt.frame.coordinate_system`."""
+    """`djpt.frame.coordinate_system`; as in kernels, -0 is no negative number."""
     x, y, z = n
-    sign = copysign(1.0, z)
+    sign = copysign(1.0, z + 0.0)
     a = -1.0 / (sign + z)
     b = x * y * a
     return [sign * x * x * a + 1.0, sign * b, -sign * x], [b, y * y * a + sign, -y]
