@@ -7,6 +7,7 @@ therefore be *opaque*: inputs of the kernel, not literals in its text.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
@@ -22,6 +23,7 @@ __all__ = [
     "as_vector",
     "begin_trace",
     "float_in",
+    "loop_traced_once",
     "maximum",
     "minimum",
     "opaque",
@@ -87,6 +89,24 @@ def wide(record: Any, lanes: int) -> Any:
     if dr.is_mask_v(record):
         return record | dr.full(Bool, False, lanes)
     return record + dr.zeros(type(record), lanes)
+
+
+def loop_traced_once(start: T, condition: Callable[[T], Bool], body: Callable[[T], tuple[T]], label: str) -> tuple[T]:
+    """Run a loop over one record, whose body is traced once.
+
+    Dr.Jit traces a body again when it finds that some of the state stays as it is, to leave it out of the state. LLVM
+    finds that, too, and tracing is half of the time of a small picture.
+    """
+    optimise = dr.JitFlag.OptimizeLoops
+
+    def traced(state: T) -> tuple[T]:
+        # Loops within this one are small, and gain from being traced again.
+        with dr.scoped_set_flag(optimise, True):
+            return body(state)
+
+    with dr.scoped_set_flag(optimise, False):
+        result: tuple[T] = dr.while_loop((start,), condition, traced, label=label)
+    return result
 
 
 # ---- minimum and maximum ---------------------------------------------------------------------

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.kernels import wide
+from djpt.kernels import loop_traced_once, wide
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f
+from djpt.types import Bool, Color3f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.integrators.base import PathIntegrator
@@ -23,7 +23,9 @@ __all__ = ["walk"]
 class PathLoop:
     """Loop state of one path per lane."""
 
-    ray: Ray3f
+    o: Point3f
+    d: Vector3f
+    medium: UInt32 | None
     sampler: SampleStream
     state: Any
     """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""
@@ -46,7 +48,9 @@ def walk(
     """
     lanes = dr.width(ray, sampler)
     start = PathLoop(
-        ray=wide(ray, lanes),
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
         sampler=sampler,
         state=wide(integrator.start(scene), lanes),
         radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
@@ -55,8 +59,11 @@ def walk(
     )
 
     def body(lane: PathLoop) -> tuple[PathLoop]:
-        si = integrator.trace(scene, lane.state, lane.ray)
-        v = integrator.advance(scene, lane.sampler, lane.state, lane.ray, si)
+        # Only the first ray may have an end. As loop state it would nearly always stay infinite, and Dr.Jit traces
+        # a loop again when it finds that something stays what it is.
+        way = Ray3f(lane.o, lane.d, dr.select(lane.state.depth == 0, ray.maxt, dr.inf), lane.medium)
+        si = integrator.trace(scene, lane.state, way)
+        v = integrator.advance(scene, lane.sampler, lane.state, way, si)
         reflected, depth = scene.light_through(v.shadow_ray, v.reflected), lane.state.depth
         if bounces:
             radiance = [
@@ -66,7 +73,7 @@ def walk(
         else:
             radiance = [lane.radiance[0] + v.emitted + reflected]
         valid = dr.select(v.active, lane.valid, v.valid)
-        return (PathLoop(v.ray, lane.sampler, v.state, radiance, valid, v.active),)
+        return (PathLoop(v.ray.o, v.ray.d, v.ray.medium, lane.sampler, v.state, radiance, valid, v.active),)
 
-    (end,) = dr.while_loop((start,), lambda lane: lane.active, body, label=type(integrator).__name__)
+    (end,) = loop_traced_once(start, lambda lane: lane.active, body, type(integrator).__name__)
     return end.radiance, end.valid

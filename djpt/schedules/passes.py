@@ -12,6 +12,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.llvm.lanes import small_blocks
 from djpt.schedules.job import MAX_SAMPLES, Band, Job
 from djpt.schedules.reconstruction import add_box, add_samples, spread
 from djpt.types import Float, TensorXf, UInt32
@@ -130,7 +131,8 @@ def filtered_sums(
 def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> list[Float]:
     """Evaluated samples: gathers from an unevaluated result would run its kernel once per channel."""
     values = samples(job, band, begin, end)
-    dr.eval(values)
+    with small_blocks():
+        dr.eval(values)
     return values
 
 

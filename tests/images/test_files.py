@@ -91,7 +91,7 @@ def test_png_holds_every_srgb_byte(tmp_path: Path, channels: int) -> None:
 def test_plain_formats_hold_every_srgb_byte(tmp_path: Path, suffix: str, channels: int) -> None:
     codes = np.random.default_rng(0).permutation(256).astype(np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
     codes[..., 0] = codes[::-1, :, 0]  # which rows and channels are where
-    write(tmp_path / f"a.{suffix}", from_srgb8(codes))
+    write(tmp_path / f"a.{suffix}", from_srgb(codes))
     np.testing.assert_array_equal(np.asarray(Picture.open(tmp_path / f"a.{suffix}")).reshape(codes.shape), codes)
     np.testing.assert_array_equal(to_srgb8(read_pixels(tmp_path / f"a.{suffix}")), codes)
 
