@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import statistics
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -18,9 +19,9 @@ import drjit as dr
 import mitsuba as mi
 
 from djpt.llvm.lanes import force_lanes, instruction_set, lane_count
-from djpt.variants import load_backend
+from djpt.variants import load_backend, variant
 
-__all__ = ["Row", "in_pairs", "report", "seconds"]
+__all__ = ["Row", "in_pairs", "machine", "report", "seconds", "times_in_turns"]
 
 
 @dataclass
@@ -61,14 +62,19 @@ def seconds(work: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> tuple[list[float], str]:
-    """Measure interleaved calls: their ratios, and the median times in words. Each call gets a new seed."""
+def times_in_turns(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> list[tuple[float, float]]:
+    """Measure interleaved calls: (their seconds, ours) of each pair. Each has a new seed; two more come before."""
     for seed in (0, 1):
         seconds(lambda seed=seed: ours(seed))
         seconds(lambda seed=seed: theirs(seed))
-    times = []
-    for seed in range(2, pairs + 2):
-        times.append((seconds(lambda seed=seed: theirs(seed)), seconds(lambda seed=seed: ours(seed))))
+    return [
+        (seconds(lambda seed=seed: theirs(seed)), seconds(lambda seed=seed: ours(seed))) for seed in range(2, pairs + 2)
+    ]
+
+
+def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: int) -> tuple[list[float], str]:
+    """Measure interleaved calls: their ratios, and the median times in words."""
+    times = times_in_turns(ours, theirs, pairs)
     their_time, our_time = (statistics.median(column) for column in zip(*times, strict=True))
     return [a / b for a, b in times], f"{1e3 * their_time:.0f} ms / {1e3 * our_time:.0f} ms"
 
@@ -86,7 +92,7 @@ def machine() -> dict[str, Any]:
         cpu = fields.get("model name", cpu)
     return {
         "cpu": cpu,
-        "vectors": f"{instruction_set()}, {lane_count()} lanes",
+        "vectors": f"{instruction_set()}, {lane_count()} lanes" if variant() == "llvm_ad_rgb" else gpu(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "threads": dr.thread_count(),
         "load": os.getloadavg()[0],
@@ -96,6 +102,17 @@ def machine() -> dict[str, Any]:
         "mitsuba": mi.__version__,
         "djpt": djpt.__version__,
     }
+
+
+def gpu() -> str:
+    """The name of the GPU and of its driver, as far as they can be found out, and the version of CUDA."""
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    except (OSError, subprocess.SubprocessError, IndexError):
+        found = "GPU"
+    capability, version = dr.detail.cuda_compute_capability(), dr.detail.cuda_version()
+    return f"{found}, compute capability {capability}, CUDA {version}"
 
 
 def heading(facts: dict[str, Any], what: str) -> str:
