@@ -111,8 +111,8 @@ def gpu() -> str:
         found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[0]
     except (OSError, subprocess.SubprocessError, IndexError):
         found = "GPU"
-    capability, version = dr.detail.cuda_compute_capability(), dr.detail.cuda_version()
-    return f"{found}, compute capability {capability}, CUDA {version}"
+    version = ".".join(map(str, dr.detail.cuda_version()))
+    return f"{found}, compute capability {dr.detail.cuda_compute_capability()}, CUDA {version}"
 
 
 def heading(facts: dict[str, Any], what: str) -> str:
