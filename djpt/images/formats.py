@@ -42,6 +42,16 @@ class Format(NamedTuple):
     decode: Callable[[Path], Pixels]
 
 
+STRIP = 2**20
+"""The number of values that are converted at a time, so that large images need little memory beside their own."""
+
+
+def strips(image: npt.NDArray[Any]) -> list[slice]:
+    """The rows of an image (H, W, C), from top to bottom, in parts of about `STRIP` values."""
+    rows = max(1, STRIP // max(1, image.shape[1] * image.shape[2]))
+    return [slice(y, min(y + rows, len(image))) for y in range(0, len(image), rows)]
+
+
 # ---------------------------------------------------------------- sRGB
 
 
@@ -50,11 +60,14 @@ def to_srgb8(linear: Pixels) -> Bytes:
 
     Shape (H, W, C), any C. The last of 2 or 4 channels is alpha, which stays linear. NaN becomes 0.
     """
-    x = np.clip(np.nan_to_num(linear, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float64)
-    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
-    if linear.shape[2] in (2, 4):
-        encoded[..., -1] = x[..., -1]
-    return np.floor(encoded * 255.0 + 0.5).astype(np.uint8)
+    result = np.empty(linear.shape, np.uint8)
+    for strip in strips(linear):
+        x = np.clip(np.nan_to_num(linear[strip], nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float64)
+        encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
+        if linear.shape[2] in (2, 4):
+            encoded[..., -1] = x[..., -1]
+        result[strip] = np.floor(encoded * 255.0 + 0.5)
+    return result
 
 
 def from_srgb8(encoded: Bytes) -> Pixels:
@@ -126,6 +139,15 @@ def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
     most do. Negative values and NaN become 0.
     """
     height, width, _ = image.shape
+    header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
+    with path.open("wb") as file:
+        file.write(header.encode("ascii"))
+        for strip in strips(image):
+            file.write(_to_rgbe(image[strip]).data)
+
+
+def _to_rgbe(image: Pixels) -> Bytes:
+    """Convert linear values (H, W, 3) to mantissas and exponents (H, W, 4)."""
     rgb = np.clip(np.nan_to_num(image, nan=0.0), 0.0, 2.0**126).astype(np.float64)
     largest = rgb.max(axis=2)
     _, exponent = np.frexp(largest)
@@ -135,10 +157,9 @@ def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
     black = (largest <= 0) | (exponent < -127)
     rgbe = np.concatenate([mantissa, (exponent + 128)[..., None]], axis=2)
     rgbe[black] = 0
-    header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
     # Flat scanlines can't be mistaken for run lengths (which begin with 2 2 or 1 1 1): the
     # largest mantissa of a pixel that isn't black is at least 128, and black is 0 0 0 0.
-    path.write_bytes(header.encode("ascii") + rgbe.astype(np.uint8).tobytes())
+    return rgbe.astype(np.uint8)
 
 
 def _read_hdr(path: Path) -> Pixels:
@@ -197,7 +218,10 @@ def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
     """Write a portable float map: bottom row first; a negative scale means little endian."""
     height, width, count = image.shape
     header = f"{'PF' if count == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
-    path.write_bytes(header.encode("ascii") + np.ascontiguousarray(image[::-1], "<f4").tobytes())
+    with path.open("wb") as file:
+        file.write(header.encode("ascii"))
+        for strip in reversed(strips(image)):
+            file.write(np.ascontiguousarray(image[strip][::-1], "<f4").data)
 
 
 def _read_pfm(path: Path) -> Pixels:
@@ -262,7 +286,7 @@ def _picture(pixels: Bytes) -> Picture:
     from PIL import Image
 
     height, width, count = pixels.shape
-    return Image.frombytes(_MODES[count], (width, height), np.ascontiguousarray(pixels).tobytes())
+    return Image.frombuffer(_MODES[count], (width, height), np.ascontiguousarray(pixels), "raw", _MODES[count], 0, 1)
 
 
 def _write_png(path: Path, image: Pixels, labels: Labels) -> None:

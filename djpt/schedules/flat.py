@@ -27,7 +27,7 @@ from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
-from djpt.schedules.passes import develop, filtered_sums, register_spp, stepwise_sums
+from djpt.schedules.passes import filtered_image, summed_image
 from djpt.schedules.reconstruction import by_pixels
 from djpt.schedules.sinks import FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
@@ -42,14 +42,9 @@ class Flat(Schedule):
 
     def image(self, job: Job) -> TensorXf:
         if not job.film.filters:
-
-            def step(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-                return radiance_sums(job, begin, end, sums)
-
-            return develop(job, stepwise_sums(job, step), dr.opaque(Float, job.spp))
+            return summed_image(job, radiance_sums)
         if by_pixels(job, job.channel_count() + 1):
-            *sums, weight = filtered_sums(job, film_sums, register_spp(job))
-            return develop(job, sums, weight)
+            return filtered_image(job, film_sums)
         return super().image(job)
 
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
@@ -159,12 +154,12 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
     return finished.sink
 
 
-def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-    """Add the samples begin <= k < end of all pixels to `sums`, one array per channel.
+def radiance_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to `sums`, one array per channel.
 
     The sums are per lane: pass them on from pass to pass, and to `total` at the end.
     """
-    lanes = interleaved(job, Band(0, job.height), begin, end)
+    lanes = interleaved(job, band, begin, end)
     if sums is None:
         sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     result = run(job, lanes, Sums(sums))
@@ -176,7 +171,7 @@ def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> l
 def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
     """Add the samples begin <= k < end of a band to the film's sums by pixels, without storing them.
 
-    The result goes to `spread`: the lanes of a pixel follow each other group by group.
+    The result goes to `collected`: the lanes of a pixel follow each other group by group.
     """
     lanes = interleaved(job, band, begin, end)
     if sums is None:

@@ -16,12 +16,15 @@ of additions depends on the image alone, not on passes or bands.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
 import drjit as dr
 
 from djpt.schedules.job import Band, Job
 from djpt.types import Float, Int32, Point2f, UInt32
 
-__all__ = ["Sums", "add_box", "add_samples", "add_taps", "by_pixels", "sample_adjoints", "spread"]
+__all__ = ["Rows", "Sums", "add_box", "add_samples", "add_taps", "by_pixels", "collected", "sample_adjoints"]
 
 Sums = list[Float]
 """The lanes' sums for one band: one array per tap and channel; the last channel is the weight."""
@@ -41,12 +44,50 @@ def add_samples(job: Job, band: Band, samples: list[Float], begin: int, end: int
     return add(job, band, samples, begin, end, sums)
 
 
-def spread(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
-    """Add a finished band's sums to the image (channels and weight, one array each).
+@dataclass
+class Rows:
+    """Some rows of the grid and their sums: one array per channel, row by row. With a filter the last is the weight."""
+
+    first_row: int
+    count: int
+    sums: list[Float]
+
+
+def collected(job: Job, bands: Iterable[tuple[Band, Sums]], channels: int) -> Iterator[Rows]:
+    """The pixels' weighted sums, from those that the lanes of all bands, top to bottom, hold for them.
+
+    Rows are given as soon as no further band reaches them. `channels` includes the weight.
+    """
+    reach, open_rows = job.film.taps // 2, None
+    for band, sums in bands:
+        open_rows = spread(job, band, sums, started(job, band, open_rows, channels))
+        below = band.first_row + band.rows
+        finished = (job.height if below == job.height else below - reach) - open_rows.first_row
+        if finished > 0:
+            yield replace(open_rows, count=finished)
+
+
+def started(job: Job, band: Band, above: Rows | None, channels: int) -> Rows:
+    """The rows that a band reaches, with what the bands above have added to them."""
+    reach = job.film.taps // 2
+    first, end = max(0, band.first_row - reach), min(job.height, band.first_row + band.rows + reach)
+    pixels = (end - first) * job.width
+    if above is None:
+        return Rows(first, end - first, [dr.opaque(Float, 0, pixels) for _ in range(channels)])
+    slot = dr.arange(UInt32, pixels) + dr.opaque(UInt32, (first - above.first_row) * job.width)
+    there = slot < dr.opaque(UInt32, above.count * job.width)
+    sums = [dr.gather(Float, channel, slot, there) for channel in above.sums]
+    dr.eval(sums)
+    return Rows(first, end - first, sums)
+
+
+def spread(job: Job, band: Band, sums: Sums, rows: Rows) -> Rows:
+    """Add a finished band's sums to the rows in its reach.
 
     Bands must come top to bottom: every pixel then collects its source rows in that order.
     """
-    return (spread_from_pixels if by_pixels(job, len(image)) else spread_from_rows)(job, band, sums, image)
+    add = spread_from_pixels if by_pixels(job, len(rows.sums)) else spread_from_rows
+    return replace(rows, sums=add(job, band, sums, rows))
 
 
 def pixels_of(job: Job, band: Band) -> tuple[UInt32, Int32, Int32, Point2f]:
@@ -108,11 +149,11 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
     )
 
 
-def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+def spread_from_pixels(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> list[Float]:
     """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes."""
-    taps, channels, pixels = job.film.taps, len(image), band.rows * job.width
+    taps, channels, pixels = job.film.taps, len(rows_in_reach.sums), band.rows * job.width
     reach = taps // 2
-    _, column, row, _ = pixels_of(job, Band(0, job.height))
+    _, column, row, _ = pixels_of(job, Band(rows_in_reach.first_row, rows_in_reach.count))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
     size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, dr.width(sums[0]))
 
@@ -129,7 +170,8 @@ def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> 
         return start + size, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    _, result = dr.while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
+    first_sums = list(rows_in_reach.sums)
+    _, result = dr.while_loop((start, first_sums), lambda start, image: start < end, body, label="film spread")
     dr.eval(result)
     return result
 
@@ -172,12 +214,12 @@ def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int
     return result
 
 
-def spread_from_rows(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+def spread_from_rows(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> list[Float]:
     """Collect, for each pixel, one sum of every source row around it, at its own column."""
-    taps, channels = job.film.taps, len(image)
-    _, column, row, _ = pixels_of(job, Band(0, job.height))
+    taps, channels = job.film.taps, len(rows_in_reach.sums)
+    _, column, row, _ = pixels_of(job, Band(rows_in_reach.first_row, rows_in_reach.count))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
-    result = list(image)
+    result = list(rows_in_reach.sums)
     for j in reversed(range(taps)):
         source = row - (j - taps // 2) - first
         inside = (source >= 0) & (source < rows)

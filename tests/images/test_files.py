@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image as Picture
 
 from djpt.errors import DjptError, FileError
+from djpt.images import formats
 from djpt.images.formats import FORMATS, from_srgb8, to_srgb8
 from djpt.images.image import Image, check_writable, read, read_metadata, read_pixels, write
 from djpt.util import convert_to_bitmap, write_bitmap
@@ -394,3 +395,13 @@ def test_metadata_that_cannot_be_read(tmp_path: Path) -> None:
         path.write_bytes(b"nothing")
         with pytest.raises(FileError, match="can't read"):
             read_metadata(path)
+
+
+@pytest.mark.parametrize("suffix", ["hdr", "pfm", "png", "jpg"])
+def test_images_are_converted_in_strips(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = np.random.default_rng(0).uniform(0, 1.2, (19, 7, 3)).astype(np.float32)
+    write(tmp_path / f"whole.{suffix}", image)
+    monkeypatch.setattr(formats, "STRIP", 3 * 7 * 4)
+    assert len(formats.strips(image)) == 5
+    write(tmp_path / f"parts.{suffix}", image)
+    assert (tmp_path / f"whole.{suffix}").read_bytes() == (tmp_path / f"parts.{suffix}").read_bytes()
