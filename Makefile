@@ -8,7 +8,7 @@ PY := $(VENV)/bin/python
 SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
 READY := $(VENV)/.djpt-ready
 
-.PHONY: help setup render gallery test test-narrow lint format check bench docs clean
+.PHONY: help setup render gallery test test-narrow lint format check check-cuda bench bench-cuda docs clean
 
 help:
 	@echo 'make setup    create $(VENV), install djpt and what its tests need, see to LLVM'
@@ -19,7 +19,9 @@ help:
 	@echo 'make lint     ruff and mypy'
 	@echo 'make format   let ruff format the code and sort the imports'
 	@echo 'make check    lint and all tests'
+	@echo 'make check-cuda    tests on a GPU, if there is one'
 	@echo 'make bench    measure against Mitsuba'
+	@echo 'make bench-cuda    measure on a GPU, if there is one, against Mitsuba and the processor'
 	@echo 'make docs     build the documentation in build/docs, warnings are errors'
 	@echo 'make clean    remove $(VENV) and caches'
 
@@ -56,9 +58,15 @@ format: $(READY)
 check: lint  # one process: some slow tests measure time
 	$(PY) -m pytest -q -m ''
 
+check-cuda: $(READY)  # without a GPU it says so and is content
+	@if $(PY) -m tests.kit.devices; then DJPT_VARIANT=cuda_ad_rgb $(PY) -m pytest -q -m cuda; fi
+
 bench: $(READY)
 	@status=0; for name in versus_mitsuba meshes materials lights many_lights ptracer; do \
 	$(PY) benchmarks/$$name.py || status=1; done; exit $$status
+
+bench-cuda: $(READY)  # without a GPU it says so and is content
+	@$(PY) benchmarks/cuda.py
 
 docs: $(READY)
 	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

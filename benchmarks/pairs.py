@@ -9,6 +9,7 @@ import math
 import os
 import platform
 import statistics
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -19,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 
 from djpt.llvm.lanes import force_lanes, instruction_set, lane_count
-from djpt.variants import load_backend
+from djpt.variants import load_backend, variant
 
 __all__ = ["Row", "heading", "in_pairs", "machine", "report", "seconds", "times_in_pairs"]
 
@@ -103,7 +104,7 @@ def machine() -> dict[str, Any]:
         cpu = fields.get("model name", cpu)
     return {
         "cpu": cpu,
-        "vectors": f"{instruction_set()}, {lane_count()} lanes",
+        "vectors": f"{instruction_set()}, {lane_count()} lanes" if variant() == "llvm_ad_rgb" else gpu(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "threads": dr.thread_count(),
         "load": os.getloadavg()[0],
@@ -113,6 +114,17 @@ def machine() -> dict[str, Any]:
         "mitsuba": mi.__version__,
         "djpt": djpt.__version__,
     }
+
+
+def gpu() -> str:
+    """The name of the GPU and of its driver, as far as they can be found out, and the version of CUDA."""
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    except (OSError, subprocess.SubprocessError, IndexError):
+        found = "GPU"
+    version = ".".join(map(str, dr.detail.cuda_version()))
+    return f"{found}, compute capability {dr.detail.cuda_compute_capability()}, CUDA {version}"
 
 
 def heading(facts: dict[str, Any], what: str) -> str:

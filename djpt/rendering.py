@@ -14,9 +14,9 @@ from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
 from djpt.scene import Scene
 from djpt.schedules.base import Schedule
+from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
-from djpt.schedules.passes import picture
 from djpt.sensors import Sensor
 from djpt.types import TensorXf
 

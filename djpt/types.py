@@ -27,6 +27,7 @@ __all__ = [
     "ArrayXu",
     "Bool",
     "Color3f",
+    "Event",
     "Float",
     "Float64",
     "Int",
@@ -72,4 +73,5 @@ Spectrum = backend.Array3f
 Matrix4f = backend.Matrix4f
 
 TensorXf = backend.TensorXf
+Event = backend.Event
 PCG32 = backend.PCG32

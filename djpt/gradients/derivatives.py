@@ -28,16 +28,16 @@ from djpt.samplers.hashing import sample_tea_32
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
-    BAND_PIXELS,
-    develop,
     image_of_samples,
+    one_ahead,
     ranges,
     register_spp,
-    stepwise_sums,
     stored_image,
     stored_passes,
+    stored_pixels,
+    summed_image,
 )
-from djpt.schedules.reconstruction import add_samples, sample_adjoints, spread
+from djpt.schedules.reconstruction import add_samples, collected, sample_adjoints
 from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
@@ -177,11 +177,11 @@ class ReplayDerivative:
         job = self.job
         changes = Tangents(self.numbering, tangents)
 
-        def sums_of_pass(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+        def sums_of_pass(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
             def mode_of(lanes: int, pixel: UInt32) -> Mode:
                 return Forward(changes, None, blank_sums(lanes, job.channel_count()) if sums is None else sums)
 
-            _, result, _ = self._replay(Band(0, job.height), begin, end, mode_of)
+            _, result, _ = self._replay(band, begin, end, mode_of)
             with small_blocks():
                 dr.eval(result)
             return result
@@ -195,7 +195,7 @@ class ReplayDerivative:
 
         with dr.suspend_grad():
             if self.schedule.carries_sums(job):
-                return develop(job, stepwise_sums(job, sums_of_pass), dr.opaque(Float, job.spp))
+                return summed_image(job, sums_of_pass)
             return stored_image(job, samples)
 
 
@@ -272,11 +272,13 @@ def over_weights(job: Job, adjoints: list[Float]) -> list[Float]:
 
 def filter_weights(job: Job) -> Float:
     """The sum of the weights of all samples that reach a pixel of the grid."""
-    image = [dr.opaque(Float, 0, job.width * job.height)]
-    for band in job.bands(BAND_PIXELS):
-        rows = add_samples(job, band, [], 0, job.spp, None)
-        image = spread(job, band, rows, image)
-    return image[0]
+    bands = ((band, add_samples(job, band, [], 0, job.spp, None)) for band in one_ahead(job.bands(stored_pixels(job))))
+    parts = []
+    for rows in collected(job, bands, 1):
+        pixel = dr.arange(UInt32, rows.count * job.width)
+        parts.append(dr.gather(Float, rows.sums[0], pixel))
+        dr.eval(parts)
+    return dr.concat(parts)
 
 
 def add(parts: Any) -> list[Any]:

@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from djpt.images.srgb import Codes, to_srgb8
+from djpt.images.srgb import Codes, strips, to_srgb8
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
@@ -118,6 +118,15 @@ def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
     most do. Negative values and NaN become 0.
     """
     height, width, _ = image.shape
+    header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
+    with path.open("wb") as file:
+        file.write(header.encode("ascii"))
+        for strip in strips(image):
+            file.write(_to_rgbe(image[strip]).data)
+
+
+def _to_rgbe(image: Pixels) -> Bytes:
+    """Convert linear values (H, W, 3) to mantissas and exponents (H, W, 4)."""
     rgb = np.clip(np.nan_to_num(image, nan=0.0), 0.0, 2.0**126).astype(np.float64)
     largest = rgb.max(axis=2)
     _, exponent = np.frexp(largest)
@@ -127,10 +136,9 @@ def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
     black = (largest <= 0) | (exponent < -127)
     rgbe = np.concatenate([mantissa, (exponent + 128)[..., None]], axis=2)
     rgbe[black] = 0
-    header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
     # Flat scanlines can't be mistaken for run lengths (which begin with 2 2 or 1 1 1): the
     # largest mantissa of a pixel that isn't black is at least 128, and black is 0 0 0 0.
-    path.write_bytes(header.encode("ascii") + rgbe.astype(np.uint8).tobytes())
+    return rgbe.astype(np.uint8)
 
 
 def _read_hdr(path: Path) -> Pixels:
@@ -191,7 +199,10 @@ def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
     """Write a portable float map: bottom row first; a negative scale means little endian."""
     height, width, count = image.shape
     header = f"{'PF' if count == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
-    path.write_bytes(header.encode("ascii") + np.ascontiguousarray(image[::-1], "<f4").tobytes())
+    with path.open("wb") as file:
+        file.write(header.encode("ascii"))
+        for strip in reversed(strips(image)):
+            file.write(np.ascontiguousarray(image[strip][::-1], "<f4").data)
 
 
 def _read_pfm(path: Path) -> Pixels:
@@ -257,7 +268,7 @@ def _picture(pixels: Bytes) -> Picture:
     from PIL import Image
 
     height, width, count = pixels.shape
-    return Image.frombytes(_MODES[count], (width, height), np.ascontiguousarray(pixels).tobytes())
+    return Image.frombuffer(_MODES[count], (width, height), np.ascontiguousarray(pixels), "raw", _MODES[count], 0, 1)
 
 
 def _write_png(path: Path, image: Pixels, labels: Labels) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["decoded", "encoded", "from_srgb", "shares", "to_srgb8"]
+__all__ = ["decoded", "encoded", "from_srgb", "shares", "strips", "to_srgb8"]
 
 Codes = npt.NDArray[np.unsignedinteger[Any]]
 """Stored pixels, (H, W, C) of 8 or 16 bits; the type's largest number stands for 1."""
@@ -19,6 +19,9 @@ Pixels = npt.NDArray[np.float32]
 
 CHUNK = 1 << 15
 """Numbers that are looked up at a time: what NumPy makes of them on its way stays in a core's own cache."""
+
+STRIP = 1 << 20
+"""The values that are encoded at a time, so that large images need little memory beside their own."""
 
 
 # ---- the curve ---------------------------------------------------------------------------
@@ -39,16 +42,25 @@ def encoded(x: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
 # ---- pixels ------------------------------------------------------------------------------
 
 
+def strips(image: npt.NDArray[Any]) -> list[slice]:
+    """The rows of an image (H, W, C), from top to bottom, in parts of about `STRIP` values."""
+    rows = max(1, STRIP // max(1, image.shape[1] * image.shape[2]))
+    return [slice(y, min(y + rows, len(image))) for y in range(0, len(image), rows)]
+
+
 def to_srgb8(linear: Pixels) -> npt.NDArray[np.uint8]:
     """Convert linear values to 8-bit sRGB: clipped to [0, 1], encoded, rounded to nearest.
 
     Shape (H, W, C), any C. The last of 2 or 4 channels is alpha, which stays linear. NaN becomes 0.
     """
-    x = np.clip(np.nan_to_num(linear, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float64)
-    shown = encoded(x)
-    if linear.shape[2] in (2, 4):
-        shown[..., -1] = x[..., -1]
-    return np.floor(shown * 255.0 + 0.5).astype(np.uint8)
+    result = np.empty(linear.shape, np.uint8)
+    for strip in strips(linear):
+        x = np.clip(np.nan_to_num(linear[strip], nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float64)
+        shown = encoded(x)
+        if linear.shape[2] in (2, 4):
+            shown[..., -1] = x[..., -1]
+        result[strip] = np.floor(shown * 255.0 + 0.5)
+    return result
 
 
 def from_srgb(codes: Codes) -> Pixels:

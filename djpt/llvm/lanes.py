@@ -10,12 +10,16 @@ from pathlib import Path
 
 import drjit as dr
 
+from djpt.errors import BackendError
+from djpt.variants import VARIANTS, variant
+
 __all__ = [
     "BLOCK",
     "INSTRUCTION_SETS",
     "core",
     "core_path",
     "features",
+    "force_lanes",
     "instruction_set",
     "lane_count",
     "processor",
@@ -60,8 +64,11 @@ def lane_count() -> int:
 def small_blocks() -> Iterator[None]:
     """Let threads take work in small portions, of `BLOCK` lanes, in kernels that are launched inside.
 
-    The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time.
+    The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time. GPUs have no such portions.
     """
+    if VARIANTS[variant()] != "llvm":
+        yield
+        return
     try:
         library = core()
         usual, set_size = library._Z19jit_llvm_block_sizev(), library._Z23jit_llvm_set_block_sizej
@@ -102,8 +109,11 @@ def force_lanes(count: int) -> None:
     8 (AVX2) or 16 (AVX-512). The LLVM backend must have been loaded.
 
     Raises:
+        BackendError: Kernels run on a GPU.
         ValueError: Another count, or this processor lacks the instructions.
     """
+    if VARIANTS[variant()] != "llvm":
+        raise BackendError(f"the number of lanes can be chosen for processors, not for variant {variant()!r}")
     if count not in PROCESSORS:
         raise ValueError(f"the number of lanes must be 8 or 16, found {count}")
     needed = {8: "+avx2", 16: "+avx512f"}[count]

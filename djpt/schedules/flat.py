@@ -25,8 +25,8 @@ from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.called_sums import CalledSums, gathered, usable
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
-from djpt.schedules.passes import REGISTER_BAND_PIXELS, develop, filtered_sums, register_spp, stepwise_sums
-from djpt.schedules.reconstruction import by_pixels, collect
+from djpt.schedules.passes import filtered_image, summed_image
+from djpt.schedules.reconstruction import Rows, by_pixels, collect
 from djpt.schedules.sinks import CalledFilmSums, FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.schedules.tap_function import Taps
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
@@ -45,18 +45,11 @@ class Flat(Schedule):
 
     def image(self, job: Job) -> TensorXf:
         if not job.film.filters:
-
-            def step(begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-                return radiance_sums(job, begin, end, sums)
-
-            return develop(job, stepwise_sums(job, step), dr.opaque(Float, job.spp))
-        taps = Taps(job.film.taps, job.channel_count())
-        if usable(taps, job.film.rfilter):
-            *sums, weight = filtered_sums(job, called_film_sums, register_spp(job), REGISTER_BAND_PIXELS, spread_called)
-            return develop(job, sums, weight)
+            return summed_image(job, radiance_sums)
+        if usable(Taps(job.film.taps, job.channel_count()), job.film.rfilter):
+            return filtered_image(job, called_film_sums, spread=spread_called)
         if by_pixels(job, job.channel_count() + 1):
-            *sums, weight = filtered_sums(job, film_sums, register_spp(job), REGISTER_BAND_PIXELS)
-            return develop(job, sums, weight)
+            return filtered_image(job, film_sums)
         return super().image(job)
 
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
@@ -168,12 +161,12 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
     return finished.sink
 
 
-def radiance_sums(job: Job, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
-    """Add the samples begin <= k < end of all pixels to `sums`, one array per channel.
+def radiance_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to `sums`, one array per channel.
 
     The sums are per lane: pass them on from pass to pass, and to `total` at the end.
     """
-    lanes = interleaved(job, Band(0, job.height), begin, end)
+    lanes = interleaved(job, band, begin, end)
     if sums is None:
         sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
     result = run(job, lanes, Sums(sums))
@@ -193,20 +186,20 @@ def called_film_sums(job: Job, band: Band, begin: int, end: int, memory: list[Fl
     return [sums.memory]
 
 
-def spread_called(job: Job, band: Band, memory: list[Float], image: list[Float]) -> list[Float]:
-    """Add a finished band's sums to the image, as `spread` does."""
+def spread_called(job: Job, band: Band, memory: list[Float], rows: Rows) -> list[Float]:
+    """Add a finished band's sums in memory to those of the rows in its reach."""
     taps = Taps(job.film.taps, job.channel_count())
 
     def read(lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
         return gathered(memory[0], taps, lane, row, column, active)
 
-    return collect(job, band, dr.width(memory[0]) // taps.sums, read, image)
+    return collect(job, band, dr.width(memory[0]) // taps.sums, read, rows)
 
 
 def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
     """Add the samples begin <= k < end of a band to the film's sums by pixels, without storing them.
 
-    The result goes to `spread`: the lanes of a pixel follow each other group by group.
+    The result goes to `collected`: the lanes of a pixel follow each other group by group.
     """
     lanes = interleaved(job, band, begin, end)
     if sums is None:

@@ -1,33 +1,39 @@
 """Passes: which samples are computed when, and how they add up to an image.
 
-Passes bound memory and let progress be shown. They split the samples of each pixel into
-ranges, and the grid into bands of rows where samples must be stored; sums are carried from
-pass to pass, so that the image is the same, bit for bit, for any split.
+Passes bound memory and let progress be shown. They split the grid into bands of rows and the samples
+of each pixel into ranges; sums are carried from pass to pass, so that the image is the same, bit for bit,
+for any split. While the kernels of a pass run, Python prepares the next.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 import drjit as dr
 
 from djpt.llvm.lanes import small_blocks
-from djpt.schedules.job import MAX_SAMPLES, Band, Job
-from djpt.schedules.reconstruction import add_box, add_samples, spread
-from djpt.types import Float, TensorXf, UInt32
+from djpt.schedules.canvas import Canvas
+from djpt.schedules.job import Band, Job
+from djpt.schedules.reconstruction import Rows, Spread, add_box, add_samples, collected
+from djpt.types import Event, Float, TensorXf, UInt32
 
 __all__ = [
-    "develop",
-    "filtered_sums",
+    "AddToFilm",
+    "Samples",
+    "filtered_image",
     "image_of_samples",
-    "picture",
+    "one_ahead",
     "ranges",
     "register_spp",
-    "stepwise_sums",
+    "report",
     "stored_image",
     "stored_passes",
+    "stored_pixels",
+    "summed_image",
 ]
+
+T = TypeVar("T")
 
 PASS_SAMPLES = 2**26
 """The number of samples of one kernel launch when nothing is stored: about a second on two cores."""
@@ -35,58 +41,96 @@ PASS_SAMPLES = 2**26
 STORED_SAMPLES = 2**22
 """Samples whose values are held at once: 64 per pixel of a band keep lanes busy; more would outgrow the caches."""
 
-BAND_PIXELS = 2**16
-"""The number of pixels of a band when samples are stored."""
+SUMMED_PIXELS = 2**20
+"""The number of pixels of a band when samples are added up in registers: 16 bytes of memory and more for each."""
 
-REGISTER_BAND_PIXELS = 2**18
-"""The number of pixels of a band when lanes keep up to `MAX_SUMS` sums: 128 MiB. Each band is traced anew."""
+FILTERED_PIXELS = 2**18
+"""The same with a filter, whose sums take up to a kilobyte per pixel."""
+
+STORED_PIXELS = 2**16, 2**17
+"""The numbers of pixels of a band when samples are stored: with many per pixel, and with few."""
 
 AddToFilm = Callable[[Job, Band, int, int, "list[Float] | None"], list[Float]]
-"""Adds the samples begin <= k < end of a band to the film's sums."""
-
-Collect = Callable[[Job, Band, list[Float], list[Float]], list[Float]]
-"""Adds a finished band's sums to the image: see `djpt.schedules.reconstruction.spread`."""
+"""Adds the samples begin <= k < end of a band to the lanes' sums."""
 
 Samples = Callable[[Job, Band, int, int], list[Float]]
 """Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
 
 
+# ---- images ----------------------------------------------------------------------------------
+
+
 def stored_image(job: Job, samples: Samples) -> TensorXf:
     """The image from samples that are stored, pass by pass."""
+    pixels, spp = stored_pixels(job), stored_spp(job)
     if job.film.filters:
 
         def add(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
             return add_samples(job, band, computed(samples, job, band, begin, end), begin, end, sums)
 
-        *sums, weight = filtered_sums(job, add, stored_spp(job), BAND_PIXELS)
-        return develop(job, sums, weight)
-    sums = [dr.concat(parts) for parts in zip(*box_sums(job, samples), strict=True)]
-    return develop(job, sums, dr.opaque(Float, job.spp))
+        return filtered_image(job, add, pixels, spp)
+
+    def add_unweighted(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+        return add_box(job, band, computed(samples, job, band, begin, end), begin, end, sums)
+
+    return unfiltered_image(job, add_unweighted, pixels, spp)
+
+
+def summed_image(job: Job, add: AddToFilm) -> TensorXf:
+    """The image from samples that `add` adds up in registers, lane by lane, without a filter."""
+    return unfiltered_image(job, add, SUMMED_PIXELS, register_spp(job))
+
+
+def unfiltered_image(job: Job, add: AddToFilm, pixels: int, spp: int) -> TensorXf:
+    """The image from plain sums, by bands of `pixels` and passes of `spp` samples per pixel."""
+    canvas, weight = Canvas(job, job.channel_count()), dr.opaque(Float, job.spp)
+    for band, sums in sums_of_bands(job, add, pixels, spp):
+        canvas.develop(Rows(band.first_row, band.rows, total(job, band, sums)), weight)
+    return canvas.image()
+
+
+def filtered_image(job: Job, add: AddToFilm, pixels: int = 0, spp: int = 0, spread: Spread | None = None) -> TensorXf:
+    """The image from sums for a filter, by bands of `pixels` and passes of `spp` samples per pixel; 0: many.
+
+    `spread` reads the sums that `add` makes: see `collected`.
+    """
+    canvas = Canvas(job, job.channel_count())
+    bands = sums_of_bands(job, add, pixels or FILTERED_PIXELS, spp or register_spp(job))
+    for rows in collected(job, bands, job.channel_count() + 1, spread):
+        canvas.develop(rows, rows.sums[-1])
+    return canvas.image()
 
 
 def image_of_samples(job: Job, samples: list[Float]) -> TensorXf:
     """The image from all samples at once."""
-    band = Band(0, job.height)
+    band, canvas = Band(0, job.height), Canvas(job, len(samples))
     if not job.film.filters:
-        return develop(job, add_box(job, band, samples, 0, job.spp, None), dr.opaque(Float, job.spp))
-    blank = [dr.opaque(Float, 0, job.width * job.height) for _ in range(len(samples) + 1)]
-    *sums, weight = spread(job, band, add_samples(job, band, samples, 0, job.spp, None), blank)
-    return develop(job, sums, weight)
+        sums = add_box(job, band, samples, 0, job.spp, None)
+        canvas.develop(Rows(0, job.height, sums), dr.opaque(Float, job.spp))
+        return canvas.image()
+    sums = add_samples(job, band, samples, 0, job.spp, None)
+    for rows in collected(job, [(band, sums)], len(samples) + 1):
+        canvas.develop(rows, rows.sums[-1])
+    return canvas.image()
 
 
-def stepwise_sums(job: Job, step: Callable[[int, int, Any], list[Float]]) -> list[Float]:
-    """All samples, added up in registers by ``step(begin, end, sums)``."""
-    sums = None
-    for begin, end in ranges(job.spp, job.pass_spp or register_spp(job)):
-        sums = step(begin, end, sums)
-        report(job, end * job.width * job.height)
-    assert sums is not None
-    return total(job, sums)
+# ---- sums ------------------------------------------------------------------------------------
 
 
-def total(job: Job, sums: list[Float]) -> list[Float]:
-    """The sums of each pixel, added up over its lanes."""
-    pixels = job.width * job.height
+def sums_of_bands(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[tuple[Band, list[Float]]]:
+    """The lanes' sums of all samples, band by band."""
+    for band in one_ahead(job.bands(pixels)):
+        sums = None
+        for begin, end in ranges(job.spp, job.pass_spp or spp):
+            sums = add(job, band, begin, end, sums)
+            report(job, (band.first_row * job.spp + band.rows * end) * job.width)
+        assert sums is not None
+        yield band, sums
+
+
+def total(job: Job, band: Band, sums: list[Float]) -> list[Float]:
+    """The sums of a band's pixels, each added up over its lanes."""
+    pixels = band.rows * job.width
     groups = dr.width(sums[0]) // pixels
     count, pixel = dr.opaque(UInt32, groups), dr.arange(UInt32, pixels)
     stride = dr.opaque(UInt32, pixels)
@@ -100,34 +144,6 @@ def total(job: Job, sums: list[Float]) -> list[Float]:
     return result
 
 
-def box_sums(job: Job, samples: Samples) -> Iterator[list[Float]]:
-    """Per band, all samples added up pixel by pixel."""
-    for band in job.bands(BAND_PIXELS):
-        sums = None
-        for begin, end in ranges(job.spp, job.pass_spp or stored_spp(job)):
-            sums = add_box(job, band, computed(samples, job, band, begin, end), begin, end, sums)
-            report(job, (band.first_row * job.spp + band.rows * end) * job.width)
-        assert sums is not None
-        yield sums
-
-
-def filtered_sums(
-    job: Job, add: AddToFilm, default_spp: int, band_pixels: int, collect: Collect = spread
-) -> list[Float]:
-    """The weighted sums of all channels and of the weights, over the whole grid, band by band."""
-    image = [dr.opaque(Float, 0, job.width * job.height) for _ in range(job.channel_count() + 1)]
-    for band in job.bands(band_pixels):
-        sums = None
-        for begin, end in ranges(job.spp, job.pass_spp or default_spp):
-            sums = add(job, band, begin, end, sums)
-            report(job, (band.first_row * job.spp + band.rows * end) * job.width)
-        assert sums is not None
-        image = collect(job, band, sums, image)
-        if band.rows < job.height:
-            dr.sync_thread()
-    return image
-
-
 def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> list[Float]:
     """Evaluated samples: gathers from an unevaluated result would run its kernel once per channel."""
     values = samples(job, band, begin, end)
@@ -136,36 +152,53 @@ def computed(samples: Samples, job: Job, band: Band, begin: int, end: int) -> li
     return values
 
 
+# ---- passes ----------------------------------------------------------------------------------
+
+
 def stored_passes(job: Job) -> Iterator[tuple[Band, int, int]]:
     """The passes of a job whose samples are stored: (band, begin, end)."""
-    for band in job.bands(BAND_PIXELS):
+    for band in one_ahead(job.bands(stored_pixels(job))):
         for begin, end in ranges(job.spp, stored_spp(job)):
             yield band, begin, end
-        dr.sync_thread()
 
 
 def register_spp(job: Job) -> int:
     """Samples per pixel of a pass that stores nothing."""
-    return max(
-        1, PASS_SAMPLES // min(job.width * job.height, REGISTER_BAND_PIXELS if job.film.filters else MAX_SAMPLES)
-    )
+    largest = FILTERED_PIXELS if job.film.filters else SUMMED_PIXELS
+    return max(1, PASS_SAMPLES // min(job.width * job.height, largest))
+
+
+def stored_pixels(job: Job) -> int:
+    """The number of pixels of a band whose samples are stored."""
+    low, high = STORED_PIXELS
+    return max(low, min(high, STORED_SAMPLES // job.spp))
 
 
 def stored_spp(job: Job) -> int:
     """Samples per pixel that a pass over a band may store."""
-    return max(1, STORED_SAMPLES // min(job.width * job.height, max(BAND_PIXELS, job.width)))
+    return max(1, STORED_SAMPLES // min(job.width * job.height, max(stored_pixels(job), job.width)))
 
 
 def ranges(spp: int, size: int) -> Iterator[tuple[int, int]]:
-    """Split 0 .. spp into passes of at most `size`.
-
-    A pass begins when the one before has finished: kernels are launched asynchronously, and what all
-    of them need together must not pile up in memory.
-    """
-    for begin in range(0, spp, size):
-        if begin:
-            dr.sync_thread()
+    """Split 0 .. spp into passes of at most `size`."""
+    for begin in one_ahead(range(0, spp, size)):
         yield begin, min(begin + size, spp)
+
+
+def one_ahead(items: Iterable[T]) -> Iterator[T]:
+    """The items of a loop that launches kernels: Python is never more than one of them ahead of the kernels.
+
+    Kernels are launched asynchronously, and what all of them need together must not pile up in memory.
+    """
+    before = None
+    for number, item in enumerate(items):
+        if number:
+            launched = Event()
+            launched.record()
+            if before is not None:
+                before.wait()
+            before = launched
+        yield item
 
 
 def report(job: Job, done: int) -> None:
@@ -173,31 +206,3 @@ def report(job: Job, done: int) -> None:
     if job.progress is not None:
         dr.sync_thread()
         job.progress(done, job.samples)
-
-
-def picture(channels: list[Float], width: int, height: int) -> TensorXf:
-    """Finished channels, one array each, as an image. They must be evaluated."""
-    flat, count = dr.empty(Float, width * height * len(channels)), dr.opaque(UInt32, len(channels))
-    first = dr.arange(UInt32, width * height) * count
-    for i, channel in enumerate(channels):
-        dr.scatter(flat, channel, first + i)
-    return TensorXf(flat, shape=(height, width, len(channels)))
-
-
-def develop(job: Job, sums: list[Float], weight: Float) -> TensorXf:
-    """Weighted sums over weights, cropped: the image. `sums` must be evaluated."""
-    border, (width, height), count = job.film.border, job.film.crop_size, len(sums)
-    columns, first = dr.opaque(UInt32, width), dr.opaque(UInt32, border)
-    # One lane per number of the image: one small kernel, whatever the number of channels.
-    index = dr.arange(UInt32, width * height * count)
-    pixel = index // count
-    channel, row = index - pixel * count, pixel // columns
-    source = dr.fma(row + first, job.width_value, pixel - row * columns + first)
-    value = dr.gather(Float, sums[0], source)
-    for c in range(1, count):
-        value = dr.select(channel == c, dr.gather(Float, sums[c], source, channel == c), value)
-    if dr.width(weight) > 1:
-        weight = dr.gather(Float, weight, source)
-    pixels = value / dr.select(weight == 0, 1, weight)
-    dr.eval(pixels)
-    return TensorXf(pixels, shape=(height, width, count))

@@ -12,9 +12,10 @@ from djpt.integrators.passes import LightPath, PassIntegrator
 from djpt.records import SurfaceInteraction3f
 from djpt.samplers import SampleStream
 from djpt.schedules.base import Schedule
+from djpt.schedules.canvas import picture
 from djpt.schedules.job import Job
 from djpt.schedules.light_walk import walk_light
-from djpt.schedules.passes import picture, ranges, report
+from djpt.schedules.passes import ranges, report
 from djpt.schedules.wave import Wave
 from djpt.types import Bool, TensorXf
 

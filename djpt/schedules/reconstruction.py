@@ -16,14 +16,26 @@ of additions depends on the image alone, not on passes or bands.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import drjit as dr
 
 from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Float, Int32, Point2f, UInt32
 
-__all__ = ["Sums", "add_box", "add_samples", "add_taps", "by_pixels", "collect", "sample_adjoints", "spread"]
+__all__ = [
+    "Rows",
+    "Spread",
+    "Sums",
+    "add_box",
+    "add_samples",
+    "add_taps",
+    "by_pixels",
+    "collect",
+    "collected",
+    "sample_adjoints",
+]
 
 Sums = list[Float]
 """The lanes' sums for one band: one array per tap and channel; the last channel is the weight."""
@@ -43,12 +55,54 @@ def add_samples(job: Job, band: Band, samples: list[Float], begin: int, end: int
     return add(job, band, samples, begin, end, sums)
 
 
-def spread(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
-    """Add a finished band's sums to the image (channels and weight, one array each).
+@dataclass
+class Rows:
+    """Some rows of the grid and their sums: one array per channel, row by row. With a filter the last is the weight."""
 
-    Bands must come top to bottom: every pixel then collects its source rows in that order.
+    first_row: int
+    count: int
+    sums: list[Float]
+
+
+Spread = Callable[[Job, Band, Sums, Rows], Sums]
+"""Adds a finished band's sums to those of the rows in its reach.
+
+Bands must come top to bottom: every pixel then collects its source rows in that order.
+"""
+
+
+def collected(
+    job: Job, bands: Iterable[tuple[Band, Sums]], channels: int, spread: Spread | None = None
+) -> Iterator[Rows]:
+    """The pixels' weighted sums, from those that the lanes of all bands, top to bottom, hold for them.
+
+    Rows are given as soon as no further band reaches them. `channels` includes the weight. `spread` reads the lanes'
+    sums, in the layout of `add_samples` if None.
     """
-    return (spread_from_pixels if by_pixels(job, len(image)) else spread_from_rows)(job, band, sums, image)
+    if spread is None:
+        spread = spread_from_pixels if by_pixels(job, channels) else spread_from_rows
+    reach, open_rows = job.film.taps // 2, None
+    for band, sums in bands:
+        reached = started(job, band, open_rows, channels)
+        open_rows = replace(reached, sums=spread(job, band, sums, reached))
+        below = band.first_row + band.rows
+        finished = (job.height if below == job.height else below - reach) - open_rows.first_row
+        if finished > 0:
+            yield replace(open_rows, count=finished)
+
+
+def started(job: Job, band: Band, above: Rows | None, channels: int) -> Rows:
+    """The rows that a band reaches, with what the bands above have added to them."""
+    reach = job.film.taps // 2
+    first, end = max(0, band.first_row - reach), min(job.height, band.first_row + band.rows + reach)
+    pixels = (end - first) * job.width
+    if above is None:
+        return Rows(first, end - first, [dr.opaque(Float, 0, pixels) for _ in range(channels)])
+    slot = dr.arange(UInt32, pixels) + dr.opaque(UInt32, (first - above.first_row) * job.width)
+    there = slot < dr.opaque(UInt32, above.count * job.width)
+    sums = [dr.gather(Float, channel, slot, there) for channel in above.sums]
+    dr.eval(sums)
+    return Rows(first, end - first, sums)
 
 
 def pixels_of(job: Job, band: Band) -> tuple[UInt32, Int32, Int32, Point2f]:
@@ -110,29 +164,29 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
     )
 
 
-def spread_from_pixels(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+def spread_from_pixels(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> Sums:
     """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes."""
-    taps, channels = job.film.taps, len(image)
+    taps, channels = job.film.taps, len(rows_in_reach.sums)
 
-    def read(lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
+    def read(lane: UInt32, row: int, column: int, active: Bool) -> Sums:
         return [dr.gather(Float, sums[(row * taps + column) * channels + c], lane, active) for c in range(channels)]
 
-    return collect(job, band, dr.width(sums[0]), read, image)
+    return collect(job, band, dr.width(sums[0]), read, rows_in_reach)
 
 
-Read = Callable[[UInt32, int, int, Bool], list[Float]]
+Read = Callable[[UInt32, int, int, Bool], Sums]
 """Reads the sums of a lane for a row tap and a column tap, where active: one number per channel."""
 
 
-def collect(job: Job, band: Band, lanes: int, read: Read, image: list[Float]) -> list[Float]:
-    """Add to each pixel of an image what the lanes of the pixels around it hold for it."""
+def collect(job: Job, band: Band, lanes: int, read: Read, rows_in_reach: Rows) -> Sums:
+    """Add to each pixel in a band's reach what the `lanes` of the band's pixels around it hold for it."""
     taps, pixels = job.film.taps, band.rows * job.width
     reach = taps // 2
-    _, column, row, _ = pixels_of(job, Band(0, job.height))
+    _, column, row, _ = pixels_of(job, Band(rows_in_reach.first_row, rows_in_reach.count))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
     size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, lanes)
 
-    def body(start: UInt32, image: list[Float]) -> tuple[UInt32, list[Float]]:
+    def body(start: UInt32, image: Sums) -> tuple[UInt32, Sums]:
         result = list(image)
         for j in reversed(range(taps)):
             y = row - (j - reach) - first
@@ -144,7 +198,8 @@ def collect(job: Job, band: Band, lanes: int, read: Read, image: list[Float]) ->
         return start + size, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    _, result = dr.while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
+    first_sums = list(rows_in_reach.sums)
+    _, result = dr.while_loop((start, first_sums), lambda start, image: start < end, body, label="film spread")
     dr.eval(result)
     return result
 
@@ -187,12 +242,12 @@ def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int
     return result
 
 
-def spread_from_rows(job: Job, band: Band, sums: Sums, image: list[Float]) -> list[Float]:
+def spread_from_rows(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> Sums:
     """Collect, for each pixel, one sum of every source row around it, at its own column."""
-    taps, channels = job.film.taps, len(image)
-    _, column, row, _ = pixels_of(job, Band(0, job.height))
+    taps, channels = job.film.taps, len(rows_in_reach.sums)
+    _, column, row, _ = pixels_of(job, Band(rows_in_reach.first_row, rows_in_reach.count))
     width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
-    result = list(image)
+    result = list(rows_in_reach.sums)
     for j in reversed(range(taps)):
         source = row - (j - taps // 2) - first
         inside = (source >= 0) & (source < rows)

@@ -16,6 +16,8 @@ from djpt.types import Float, Point2f, Point3f
 from tests.cameras.test_sensors import CAMERAS, FILMS, LOOK, METER, METERS, MIXED, batch
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 
+pytestmark = pytest.mark.cuda
+
 COUNT = 2**18
 WIDE = {"type": "perspective", "fov": 100, "to_world": LOOK}
 REACHABLE: dict[str, dict[str, Any]] = {

@@ -17,6 +17,8 @@ from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point3f, Vector3f
 from tests.kit.mesh_scenes import ball, ball_file, gallery
 
+pytestmark = pytest.mark.cuda
+
 NAN, INF = np.nan, np.inf
 
 

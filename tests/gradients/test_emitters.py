@@ -14,6 +14,8 @@ from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.slopes import Slopes, numbers
 
+pytestmark = pytest.mark.cuda
+
 JUMPS = {"spot-checkerboard": {"light.cutoff_angle"}}
 """The squares of a checkerboard grow with the cone, and derivatives don't see edges that move."""
 

@@ -119,7 +119,7 @@ def test_many_passes(rfilter: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = Experiment(box(16, rfilter, PRB), names).reverse()
     monkeypatch.setattr(passes, "PASS_SAMPLES", 3 * 256)
     monkeypatch.setattr(passes, "STORED_SAMPLES", 3 * 256)
-    monkeypatch.setattr(passes, "BAND_PIXELS", 7 * 16)
+    monkeypatch.setattr(passes, "STORED_PIXELS", (7 * 16, 7 * 16))
     split = Experiment(box(16, rfilter, PRB), names)
     for name, gradient in split.reverse().items():
         np.testing.assert_allclose(gradient, whole[name], rtol=1e-5)

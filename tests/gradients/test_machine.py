@@ -200,7 +200,7 @@ def test_passes_do_not_matter(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     scene = djpt.load_dict(gallery(folder, (24, 19), "gaussian", PRB))
     whole = Loss(scene, NAMES, "machine").reverse()
     forward = Loss(scene, NAMES, "machine").forward(NAMES[0], 0)
-    for key, value in (("STORED_SAMPLES", 3 * 24 * 19), ("BAND_PIXELS", 7 * 28)):
+    for key, value in (("STORED_SAMPLES", 3 * 24 * 19), ("STORED_PIXELS", (7 * 28, 7 * 28))):
         monkeypatch.setattr(passes, key, value)
         same(Loss(scene, NAMES, "machine").reverse(), whole, 2e-5)
         np.testing.assert_allclose(Loss(scene, NAMES, "machine").forward(NAMES[0], 0), forward, rtol=1e-4, atol=1e-5)

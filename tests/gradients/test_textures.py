@@ -13,6 +13,8 @@ from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
 from tests.kit.textured_room import FLOOR, WALL, bitmap, room, texels
 
+pytestmark = pytest.mark.cuda
+
 
 @pytest.mark.parametrize("integrator", ["path", "prb"])
 @pytest.mark.parametrize("keys", [{}, {"filter_type": "nearest"}, {"wrap_mode": "mirror"}], ids=str)

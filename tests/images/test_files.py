@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image as Picture
 
 from djpt.errors import DjptError, FileError
+from djpt.images import srgb
 from djpt.images.formats import FORMATS
 from djpt.images.image import Image, check_writable, read, read_metadata, read_pixels, write
 from djpt.images.srgb import from_srgb, to_srgb8
@@ -424,3 +425,13 @@ def test_exr_of_half_precision(tmp_path: Path) -> None:
         path = tmp_path / f"{index}.exr"
         OpenEXR.File(header, channels).write(str(path))
         np.testing.assert_array_equal(read_pixels(path), image.astype(np.float32))
+
+
+@pytest.mark.parametrize("suffix", ["hdr", "pfm", "png", "jpg"])
+def test_images_are_converted_in_strips(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = np.random.default_rng(0).uniform(0, 1.2, (19, 7, 3)).astype(np.float32)
+    write(tmp_path / f"whole.{suffix}", image)
+    monkeypatch.setattr(srgb, "STRIP", 3 * 7 * 4)
+    assert len(srgb.strips(image)) == 5
+    write(tmp_path / f"parts.{suffix}", image)
+    assert (tmp_path / f"whole.{suffix}").read_bytes() == (tmp_path / f"parts.{suffix}").read_bytes()

@@ -23,6 +23,8 @@ from tests.kit.closed_forms import (
 )
 from tests.kit.renders import ours
 
+pytestmark = pytest.mark.cuda
+
 # ---------------------------------------------------------------- shining walls
 
 

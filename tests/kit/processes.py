@@ -20,6 +20,7 @@ def run_python(
     library: Path | str | None = None,
     variant: str | None = None,
     cwd: Path | str = ROOT,
+    timeout: float = 120,
 ) -> subprocess.CompletedProcess[str]:
     """``python *arguments`` with the given LLVM folders, user-set library and variant, nothing inherited."""
     environment = {key: value for key, value in os.environ.items() if key not in DECIDING}
@@ -33,7 +34,7 @@ def run_python(
         [sys.executable, *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=timeout,
         check=False,
         env=environment,
         cwd=cwd,

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
-from djpt.schedules import flat
+from djpt.schedules import passes
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
 from tests.kit.kernels import Watched
@@ -82,11 +82,18 @@ def test_large_images_in_bands() -> None:
             np.testing.assert_array_equal(pixels(djpt.render(scene, spp=5, pass_spp=pass_spp)), image)
 
 
-def test_bands_of_sums_in_registers(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = djpt.load_dict(box((23, 17), "gaussian", PATH))
-    image = pixels(djpt.render(scene, spp=5, schedule="flat"))
-    monkeypatch.setattr(flat, "REGISTER_BAND_PIXELS", 4 * 23)
-    np.testing.assert_array_equal(pixels(djpt.render(scene, spp=5, schedule="flat")), image)
+@pytest.mark.parametrize("rows", [1, 5])
+@pytest.mark.parametrize(("schedule", "rfilter"), [*KINDS, ("flat", "lanczos")])
+def test_bands_do_not_matter(schedule: str, rfilter: str, rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also with bands that are lower than the reach of the filter, and with a border."""
+    film = {"crop_width": 17, "crop_height": 19, "crop_offset_x": 3, "crop_offset_y": 1, "sample_border": True}
+    scene = djpt.load_dict(box((23, 21), rfilter, PATH, **film))
+    image = pixels(djpt.render(scene, spp=6, seed=1, schedule=schedule))
+    width = 17 + 2 * scene.sensors()[0].film.border
+    for name in ("SUMMED_PIXELS", "FILTERED_PIXELS"):
+        monkeypatch.setattr(passes, name, rows * width)
+    monkeypatch.setattr(passes, "STORED_PIXELS", (rows * width, rows * width))
+    np.testing.assert_array_equal(pixels(djpt.render(scene, spp=6, seed=1, schedule=schedule)), image)
 
 
 @pytest.mark.parametrize("spp", [128, 200])
