@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from djpt.scenes.cornell import cornell_box_boxfilter as cornell_box_boxfilter
     from djpt.scenes.cornell import cornell_box_spheres as cornell_box_spheres
     from djpt.scenes.gallery import shader_ball as shader_ball
-    from djpt.scenes.stage import sky as sky
-    from djpt.scenes.stage import stage as stage
+    from djpt.scenes.stages import sky as sky
+    from djpt.scenes.stages import stage as stage
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

@@ -8,7 +8,7 @@ from typing import Any
 from djpt.scenes.analytic import furnace
 from djpt.scenes.cornell import cornell_box, cornell_box_boxfilter, cornell_box_spheres
 from djpt.scenes.gallery import shader_ball
-from djpt.scenes.stage import stage
+from djpt.scenes.stages import stage
 
 __all__ = ["SCENES"]
 
