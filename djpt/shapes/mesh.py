@@ -195,7 +195,7 @@ class Mesh(Shape):
     # ---- on the host -------------------------------------------------------------------
 
     def place(self, pool: AxisPool) -> None:
-        self._measure()
+        pass  # measured whenever vertices or faces have changed
 
     def _measure(self) -> None:
         """Compute the numbers that kernels read, and the extent."""
