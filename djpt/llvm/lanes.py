@@ -6,6 +6,7 @@ import ctypes
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import drjit as dr
@@ -37,6 +38,7 @@ BLOCK = 1024
 """Lanes that a thread takes at a time in `small_blocks`."""
 
 
+@cache
 def core() -> ctypes.CDLL:
     """Dr.Jit's core library, which the running process has loaded already.
 

@@ -244,6 +244,16 @@ def test_mistakes_are_reported_in_llvms_words(words: str, folder: Path) -> None:
     assert add(40) == 41
 
 
+def test_a_version_of_llvm_that_lacks_a_pass(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler, "PASSES", ("function(no-such-pass)", "default<O2>"))
+    forget()
+    assert called(compiled(adding(11), ("add",))["add"], 4) == 15
+    monkeypatch.setattr(compiler, "PASSES", ("function(no-such-pass)", "function(nor-this)"))
+    forget()
+    with pytest.raises(CompilationError, match="nor-this"):
+        compiled(adding(12), ("add",))
+
+
 def test_a_function_that_isnt_there(folder: Path) -> None:
     with pytest.raises(CompilationError, match=r"Symbols not found: .*_subtract"):
         compiled(adding(41), ("subtract",))

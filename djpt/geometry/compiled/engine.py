@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import drjit as dr
@@ -24,9 +25,14 @@ __all__ = ["functions", "why_not"]
 @cache
 def functions(features: Features) -> Functions:
     """The functions for scenes with some features, compiled at the first call."""
-    names = (CLOSEST_OF_PACKET, ANY_OF_PACKET)
-    addresses = compiled(packet_functions(lane_count(), features), names)
-    return Functions(*(Code.at(addresses[name]) for name in names))
+    return Functions(*(Code.at(address) for address in addresses(features)))
+
+
+@cache
+def addresses(features: Features) -> tuple[int, int]:
+    """Where the functions for the closest hit and for any hit are in memory."""
+    found = compiled(packet_functions(lane_count(), features), (CLOSEST_OF_PACKET, ANY_OF_PACKET))
+    return found[CLOSEST_OF_PACKET], found[ANY_OF_PACKET]
 
 
 @cache
@@ -51,7 +57,11 @@ def proved() -> bool:
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
     # Triangle k lies at x = 2 k, in the plane z = k.
     corners = corner + np.arange(count, dtype=np.float32)[:, None, None] * np.array([2, 0, 1], np.float32)
-    built = build(corners)
+    # Threads compile the functions that search and those that build.
+    with ThreadPoolExecutor(1) as team:
+        searches = team.submit(addresses, Features())
+        built = build(corners)
+        searches.result()
     built.memory[0] = 0
     memory, own = UInt32(built.memory), functions(Features())
     lane = dr.arange(UInt32, count + misses)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 
@@ -37,6 +38,19 @@ SIGNATURES = {
 """The parameters of the functions: pointers, integers and floats. All results are integers."""
 
 
+PARTS: tuple[tuple[Callable[[Module], None], ...], ...] = (
+    (add_build_functions,),
+    (add_weigh, add_plan, add_fit_functions, add_row_functions),
+)
+"""What adds functions to a module, for modules that take about the same time to compile."""
+
+NAMES = (
+    ("bounds", "prepare", "split", "grow"),
+    ("weigh", "plan", "emit", "fit", "take_corners", "invert", "write_rows"),
+)
+"""The functions of each module."""
+
+
 @dataclass
 class Functions:
     """The functions, see the modules that define them."""
@@ -56,14 +70,15 @@ class Functions:
 
 @cache
 def functions() -> Functions:
-    """The functions, compiled at the first call."""
-    module = Module()
-    add_build_functions(module)
-    add_weigh(module)
-    add_plan(module)
-    add_fit_functions(module)
-    add_row_functions(module)
-    addresses = compiled(module.text(), tuple(SIGNATURES))
+    """The functions, compiled at the first call, on two threads."""
+    modules = []
+    for part in PARTS:
+        module = Module()
+        for add in part:
+            add(module)
+        modules.append(module.text())
+    with ThreadPoolExecutor(len(modules)) as team:
+        addresses = {name: at for found in team.map(compiled, modules, NAMES) for name, at in found.items()}
     return Functions(
         **{
             name: ctypes.CFUNCTYPE(ctypes.c_int64, *(CTYPES[letter] for letter in letters))(addresses[name])
