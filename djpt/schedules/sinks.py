@@ -72,7 +72,9 @@ class Sink(Protocol):
     """Receives samples; `state` is its part of the loop state."""
 
     steps: int
-    """Path vertices per iteration; sinks of one step see no film offsets."""
+    """Path vertices per iteration."""
+    needs_offset: bool
+    """Whether the sink must know the places of samples on their pixels."""
     state: list[Any]
     """The state at the start of the loop."""
 
@@ -88,7 +90,7 @@ class Sink(Protocol):
 class Sums:
     """Adds samples up, one sum per channel: the box filter."""
 
-    steps = 1
+    steps, needs_offset = 1, False
 
     def __init__(self, state: list[Float]) -> None:
         self.state: list[Any] = state
@@ -108,7 +110,7 @@ class Store:
     A lane's samples go to the slots lane, lane + lanes, lane + 2 lanes, ..
     """
 
-    steps = 1
+    steps, needs_offset = 1, False
 
     def __init__(self, lanes: int, write: Write) -> None:
         self.state: list[Any] = [dr.arange(UInt32, lanes)]
@@ -128,12 +130,16 @@ class Store:
 class FilmSink:
     """Takes samples for a film whose filter reaches several pixels.
 
-    Adding a sample there costs about half as much as a path vertex, for all lanes of a packet as soon as one has
-    finished. Therefore it is done once every two vertices. A lane can finish two samples in that
-    time only if a path has a single vertex; the second then waits for the next iteration.
+    Adding a sample there takes time for all lanes of a packet as soon as one has finished, so it can be done once
+    every two vertices. A lane can finish two samples in that time only if a path has a single vertex; the second then
+    waits for the next iteration.
     """
 
-    steps = 2
+    needs_offset = True
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
     state: list[Any]
 
     def take(
@@ -152,10 +158,14 @@ class FilmSink:
 
 
 class FilmSums(FilmSink):
-    """Adds samples to the pixels in reach, weighted: one sum per tap and channel, in registers."""
+    """Adds samples to the pixels in reach, weighted: one sum per tap and channel, in registers.
+
+    That costs about half as much as a path vertex.
+    """
 
     def __init__(self, job: Job, corner: Point2f, state: list[Float]) -> None:
         """Begin with the sums `state`; `corner` is the film position of each lane's pixel."""
+        super().__init__(steps=2)
         self.state = state
         self._job, self._corner = job, corner
 
@@ -171,8 +181,9 @@ class CalledFilmSums(FilmSink):
     The state is the number of samples that each lane has handed over.
     """
 
-    def __init__(self, corner: Point2f, sums: CalledSums) -> None:
+    def __init__(self, corner: Point2f, sums: CalledSums, steps: int) -> None:
         """`corner` is the film position of each lane's pixel."""
+        super().__init__(steps)
         self.state = [dr.zeros(UInt32, dr.width(corner))]
         self._corner, self._sums = corner, sums
 

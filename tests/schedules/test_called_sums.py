@@ -65,6 +65,20 @@ def test_passes_and_lanes_per_pixel_do_not_matter():
 
 
 @by_calls
+def test_same_bits_with_one_vertex_per_turn(monkeypatch):
+    """In a scene with meshes samples are added after each vertex, in registers after every second one."""
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0.5], [-1, 1, 0]], np.float32)
+    description = djpt.cornell_box()
+    description["sheet"] = djpt.Mesh("sheet", vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    description["sensor"]["film"] = {"type": "hdrfilm", "width": 37, "height": 29}
+    mesh = djpt.load_dict(description)
+    assert mesh.geometry.triangles is not None
+    called = np.array(djpt.render(mesh, spp=9, seed=2))
+    monkeypatch.setattr(flat, "usable", lambda taps, rfilter: False)
+    np.testing.assert_array_equal(np.array(djpt.render(mesh, spp=9, seed=2)), called)
+
+
+@by_calls
 def test_calls_are_used(monkeypatch):
     used, original = [], flat.called_film_sums
 
