@@ -19,6 +19,7 @@ from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
     "aligned",
+    "aligned_floats",
     "as_float",
     "as_vector",
     "begin_trace",
@@ -138,6 +139,11 @@ def aligned(shape: tuple[int, ...]) -> NDArray[np.uint32]:
     room = np.zeros(count + 16, np.uint32)
     first = (-room.ctypes.data % 64) // 4
     return room[first : first + count].reshape(shape)
+
+
+def aligned_floats(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """The same for floats."""
+    return aligned(shape).view(np.float32)
 
 
 def shared(values: NDArray[np.uint32]) -> UInt32:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.kernels import as_float, maximum
+from djpt.kernels import aligned_floats, as_float, maximum
 from djpt.types import Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["DiscreteDistribution2D"]
@@ -60,9 +60,7 @@ class DiscreteDistribution2D(Plugin):
         relative = weights / mean if mean > 0 else np.ones(weights.shape)
         along = np.cumsum(relative, axis=1)
         marginal = np.cumsum(along[:, -1])
-        self.marginal, self.conditional, self.relative = (
-            TensorXf(np.ascontiguousarray(table, np.float32)) for table in (marginal, along, relative)
-        )
+        self.marginal, self.conditional, self.relative = (in_memory(table) for table in (marginal, along, relative))
         rows, columns = weights.shape
         self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
         self.total = as_float(float(np.float32(marginal[-1])))
@@ -109,3 +107,10 @@ def entry(table: Any, index: UInt32, active: Bool | bool) -> Float:
         return dr.gather(Float, table.array, index, active)
     number: Float = table.at(index, active)
     return number
+
+
+def in_memory(table: NDArray[np.float64]) -> TensorXf:
+    """A table as kernels read it."""
+    copy = aligned_floats(table.shape)
+    copy[...] = table
+    return TensorXf(copy)

@@ -22,7 +22,7 @@ from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
-from djpt.kernels import as_float, as_vector, maximum, minimum
+from djpt.kernels import aligned_floats, as_float, as_vector, maximum, minimum
 from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
@@ -142,7 +142,7 @@ class EnvironmentMap(OrientedEmitter):
             if bright.any():
                 self.distribution.set(bright)
         # Radiance with the density of `distribution` at the texels: a lookup gives both.
-        table = np.empty((rows, columns, 4), np.float32)
+        table = aligned_floats((rows, columns, 4))
         table[..., :3], table[..., 3] = texels, self.distribution.at_corners[:, :-1]
         self.texels = TensorXf(table)
 
@@ -316,7 +316,7 @@ def with_halo(texels: TensorXf) -> TensorXf:
     rows, columns, channels = texels.shape
     if not dr.grad_enabled(texels) and is_readable():
         numbers = numbers_of(texels)
-        data = np.empty((rows, columns + 2, 3), np.float32)
+        data = aligned_floats((rows, columns + 2, 3))
         data[:, 1:-1], data[:, 0], data[:, -1] = numbers, numbers[:, -1], numbers[:, 0]
         return TensorXf(data)
     index = np.arange(rows * columns * channels, dtype=np.uint32).reshape(texels.shape)
