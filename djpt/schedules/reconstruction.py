@@ -150,28 +150,37 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
 
 
 def spread_from_pixels(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> list[Float]:
-    """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes."""
-    taps, channels, pixels = job.film.taps, len(rows_in_reach.sums), band.rows * job.width
-    reach = taps // 2
-    _, column, row, _ = pixels_of(job, Band(rows_in_reach.first_row, rows_in_reach.count))
-    width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
+    """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes.
+
+    Row by row of the sources: all rows have the same kernel, which is soon compiled.
+    """
+    taps, image = job.film.taps, rows_in_reach.sums
+    of_row = taps * len(image)
+    for j in reversed(range(taps)):
+        image = spread_row(job, band, sums[j * of_row : (j + 1) * of_row], j - taps // 2, rows_in_reach, image)
+    return image
+
+
+def spread_row(job: Job, band: Band, sums: Sums, below: int, place: Rows, image: list[Float]) -> list[Float]:
+    """Add what the source pixels hold for the pixels `below` them by a number of rows, at the place of `image`."""
+    taps, channels, pixels = job.film.taps, len(image), band.rows * job.width
+    _, column, row, _ = pixels_of(job, Band(place.first_row, place.count))
+    width, rows = Int32(job.width_value), dr.opaque(Int32, band.rows)
     size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, dr.width(sums[0]))
+    y = row - dr.opaque(Int32, below + band.first_row)
 
     def body(start: UInt32, image: list[Float]) -> tuple[UInt32, list[Float]]:
         result = list(image)
-        for j in reversed(range(taps)):
-            y = row - (j - reach) - first
-            for i in reversed(range(taps)):
-                x = column - (i - reach)
-                inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
-                slot = start + UInt32(y * width + x)
-                for c in range(channels):
-                    result[c] = result[c] + dr.gather(Float, sums[(j * taps + i) * channels + c], slot, inside)
+        for i in reversed(range(taps)):
+            x = column - (i - taps // 2)
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
+            slot = start + UInt32(y * width + x)
+            for c in range(channels):
+                result[c] = result[c] + dr.gather(Float, sums[i * channels + c], slot, inside)
         return start + size, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    first_sums = list(rows_in_reach.sums)
-    _, result = dr.while_loop((start, first_sums), lambda start, image: start < end, body, label="film spread")
+    _, result = dr.while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
     dr.eval(result)
     return result
 
