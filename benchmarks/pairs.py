@@ -10,6 +10,8 @@ import os
 import platform
 import statistics
 import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -22,7 +24,9 @@ import mitsuba as mi
 from djpt.llvm.lanes import force_lanes, instruction_set, lane_count
 from djpt.variants import load_backend, variant
 
-__all__ = ["Row", "heading", "in_pairs", "machine", "report", "seconds", "times_in_pairs"]
+__all__ = ["Row", "first_image", "heading", "in_pairs", "machine", "report", "seconds", "times_in_pairs"]
+
+FIRST_IMAGE = Path(__file__).with_name("first_image.py")
 
 
 @dataclass
@@ -89,6 +93,20 @@ def in_pairs(ours: Callable[[int], Any], theirs: Callable[[int], Any], pairs: in
     times = times_in_pairs(ours, theirs, pairs)
     their_time, our_time = (statistics.median(column) for column in zip(*times, strict=True))
     return [a / b for a, b in times], f"{1e3 * their_time:.0f} ms / {1e3 * our_time:.0f} ms"
+
+
+def first_image(renderer: str, scene: str) -> dict[str, float]:
+    """The seconds of `first_image.py` from the end of the imports to the image, `image`, and to the exit, `process`."""
+    with tempfile.TemporaryDirectory() as cache:
+        start = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, str(FIRST_IMAGE), renderer, scene],
+            env={**os.environ, "DRJIT_CACHE_DIR": cache},
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        )
+        return {"image": float(done.stdout.split()[-1]), "process": time.perf_counter() - start}
 
 
 # ---- reporting --------------------------------------------------------------------------

@@ -16,10 +16,11 @@ from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.rfilters.tent import Tent
+from djpt.schedules.reconstruction import Read
 from djpt.schedules.tap_function import ADD_SAMPLES, CHANNELS, Taps, tap_function
 from djpt.types import ArrayXf, Bool, Float, Point2f, UInt32
 
-__all__ = ["CalledSums", "gathered", "usable"]
+__all__ = ["CalledSums", "reader", "usable"]
 
 
 class CalledSums:
@@ -52,12 +53,17 @@ class CalledSums:
         return taken
 
 
-def gathered(memory: Float, taps: Taps, lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
-    """The sums of some lanes for one tap, the weight's included."""
+def reader(memory: Float, taps: Taps, row: int) -> Read:
+    """Reads the sums of lanes for a row tap, the weights' included."""
     channels = taps.channels + 1
-    index = lane * taps.count**2 + (row * taps.count + column)
-    sums: Any = dr.gather(ArrayXf, memory, index, active, shape=(channels, dr.width(lane)))
-    return list(sums)
+    first, of_lane = dr.opaque(UInt32, row * taps.count), taps.count**2
+
+    def tap(lane: UInt32, column: int, active: Bool) -> list[Float]:
+        index = dr.fma(lane, of_lane, first) + column
+        sums: Any = dr.gather(ArrayXf, memory, index, active, shape=(channels, dr.width(lane)))
+        return list(sums)
+
+    return tap
 
 
 def blank(count: int) -> Float:

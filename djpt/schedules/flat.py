@@ -22,7 +22,7 @@ from djpt.kernels import wide
 from djpt.llvm.lanes import small_blocks
 from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
-from djpt.schedules.called_sums import CalledSums, gathered, usable
+from djpt.schedules.called_sums import CalledSums, reader, usable
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
 from djpt.schedules.passes import filtered_image, summed_image
@@ -191,11 +191,7 @@ def called_film_sums(job: Job, band: Band, begin: int, end: int, memory: list[Fl
 def spread_called(job: Job, band: Band, memory: list[Float], rows: Rows) -> list[Float]:
     """Add a finished band's sums in memory to those of the rows in its reach."""
     taps = Taps(job.film.taps, job.channel_count())
-
-    def read(lane: UInt32, row: int, column: int, active: Bool) -> list[Float]:
-        return gathered(memory[0], taps, lane, row, column, active)
-
-    return collect(job, band, dr.width(memory[0]) // taps.sums, read, rows)
+    return collect(job, band, dr.width(memory[0]) // taps.sums, lambda row: reader(memory[0], taps, row), rows)
 
 
 def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:

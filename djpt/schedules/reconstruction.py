@@ -25,6 +25,7 @@ from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Float, Int32, Point2f, UInt32
 
 __all__ = [
+    "Read",
     "Rows",
     "Spread",
     "Sums",
@@ -168,38 +169,51 @@ def spread_from_pixels(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) ->
     """Collect, for each pixel, one sum of every source pixel around it, from each of the source's lanes."""
     taps, channels = job.film.taps, len(rows_in_reach.sums)
 
-    def read(lane: UInt32, row: int, column: int, active: Bool) -> Sums:
-        return [dr.gather(Float, sums[(row * taps + column) * channels + c], lane, active) for c in range(channels)]
+    def read(row: int) -> Read:
+        of_row = sums[row * taps * channels : (row + 1) * taps * channels]
+
+        def tap(lane: UInt32, column: int, active: Bool) -> Sums:
+            return [dr.gather(Float, of_row[column * channels + c], lane, active) for c in range(channels)]
+
+        return tap
 
     return collect(job, band, dr.width(sums[0]), read, rows_in_reach)
 
 
-Read = Callable[[UInt32, int, int, Bool], Sums]
-"""Reads the sums of a lane for a row tap and a column tap, where active: one number per channel."""
+Read = Callable[[UInt32, int, Bool], Sums]
+"""Reads the sums of a lane for a column tap, where active: one number per channel."""
 
 
-def collect(job: Job, band: Band, lanes: int, read: Read, rows_in_reach: Rows) -> Sums:
-    """Add to each pixel in a band's reach what the `lanes` of the band's pixels around it hold for it."""
+def collect(job: Job, band: Band, lanes: int, read: Callable[[int], Read], rows_in_reach: Rows) -> Sums:
+    """Add to each pixel in a band's reach what the `lanes` of the band's pixels around it hold for it.
+
+    `read` gives how the sums for a row tap are read. All row taps have the same kernel, which is soon compiled.
+    """
+    image = rows_in_reach.sums
+    for j in reversed(range(job.film.taps)):
+        image = collect_row(job, band, lanes, read(j), j - job.film.taps // 2, rows_in_reach, image)
+    return image
+
+
+def collect_row(job: Job, band: Band, lanes: int, read: Read, below: int, place: Rows, image: Sums) -> Sums:
+    """Add what the source pixels hold for the pixels `below` them by a number of rows, at the place of `image`."""
     taps, pixels = job.film.taps, band.rows * job.width
-    reach = taps // 2
-    _, column, row, _ = pixels_of(job, Band(rows_in_reach.first_row, rows_in_reach.count))
-    width, first, rows = Int32(job.width_value), dr.opaque(Int32, band.first_row), dr.opaque(Int32, band.rows)
+    _, column, row, _ = pixels_of(job, Band(place.first_row, place.count))
+    width, rows = Int32(job.width_value), dr.opaque(Int32, band.rows)
     size, end = dr.opaque(UInt32, pixels), dr.opaque(UInt32, lanes)
+    y = row - dr.opaque(Int32, below + band.first_row)
 
     def body(start: UInt32, image: Sums) -> tuple[UInt32, Sums]:
         result = list(image)
-        for j in reversed(range(taps)):
-            y = row - (j - reach) - first
-            for i in reversed(range(taps)):
-                x = column - (i - reach)
-                inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
-                parts = read(start + UInt32(y * width + x), j, i, inside)
-                result = [total + part for total, part in zip(result, parts, strict=True)]
+        for i in reversed(range(taps)):
+            x = column - (i - taps // 2)
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < rows)
+            parts = read(start + UInt32(y * width + x), i, inside)
+            result = [total + part for total, part in zip(result, parts, strict=True)]
         return start + size, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    first_sums = list(rows_in_reach.sums)
-    _, result = dr.while_loop((start, first_sums), lambda start, image: start < end, body, label="film spread")
+    _, result = dr.while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
     dr.eval(result)
     return result
 

@@ -10,7 +10,7 @@ import djpt
 from djpt.geometry.engines import chosen, ray_queries
 from djpt.llvm.lanes import lane_count
 from djpt.schedules import flat
-from djpt.schedules.called_sums import CalledSums, gathered, proved, usable
+from djpt.schedules.called_sums import CalledSums, proved, reader, usable
 from djpt.schedules.job import Job
 from djpt.schedules.tap_function import CHANNELS, Taps, pieces, tap_function
 from djpt.types import Bool, Float, Point2f, UInt32
@@ -114,7 +114,7 @@ def test_inactive_lanes_and_the_rest_of_a_packet_add_nothing():
     table = np.array(sums.memory).reshape(lanes, 25, 4)
     assert not table[1::2].any()
     np.testing.assert_array_equal(table[::2], np.broadcast_to(table[0], table[::2].shape))
-    middle = gathered(sums.memory, taps, lane, 2, 2, Bool(True))
+    middle = reader(sums.memory, taps, 2)(lane, 2, Bool(True))
     np.testing.assert_allclose([np.array(x)[0] for x in middle], np.array([1, 2, 3, 1]) * table[0, 12, 3])
 
 
