@@ -10,7 +10,7 @@ import numpy as np
 
 from djpt.description.properties import Properties
 from djpt.errors import DjptError
-from djpt.geometry.engines import chosen
+from djpt.geometry.ray_queries import asked_for
 from djpt.llvm.calls import WIDTHS, CallError, Code, call
 from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
@@ -81,7 +81,7 @@ def function(text: str) -> Code:
 
 def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
     """Whether samples can be added by calls."""
-    return rfilter.has_formula and taps.channels <= len(CHANNELS) and chosen() == "call" and proved()
+    return rfilter.has_formula and taps.channels <= len(CHANNELS) and asked_for() != "steps" and proved()
 
 
 @cache

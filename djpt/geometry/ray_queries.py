@@ -1,0 +1,51 @@
+"""What is asked for when rays are traced and films are added to: calls of compiled functions, or kernels alone.
+
+`djpt.geometry.engines` says what the names mean for rays.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from djpt.errors import SceneError, near_miss
+
+__all__ = ["NAMES", "VARIABLE", "asked_for", "ray_queries"]
+
+NAMES = ("auto", "call", "steps")
+
+VARIABLE = "DJPT_RAY_QUERIES"
+"""The environment variable for one of `NAMES`."""
+
+_forced: list[str] = []
+
+
+@contextmanager
+def ray_queries(name: str) -> Iterator[None]:
+    """Let scenes that are loaded inside trace rays in one of the ways `auto`, `call`, `steps`.
+
+    Raises:
+        SceneError: Another name.
+    """
+    _forced.append(checked(name))
+    try:
+        yield
+    finally:
+        _forced.pop()
+
+
+def asked_for() -> str:
+    """One of `NAMES`: what `ray_queries` says here, or else the environment variable.
+
+    Raises:
+        SceneError: The variable has another value.
+    """
+    return _forced[-1] if _forced else checked(os.environ.get(VARIABLE) or "auto")
+
+
+def checked(name: str) -> str:
+    """A name that is one of `NAMES`."""
+    if name not in NAMES:
+        raise SceneError(f"unknown way of ray queries '{name}'{near_miss(name, NAMES)}")
+    return name
