@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.kernels import as_vector, maximum, minimum
+from djpt.kernels import aligned_floats, as_vector, maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Hierarchical2D", "entry", "lerp", "place_in_cell"]
@@ -143,7 +143,7 @@ class Hierarchical2D(Plugin):
 
 def packets(columns: Sequence[Numbers]) -> TensorXf:
     """Four numbers side by side as a table."""
-    table = np.empty((*columns[0].shape, 4), np.float32)
+    table = aligned_floats((*columns[0].shape, 4))
     for k, column in enumerate(columns):
         table[..., k] = column
     return TensorXf(table.reshape(-1, 1, 4))

@@ -8,7 +8,7 @@ compiled function proves it first, with inputs of known results.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -16,10 +16,11 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.llvm.lanes import core_path
+from djpt.errors import DjptError
+from djpt.llvm.lanes import core_path, lane_count
 from djpt.types import Float, UInt32
 
-__all__ = ["WIDTHS", "CallError", "Code", "call"]
+__all__ = ["WIDTHS", "CallError", "Code", "call", "reason_against"]
 
 INPUTS, OUTPUTS = 14, 8
 
@@ -115,3 +116,18 @@ def call(
         any_hit: Whether there is one result alone: where the greatest distance has become negative.
     """
     return core().call(code, memory, inputs, outputs, any_hit)
+
+
+def reason_against(proved: Callable[[], bool], otherwise: str) -> str | None:
+    """What stands against calls on this machine; None if `proved`, which makes some, gets the results that are known.
+
+    `otherwise` is the reason if it gets others.
+    """
+    if dr.backend_v(Float) != dr.JitBackend.LLVM:
+        return "they are for processors, not for CUDA"
+    try:
+        if lane_count() not in WIDTHS:
+            return f"packets have {lane_count()} lanes"
+        return None if proved() else otherwise
+    except (CallError, DjptError, OSError, AttributeError) as error:
+        return str(error)

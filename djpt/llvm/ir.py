@@ -106,6 +106,11 @@ class Function:
         except (OverflowError, ValueError):
             raise DjptError(f"{type} has no number {value}") from None
 
+    def constants(self, element: Type, numbers: Sequence[float]) -> Value:
+        """A vector of constants."""
+        lanes = ", ".join(str(self.constant(element, number)) for number in numbers)
+        return Value(self, vector(element, len(numbers)), f"<{lanes}>")
+
     def like(self, value: Value, number: Operand) -> Value:
         """A number as a constant of a value's type."""
         return self.constant(value.type, number)

@@ -8,7 +8,7 @@ from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.description.plugin import Plugin
 from djpt.types import Float
 
-__all__ = ["ReconstructionFilter"]
+__all__ = ["ReconstructionFilter", "tap_centers"]
 
 
 class ReconstructionFilter(Plugin):
@@ -37,3 +37,8 @@ class ReconstructionFilter(Plugin):
     def has_formula(self) -> bool:
         """Whether `eval` is `formula`."""
         return type(self).eval is ReconstructionFilter.eval
+
+
+def tap_centers(count: int) -> list[float]:
+    """The middles of the `count` columns or rows around a sample's pixel, an odd number, from the pixel's corner."""
+    return [i - count // 2 + 0.5 for i in range(count)]

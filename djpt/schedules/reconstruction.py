@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 
+from djpt.rfilters.base import tap_centers
 from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Float, Int32, Point2f, UInt32
 
@@ -158,7 +159,7 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
     # Distances come from rounded film positions, as in Mitsuba: in the filter's tail the rounding shows.
     position = corner + offset
     taps, weight = job.film.taps, job.film.rfilter.eval
-    centers = [i - taps // 2 + 0.5 for i in range(taps)]
+    centers = tap_centers(taps)
     return (
         [weight(corner.x + c - position.x) for c in centers],
         [weight(corner.y + c - position.y) for c in centers],

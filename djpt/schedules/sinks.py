@@ -128,7 +128,7 @@ class Store:
 
 
 class FilmSink:
-    """Takes samples for a film whose filter reaches several pixels.
+    """Takes samples for a film whose filter reaches several pixels; those that derive from it add them in `close`.
 
     Adding a sample there takes time for all lanes of a packet as soon as one has finished, so it can be done once
     every two vertices. A lane can finish two samples in that time only if a path has a single vertex; the second then
@@ -151,10 +151,6 @@ class FilmSink:
         taken = ready & ~waiting.full
         merged = [dr.select(taken, c, w) for c, w in zip(channels, waiting.channels, strict=True)]
         return state, Finished(merged, dr.select(taken, offset, waiting.offset), waiting.full | taken), taken
-
-    def close(self, state: list[Any], waiting: Finished | None) -> list[Any]:
-        """Add the samples."""
-        raise NotImplementedError
 
 
 class FilmSums(FilmSink):

@@ -14,8 +14,8 @@ from typing import Any
 
 from djpt.llvm import arithmetic
 from djpt.llvm.arithmetic import fma
-from djpt.llvm.ir import F32, I32, I64, PTR, Function, Module, Value, vector
-from djpt.rfilters.base import ReconstructionFilter
+from djpt.llvm.ir import F32, I32, I64, PTR, Function, Module, Type, Value, vector
+from djpt.rfilters.base import ReconstructionFilter, tap_centers
 
 __all__ = ["ADD_SAMPLES", "CHANNELS", "Taps", "tap_function"]
 
@@ -42,11 +42,6 @@ class Taps:
         """The sums of a lane."""
         return self.count**2 * (self.channels + 1)
 
-    @property
-    def centers(self) -> list[float]:
-        """The middles of the pixels, column by column or row by row, from the corner of the sample's own."""
-        return [i - self.count // 2 + 0.5 for i in range(self.count)]
-
 
 def tap_function(taps: Taps, rfilter: ReconstructionFilter, width: int) -> str:
     """The function for packets of `width` lanes."""
@@ -56,7 +51,7 @@ def tap_function(taps: Taps, rfilter: ReconstructionFilter, width: int) -> str:
         valid, sums, _, samples = f.parameters
         with f.each(0, width) as lane, f.when(f.load(I32, valid.at(lane * 4)) != 0):
 
-            def word(array: int, type: Any = F32, lane: Value = lane) -> Value:
+            def word(array: int, type: Type = F32, lane: Value = lane) -> Value:
                 return f.load(type, samples.at((lane + array * width) * 4))
 
             of_columns, of_rows = (
@@ -71,9 +66,8 @@ def tap_function(taps: Taps, rfilter: ReconstructionFilter, width: int) -> str:
 def weights(f: Function, taps: Taps, rfilter: ReconstructionFilter, corner: Value, position: Value) -> Value:
     """The weights of a sample for the columns, or for the rows, in its reach."""
     lanes = power_of_two(taps.count)
-    row = vector(F32, lanes)
-    centers = [*taps.centers, *[0.0] * (lanes - taps.count)]
-    centered = corner.spread(lanes) + Value(f, row, listed(f, centers))
+    centers = [*tap_centers(taps.count), *[0.0] * (lanes - taps.count)]
+    centered = corner.spread(lanes) + f.constants(F32, centers)
     weight: Value = rfilter.formula(arithmetic, centered - position.spread(lanes))
     return weight
 
@@ -81,7 +75,7 @@ def weights(f: Function, taps: Taps, rfilter: ReconstructionFilter, corner: Valu
 def products(f: Function, taps: Taps, of_columns: Value, channels: list[Value]) -> list[Value]:
     """The products of weights and channels for a row of taps, in pieces of `ROW` numbers or a few less."""
     size = power_of_two(taps.channels + 1)
-    values = Value(f, vector(F32, size), listed(f, [1.0] * size))
+    values = f.constant(vector(F32, size), 1.0)
     for c, channel in enumerate(channels):
         values = f.emit(f"insertelement {values}, {channel}, i32 {c}", values.type)
     numbers = [divmod(k, taps.channels + 1) for k in range(taps.count * (taps.channels + 1))]
@@ -116,8 +110,3 @@ def pieces(items: list[Any]) -> list[list[Any]]:
 def power_of_two(count: int) -> int:
     """The smallest power of two that isn't less."""
     return 1 << (count - 1).bit_length()
-
-
-def listed(f: Function, numbers: list[float]) -> str:
-    """A vector of constants."""
-    return "<" + ", ".join(str(f.constant(F32, number)) for number in numbers) + ">"

@@ -17,6 +17,7 @@ from djpt.geometry.accelerators.brute_force import BruteForce
 from djpt.geometry.compiled import engine
 from djpt.geometry.compiled.tree import CompiledTree
 from djpt.geometry.engines import chosen, ray_queries
+from djpt.llvm.calls import CallError
 from djpt.records import Ray3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
@@ -281,7 +282,7 @@ def test_what_fails_its_test_is_not_used(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_missing_function_of_the_core_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: Any) -> Bool:
-        raise engine.CallError("this version of Dr.Jit has no calls of functions")
+        raise CallError("this version of Dr.Jit has no calls of functions")
 
     monkeypatch.setattr(engine, "call_closest", missing)
     engine.why_not.cache_clear()

@@ -8,13 +8,12 @@ from functools import cache
 import drjit as dr
 import numpy as np
 
-from djpt.errors import DjptError
 from djpt.geometry.compiled.build.builder import build
 from djpt.geometry.compiled.calls import call_any, call_closest
 from djpt.geometry.compiled.packets import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.compiled.placed import Features
 from djpt.geometry.compiled.tree import Functions
-from djpt.llvm.calls import WIDTHS, CallError, Code
+from djpt.llvm.calls import Code, reason_against
 from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
@@ -41,14 +40,7 @@ def why_not() -> str | None:
 
     Found out at the first call, by rays whose hits are known.
     """
-    if dr.backend_v(Float) != dr.JitBackend.LLVM:
-        return "they are for processors, not for CUDA"
-    try:
-        if lane_count() not in WIDTHS:
-            return f"packets have {lane_count()} lanes"
-        return None if proved() else "rays with known hits got other results"
-    except (CallError, DjptError, OSError, AttributeError) as error:
-        return str(error)
+    return reason_against(proved, "rays with known hits got other results")
 
 
 def proved() -> bool:

@@ -61,18 +61,13 @@ def add_emit(module: Module) -> None:
                     f.store((unit + LEAF).to(I32), place)
                     start = f.load(I32, to.at(leaf * 4))
                     count = f.load(I32, to.at(leaf * 4 + 4)) - start
-                    lanes = numbered(f)
+                    lanes = f.constants(I32, range(CHILDREN))
                     records = start.spread(CHILDREN) + select(lanes < count, lanes, 0)
                     f.store(records, memory.at(unit * ROW_BYTES + RECORDS))
                     source = f.load(I32, from_.at(leaf * 4)).to(I64)
                     with f.each(0, count.to(I64)) as k:
                         triangle = f.load(I32, sorted.at((source + k) * 4))
                         f.store(triangle, order.at((start.to(I64) + k) * 4))
-
-
-def numbered(f: Function) -> Value:
-    """The numbers of the lanes."""
-    return Value(f, WORDS, "<" + ", ".join(f"i32 {lane}" for lane in range(CHILDREN)) + ">")
 
 
 # ---- what moves ----------------------------------------------------------------------------------------------
@@ -105,7 +100,7 @@ def folded(x: Value, combine: Callable[[Value, Value], Value]) -> Value:
 def fit_leaf(f: Function, leaf: Value, corners: Value, order: Value, center: list[Value]) -> list[tuple[Value, Value]]:
     """Write the corners of a leaf's triangles, and return their lowest and highest coordinates, axis by axis."""
     records = f.load(WORDS, leaf.at(RECORDS))
-    lanes = numbered(f)
+    lanes = f.constants(I32, range(CHILDREN))
     there = records == records.lane(0).spread(CHILDREN) + lanes
     triangles = gather(order.at(records.to(LONGS) * 4), there, f.constant(WORDS, 0))
     offsets = triangles.to(LONGS) * CORNERS_SIZE
