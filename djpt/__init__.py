@@ -18,6 +18,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from djpt.llvm.finder import prepare as _prepare
+from djpt.scripting.names import EXPORTS as _FOR_SCRIPTS
+from djpt.scripting.names import SUBMODULES as _MODULES_FOR_SCRIPTS
 
 if TYPE_CHECKING:
     from djpt import ad as ad
@@ -113,7 +115,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_SUBMODULES = ("ad", "errors", "integrators", "materials", "scenes", "types", "util", "validation", "warp", "xml")
+_SUBMODULES = {
+    name: f"djpt.{name}"
+    for name in ("ad", "errors", "integrators", "materials", "scenes", "types", "util", "validation", "warp", "xml")
+} | _MODULES_FOR_SCRIPTS
 
 _EXPORTS = {
     "djpt.description.loader": "load_dict",
@@ -153,7 +158,7 @@ _EXPORTS = {
 }
 """The modules of the public names. The imports above say the same to type checkers."""
 
-_HOME = {name: module for module, names in _EXPORTS.items() for name in names.split()}
+_HOME = {name: module for module, names in (_EXPORTS | _FOR_SCRIPTS).items() for name in names.split()}
 
 __all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
 
@@ -164,7 +169,7 @@ _prepare()
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""
     if name in _SUBMODULES:
-        return importlib.import_module(f"djpt.{name}")
+        return importlib.import_module(_SUBMODULES[name])
     if name not in _HOME:
         close = difflib.get_close_matches(name, __all__, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""

@@ -70,6 +70,20 @@ def test_circles_are_found() -> None:
     assert sorted(map(sorted, circles(graph))) == [["a", "b", "c"], ["d", "e"]]
 
 
+def test_the_renderer_needs_no_names_for_scripts() -> None:
+    """Only modules of public names at the top of the package may import from `djpt.scripting`."""
+    known = files()
+    users = {
+        name
+        for name, path in known.items()
+        if not name.startswith("djpt.scripting")
+        and any(module.startswith("djpt.scripting") for module in imported(path, known))
+    }
+    tops = {"djpt", *(f"djpt.{path.stem}" for path in (ROOT / "djpt").glob("*.py"))}
+    needed = ("djpt.scene", "djpt.records", "djpt.types", "djpt.rendering", "djpt.parameters", "djpt.transforms")
+    assert users <= tops - set(needed), users - tops
+
+
 def test_the_top_of_the_package_is_small() -> None:
     assert len(list((ROOT / "djpt").glob("*.py"))) <= 20
 

@@ -1,0 +1,1 @@
+"""Names for the sake of scripts written for Mitsuba."""
