@@ -23,6 +23,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from gradients import image_and_gradient
 from mesh_scenes import bumpy_sphere, over_floor, textured_sphere, twenty_meshes, write_bumpy_sphere
 from pairs import machine, seconds, times_in_pairs
 
@@ -49,9 +50,11 @@ def works(folder: Path, quick: bool) -> dict[str, Callable[[Any], Work]]:
         "bumpy sphere of 10^5 triangles, 32 spp": lambda m: image(m, over_floor(m, bumpy_sphere(ball, True)), 32),
         "  with vertex normals and a texture": lambda m: image(m, over_floor(m, textured_sphere(m, ball)), 32),
         "twenty meshes, 8 materials, 32 spp": lambda m: image(m, twenty_meshes(m, balls), 32),
-        "image and gradient, Cornell box, 16 spp": lambda m: gradient(m, cornell_box(m, "box"), "red"),
-        "image and gradient, 10^5 triangles, 16 spp": lambda m: gradient(
-            m, over_floor(m, bumpy_sphere(ball, True)), "ball.bsdf"
+        "image and gradient, Cornell box, 16 spp": lambda m: image_and_gradient(
+            m, cornell_box(m, "box"), ["red.reflectance.value"]
+        ),
+        "image and gradient, 10^5 triangles, 16 spp": lambda m: image_and_gradient(
+            m, over_floor(m, bumpy_sphere(ball, True)), ["ball.bsdf.reflectance.value"]
         ),
         "ray_intersect, 10^6 rays, 10^5 triangles": lambda m: query(m, ball, "ray_intersect"),
         "ray_test, the same rays": lambda m: query(m, ball, "ray_test"),
@@ -72,21 +75,6 @@ def image(module: Any, description: dict[str, Any], spp: int) -> Work:
     return lambda seed: module.render(scene, spp=spp, seed=seed)
 
 
-def gradient(module: Any, description: dict[str, Any], material: str) -> Work:
-    """Prepare an image and the gradient of its mean by a colour."""
-    scene = module.load_dict({**description, "integrator": {"type": "prb", "max_depth": 8}})
-    params, key = module.traverse(scene), f"{material}.reflectance.value"
-    dr.enable_grad(params[key])
-    params.update()
-
-    def work(seed: int) -> Any:
-        dr.clear_grad(params[key])
-        dr.backward(dr.mean(module.render(scene, params, spp=16, seed=seed), axis=None))
-        return dr.grad(params[key])
-
-    return work
-
-
 def query(module: Any, file: Path, name: str) -> Work:
     """Prepare a ray query, for rays from a sphere about the mesh to anywhere within."""
     scene = module.load_dict({"type": "scene", "ball": bumpy_sphere(file, True)})
@@ -95,9 +83,7 @@ def query(module: Any, file: Path, name: str) -> Work:
     o *= 3 / np.linalg.norm(o, axis=0)
     d = rng.uniform(-1, 1, o.shape) - o
     d /= np.linalg.norm(d, axis=0)
-    ray = module.Ray3f(
-        module.Point3f(o.astype(np.float32)), module.Vector3f(d.astype(np.float32)), module.Float(np.inf)
-    )
+    ray = module.Ray3f(module.Point3f(o.astype(np.float32)), module.Vector3f(d.astype(np.float32)))
     dr.eval(ray)
     return lambda seed: getattr(scene, name)(ray)
 

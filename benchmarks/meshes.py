@@ -24,6 +24,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from gradients import image_and_gradient
 from mesh_scenes import (
     bumpy_sphere,
     instances,
@@ -82,19 +83,7 @@ def gradient_row(folder: Path, pairs: int) -> Row:
 
     def gradient(module: Any) -> Any:
         description = over_floor(module, bumpy_sphere(file, True))
-        description["integrator"] = {"type": "prb", "max_depth": 8}
-        scene = module.load_dict(description)
-        params = module.traverse(scene)
-        key = "ball.bsdf.reflectance.value"
-        dr.enable_grad(params[key])
-        params.update()
-
-        def work(seed: int) -> Any:
-            dr.clear_grad(params[key])
-            dr.backward(dr.mean(module.render(scene, params, spp=16, seed=seed), axis=None))
-            return dr.grad(params[key])
-
-        return work
+        return image_and_gradient(module, description, ["ball.bsdf.reflectance.value"])
 
     ratios, times = in_pairs(gradient(djpt), gradient(mi), pairs)
     return Row("image and gradient, 100000 triangles, 16 spp", 1.3, 1.6, ratios, times)

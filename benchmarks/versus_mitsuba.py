@@ -13,12 +13,12 @@ from __future__ import annotations
 import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
 import statistics
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
+from gradients import image_and_gradient
 from pairs import Row, first_image, in_pairs, report
 
 ALBEDOS = [f"{paint}.reflectance.value" for paint in ("white", "green", "red")]
@@ -66,24 +66,7 @@ def gradient_rows(rfilter: str, pairs: int, required: float, aim: float) -> Iter
     """Measure an image and the gradient of a linear loss by nine numbers: time, and agreement at equal seeds."""
     loss_weights = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
 
-    def gradient(module: Any) -> Callable[[int], list[Any]]:
-        scene = module.load_dict(cornell_box(module, rfilter, "prb"))
-        params = module.traverse(scene)
-        for key in ALBEDOS:
-            dr.enable_grad(params[key])
-        params.update()
-        weights = module.TensorXf(loss_weights)
-
-        def work(seed: int) -> list[Any]:
-            for key in ALBEDOS:
-                dr.clear_grad(params[key])
-            image = module.render(scene, params, spp=16, seed=seed)
-            dr.backward(dr.mean(image * weights, axis=None))
-            return [dr.grad(params[key]) for key in ALBEDOS]
-
-        return work
-
-    ours, theirs = gradient(djpt), gradient(mi)
+    ours, theirs = (image_and_gradient(m, cornell_box(m, rfilter), ALBEDOS, loss_weights) for m in (djpt, mi))
     ratios, times = in_pairs(ours, theirs, pairs)
     yield Row(f"image and gradient, {rfilter} filter, 16 spp", required, aim, ratios, times)
 
