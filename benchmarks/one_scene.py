@@ -22,10 +22,10 @@ import mitsuba as mi
 import numpy as np
 from pairs import seconds, times_in_pairs
 
+from djpt.backends import load_backend
 from djpt.llvm.lanes import force_lanes
 from djpt.validation.metrics import ComparisonError, relative_rmse
 from djpt.validation.same_seed import agreement
-from djpt.variants import load_backend
 
 LOADS = 3
 """How many times a scene is loaded by each renderer, at most."""

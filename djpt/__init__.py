@@ -15,11 +15,13 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 from djpt.llvm.finder import prepare as _prepare
 from djpt.scripting.names import EXPORTS as _FOR_SCRIPTS
 from djpt.scripting.names import SUBMODULES as _MODULES_FOR_SCRIPTS
+from djpt.scripting.names import VARIANT_MODULES as _VARIANT_MODULES
 
 if TYPE_CHECKING:
     from djpt import ad as ad
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
     from djpt import validation as validation
     from djpt import warp as warp
     from djpt import xml as xml
+    from djpt.backends import set_variant as set_variant
+    from djpt.backends import variant as variant
+    from djpt.backends import variants as variants
     from djpt.description.loader import load_dict as load_dict
     from djpt.description.plugin import ParamFlags as ParamFlags
     from djpt.description.plugin import Plugin as Plugin
@@ -110,8 +115,6 @@ if TYPE_CHECKING:
     from djpt.types import UInt64 as UInt64
     from djpt.types import Vector2f as Vector2f
     from djpt.types import Vector3f as Vector3f
-    from djpt.variants import set_variant as set_variant
-    from djpt.variants import variant as variant
 
 __version__ = "0.1.0"
 
@@ -154,7 +157,7 @@ _EXPORTS = {
         "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "
         "UInt32 UInt64 Vector2f Vector3f"
     ),
-    "djpt.variants": "set_variant variant",
+    "djpt.backends": "set_variant variant variants",
 }
 """The modules of the public names. The imports above say the same to type checkers."""
 
@@ -162,12 +165,17 @@ _HOME = {name: module for module, names in (_EXPORTS | _FOR_SCRIPTS).items() for
 
 __all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
 
+# The variant is chosen for the process: Mitsuba's modules of one variant are this module.
+sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_MODULES})
+
 # Before anything can import Dr.Jit, also the user's own `import mitsuba` on the next line.
 _prepare()
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""
+    if name in _VARIANT_MODULES:
+        return sys.modules[__name__]
     if name in _SUBMODULES:
         return importlib.import_module(_SUBMODULES[name])
     if name not in _HOME:

@@ -1,7 +1,7 @@
 """The Dr.Jit types that djpt computes with, under Mitsuba's names.
 
 The backend (`llvm` or `cuda`) is fixed when this module is first imported: see
-`djpt.variants`. Everything else imports its types from here.
+`djpt.backends`. Everything else imports its types from here.
 
 Points, vectors, normals and colours are one type, Dr.Jit's `Array3f` (Dr.Jit's array
 classes can't be subclassed): the names say what is meant, not what is checked.
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import drjit.llvm.ad as backend
 else:
-    from djpt.variants import load_backend
+    from djpt.backends import load_backend
 
     backend = load_backend()
 

@@ -13,13 +13,13 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.backends import load_backend, variant
 from djpt.description.numeric import as_array
 from djpt.description.overrides import described
 from djpt.description.plugin import Plugin
 from djpt.errors import BackendError, SceneError
 from djpt.transforms import as_transform
 from djpt.validation.metrics import ComparisonError
-from djpt.variants import load_backend, variant
 
 __all__ = ["VERSION", "Renderer", "mitsuba_renderer", "render_in_mitsuba", "to_mitsuba"]
 

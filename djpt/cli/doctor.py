@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import djpt
+from djpt.backends import VARIANTS, variant
 from djpt.errors import BackendError
 from djpt.llvm.finder import PATH_VARIABLE, SEARCH_VARIABLE, Search, search
 from djpt.llvm.installer import libatomic_missing
-from djpt.variants import VARIANTS, variant
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,7 +36,7 @@ _TRIAL = """
 import json, sys
 import djpt
 from djpt.errors import BackendError
-from djpt.variants import load_backend
+from djpt.backends import load_backend
 try:
     backend = load_backend()
 except BackendError as error:

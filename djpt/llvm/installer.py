@@ -37,7 +37,7 @@ _TRY_BACKEND = """
 import sys
 import djpt
 from djpt.errors import BackendError
-from djpt.variants import load_backend
+from djpt.backends import load_backend
 try:
     backend = load_backend()
 except BackendError as error:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import drjit as dr
 
+from djpt.backends import VARIANTS, variant
 from djpt.errors import BackendError
-from djpt.variants import VARIANTS, variant
 
 __all__ = [
     "BLOCK",

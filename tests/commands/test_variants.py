@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import djpt
+from djpt.backends import VARIANTS, set_variant, variant, variants
 from djpt.errors import BackendError
-from djpt.variants import set_variant, variant
 from tests.kit.processes import compile_library, old_llvm, run_python
 
 USE = "import djpt; print(djpt.Float(1, 2) + 1)"
@@ -139,7 +139,7 @@ print(subprocess.run([sys.executable, "-c", child], capture_output=True, text=Tr
 def test_missing_libatomic_is_explained() -> None:
     """Dr.Jit 1.5.0 hides the reason behind a NameError of its own."""
     code = """
-import importlib, djpt, djpt.variants
+import importlib, djpt, djpt.backends
 real = importlib.import_module
 def failing(name, package=None):
     if name != "drjit":
@@ -168,6 +168,8 @@ def test_set_variant_is_refused_once_types_are_in_use() -> None:
     set_variant("cuda_ad_rgb", "llvm_ad_rgb")
     with pytest.raises(BackendError, match="can't change to 'cuda_ad_rgb', the types of 'llvm_ad_rgb' are in use"):
         set_variant("cuda_ad_rgb")
+    with pytest.raises(BackendError, match=r"none of these.*\ncuda_ad_rgb: .*in use already.*\nfoo: .*unknown variant"):
+        set_variant("cuda_ad_rgb", "foo")
     assert variant() == "llvm_ad_rgb"
 
 
@@ -177,6 +179,36 @@ def test_unknown_variants() -> None:
     with pytest.raises(BackendError, match="at least one name"):
         set_variant()
     readable(run_python("-c", USE, variant="scalar_rgb"), "DJPT_VARIANT: unknown variant 'scalar_rgb'")
+
+
+@pytest.mark.parametrize("name", ["llvm_ad_spectral", "scalar_mono", "scalar_rgb_double", "cuda_ad_rgb_polarized"])
+def test_variants_that_compute_something_else(name: str) -> None:
+    with pytest.raises(
+        BackendError, match=f"the variant '{name}' can't be had: djpt computes with red, green and blue"
+    ):
+        set_variant(name)
+    set_variant(name, "llvm_ad_rgb")
+    assert variant() == "llvm_ad_rgb"
+
+
+@pytest.mark.parametrize("names", ["scalar_rgb", "foo', 'scalar_rgb", "llvm_rgb"])
+def test_other_rgb_variants_stand_for_the_one_in_use(names: str) -> None:
+    """One note says so, however often they are set."""
+    code = f"""
+import djpt
+djpt.set_variant('{names}')
+print(djpt.variant(), djpt.Float(1))
+djpt.set_variant('{names}')
+"""
+    done = run_python("-c", code)
+    assert done.stdout == "llvm_ad_rgb [1]\n"
+    assert done.stderr.count("djpt has no variant") == 1
+    assert "'llvm_ad_rgb' computes the same and is used instead" in done.stderr
+
+
+def test_the_variants_that_run_here() -> None:
+    assert variants()[0] == "llvm_ad_rgb"
+    assert set(variants()) <= set(VARIANTS)
 
 
 def test_set_variant_before_the_first_type() -> None:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from djpt.backends import load_backend
 from djpt.errors import BackendError
-from djpt.variants import load_backend
 
 __all__ = ["GRADIENTS", "IMAGES", "QUERIES", "computed", "gpu_problem"]
 

@@ -8,10 +8,10 @@ from html import escape
 from pathlib import Path
 
 import djpt
+from djpt.backends import variant
 from djpt.validation.ladder.curves import Curve, chart, plain
 from djpt.validation.ladder.measure import Ladder, Measured
 from djpt.validation.ladder.pictures import ERROR_COLORS, address, error_map, error_range, pixel_errors, shown
-from djpt.variants import variant
 
 __all__ = ["html"]
 

@@ -9,17 +9,25 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
+import warnings
 from types import ModuleType
 
 from djpt.errors import BackendError, near_miss
 from djpt.llvm.finder import MINIMUM, PATH_VARIABLE, prepare
 
-__all__ = ["DEFAULT", "VARIANTS", "load_backend", "set_variant", "variant"]
+__all__ = ["DEFAULT", "VARIANTS", "load_backend", "set_variant", "variant", "variants"]
 
 VARIANTS = {"llvm_ad_rgb": "llvm", "cuda_ad_rgb": "cuda"}
 """The Dr.Jit backend of each variant, by the variant's name."""
 
 DEFAULT = "llvm_ad_rgb"
+
+RGB = re.compile(r"(scalar|llvm|cuda|metal)(_ad)?_rgb$")
+"""Mitsuba's variants that compute what djpt computes: they mean the same here."""
+
+OTHER = re.compile(r"(scalar|llvm|cuda|metal)(_ad)?_(mono|rgb|spectral)(_polarized)?(_double)?$")
+"""All of Mitsuba's variants."""
 
 _LIBATOMIC = """Dr.Jit needs libatomic.so.1, which this system doesn't have. Any one of these gets it:
     sudo apt-get install -y libatomic1   Debian, Ubuntu
@@ -32,6 +40,8 @@ class _State:
 
     name: str | None = None
     module: ModuleType | None = None
+    noted: bool = False
+    """Whether it was said that one variant stands for another."""
 
 
 def variant() -> str:
@@ -46,10 +56,33 @@ def variant() -> str:
     return _checked(name, "the environment variable DJPT_VARIANT")
 
 
+def variants() -> list[str]:
+    """The names of the variants that this machine can run, the default first. Loads Dr.Jit."""
+    drjit = _import_drjit()
+    runs = {"llvm": drjit.has_backend(drjit.JitBackend.LLVM), "cuda": drjit.has_backend(drjit.JitBackend.CUDA)}
+    return [name for name, backend in VARIANTS.items() if runs[backend]]
+
+
 def _checked(name: str, where: str) -> str:
-    if name not in VARIANTS:
-        raise BackendError(f"{where}: unknown variant {name!r}{near_miss(str(name), VARIANTS)}")
-    return name
+    if name in VARIANTS:
+        return name
+    if isinstance(name, str) and OTHER.match(name) and not RGB.match(name):
+        raise BackendError(
+            f"{where}: the variant {name!r} can't be had: djpt computes with red, green and blue, unpolarised and in "
+            f"single precision; use {DEFAULT!r}"
+        )
+    raise BackendError(f"{where}: unknown variant {name!r}{near_miss(str(name), VARIANTS)}")
+
+
+def _own(name: str) -> str:
+    """The variant of djpt that one of Mitsuba's stands for; raises `BackendError`."""
+    if name in VARIANTS or not (isinstance(name, str) and RGB.match(name)):
+        return _checked(name, "set_variant")
+    own = _State.name or DEFAULT
+    if not _State.noted:
+        _State.noted = True
+        warnings.warn(f"djpt has no variant {name!r}: {own!r} computes the same and is used instead", stacklevel=3)
+    return own
 
 
 def set_variant(*names: str) -> None:
@@ -57,6 +90,7 @@ def set_variant(*names: str) -> None:
 
     Optional; without it ``llvm_ad_rgb`` is used. A single name is taken as it is, and checked
     when a type is first used. Several names are tried in turn, which loads the backend.
+    Mitsuba's other rgb variants, such as ``scalar_rgb``, stand for the variant in use; a warning says so once.
 
     Raises:
         BackendError: no name or an unknown one was given, none of several can be run, or
@@ -64,29 +98,33 @@ def set_variant(*names: str) -> None:
     """
     if not names:
         raise BackendError("set_variant: expected at least one name" + near_miss("", VARIANTS))
-    for name in names:
-        _checked(name, "set_variant")
-    if _State.module is not None:
-        if _State.name not in names:
-            raise BackendError(
-                f"set_variant: can't change to {names[0]!r}, the types of {_State.name!r} are in use already; "
-                "call set_variant() straight after 'import djpt'"
-            )
-        return
     if len(names) == 1:
-        _State.name = names[0]
+        name = _own(names[0])
+        if _State.module is not None and name != _State.name:
+            raise BackendError(_in_use(name))
+        _State.name = name
         return
     before, problems = _State.name, []
-    for name in names:
-        _State.name = name
+    for asked in names:
         try:
+            name = _own(asked)
+            if _State.module is not None and name != before:
+                raise BackendError(_in_use(name))
+            _State.name = name
             load_backend()
         except BackendError as error:
-            problems.append(f"{name}: {error}")
+            _State.name = before
+            problems.append(f"{asked}: {error}")
         else:
             return
-    _State.name = before
     raise BackendError("set_variant: none of these can be run:\n" + "\n".join(problems))
+
+
+def _in_use(name: str) -> str:
+    return (
+        f"set_variant: can't change to {name!r}, the types of {_State.name!r} are in use already; "
+        "call set_variant() straight after 'import djpt'"
+    )
 
 
 def load_backend() -> ModuleType:

@@ -1,0 +1,13 @@
+"""The public names of Mitsuba, compared with djpt's: which are here, differ, are left out, are absent.
+
+The command ``python -m djpt.validation.names`` prints the shares; with ``--write`` it renews the page of the
+documentation.
+"""
+
+from __future__ import annotations
+
+from djpt.validation.names.compare import Finding, Verdict, findings
+from djpt.validation.names.page import counts, read_names, render_page
+from djpt.validation.names.walk import PublicName, public_names
+
+__all__ = ["Finding", "PublicName", "Verdict", "counts", "findings", "public_names", "read_names", "render_page"]
