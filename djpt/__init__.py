@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
     from djpt.emitters import Emitter as Emitter
+    from djpt.errors import AmbiguityError as AmbiguityError
     from djpt.errors import BackendError as BackendError
     from djpt.errors import DjptError as DjptError
     from djpt.errors import FileError as FileError
@@ -62,7 +63,13 @@ if TYPE_CHECKING:
     from djpt.errors import RenderError as RenderError
     from djpt.errors import SceneError as SceneError
     from djpt.frame import Frame3f as Frame3f
+    from djpt.frame import coordinate_system as coordinate_system
+    from djpt.geometry.bounding_box import BoundingBox2f as BoundingBox2f
     from djpt.geometry.bounding_box import BoundingBox3f as BoundingBox3f
+    from djpt.geometry.bounding_box import ScalarBoundingBox2f as ScalarBoundingBox2f
+    from djpt.geometry.bounding_box import ScalarBoundingBox3f as ScalarBoundingBox3f
+    from djpt.geometry.bounding_sphere import BoundingSphere3f as BoundingSphere3f
+    from djpt.geometry.bounding_sphere import ScalarBoundingSphere3f as ScalarBoundingSphere3f
     from djpt.images.image import Image as Image
     from djpt.images.image import read as read
     from djpt.images.image import read_metadata as read_metadata
@@ -94,8 +101,12 @@ if TYPE_CHECKING:
     from djpt.scene import Scene as Scene
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.shapes import Mesh as Mesh
+    from djpt.transforms import ScalarTransform3f as ScalarTransform3f
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
-    from djpt.transforms import Transform4f as Transform4f
+    from djpt.transforms.lanes import AffineTransform3f as AffineTransform3f
+    from djpt.transforms.lanes import AffineTransform4f as AffineTransform4f
+    from djpt.transforms.lanes import Transform3f as Transform3f
+    from djpt.transforms.lanes import Transform4f as Transform4f
     from djpt.types import PCG32 as PCG32
     from djpt.types import Bool as Bool
     from djpt.types import Color3f as Color3f
@@ -133,10 +144,11 @@ _EXPORTS = {
     ),
     "djpt.description.scene_files": "load_file load_string",
     "djpt.description.xml.writer": "to_xml write_dict",
-    "djpt.errors": "BackendError DjptError FileError ParameterError RenderError SceneError",
+    "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.emitters": "Emitter",
-    "djpt.frame": "Frame3f",
-    "djpt.geometry.bounding_box": "BoundingBox3f",
+    "djpt.frame": "Frame3f coordinate_system",
+    "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",
+    "djpt.geometry.bounding_sphere": "BoundingSphere3f ScalarBoundingSphere3f",
     "djpt.images.image": "Image read read_metadata write",
     "djpt.integrators": "Integrator",
     "djpt.integrators.moment": "variance",
@@ -152,7 +164,8 @@ _EXPORTS = {
     "djpt.scenes.cornell": "cornell_box",
     "djpt.shapes": "Mesh",
     "djpt.images.tone_mapping": "tonemap",
-    "djpt.transforms": "ScalarTransform4f Transform4f",
+    "djpt.transforms": "ScalarTransform3f ScalarTransform4f",
+    "djpt.transforms.lanes": "AffineTransform3f AffineTransform4f Transform3f Transform4f",
     "djpt.types": (
         "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "
         "UInt32 UInt64 Vector2f Vector3f"
@@ -161,7 +174,7 @@ _EXPORTS = {
 }
 """The modules of the public names. The imports above say the same to type checkers."""
 
-_HOME = {name: module for module, names in (_EXPORTS | _FOR_SCRIPTS).items() for name in names.split()}
+_HOME = {name: module for module, names in (_FOR_SCRIPTS | _EXPORTS).items() for name in names.split()}
 
 __all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
 

@@ -11,6 +11,7 @@ import difflib
 from collections.abc import Iterable
 
 __all__ = [
+    "AmbiguityError",
     "BackendError",
     "DjptError",
     "FileError",
@@ -42,6 +43,10 @@ class ParameterError(DjptError, KeyError):
 
 class RenderError(DjptError, ValueError):
     """The arguments of `render()` can't be rendered (spp 0, no sensor, an empty film)."""
+
+
+class AmbiguityError(DjptError, TypeError):
+    """A transform was applied with ``@`` to an array that may hold points, vectors or normals."""
 
 
 class FileError(DjptError, OSError):

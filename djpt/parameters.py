@@ -14,6 +14,7 @@ import numpy as np
 from djpt.description.numeric import as_array, as_integer, as_number, describe, is_readable
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
+from djpt.transforms import ScalarTransform4f
 
 __all__ = ["SceneParameters", "traverse"]
 
@@ -58,17 +59,32 @@ class Entry:
 
 
 class Loan:
-    """A value that a caller has read, and may have edited in place."""
+    """A value that a caller has read, and may have edited in place.
 
-    def __init__(self, value: Any) -> None:
-        self.value = value
-        # The copy also keeps the Dr.Jit index taken, so that an equal index means an equal value.
-        self.before = type(value)(value) if dr.is_array_v(value) else value
+    A transform is lent as a copy on lanes, as scripts expect it; anything else as it is.
+    """
+
+    def __init__(self, source: Any) -> None:
+        self.source = source
+        self.value = value = lent(source)
+        self.is_copy = value is not source
+        # Copies also keep the Dr.Jit indices taken, so that an equal index means an equal value.
+        self.before = type(value)(value) if dr.is_array_v(value) else source
+        self._kept = type(value)(value) if self.is_copy else None
         self.state = state_of(value)
 
     def is_edited(self) -> bool:
         """Whether the value has changed since the caller read it."""
         return state_of(self.value) != self.state
+
+
+def lent(value: Any) -> Any:
+    """What a caller who reads a parameter gets: a transform of Dr.Jit matrices for one on the host, else the value."""
+    if not isinstance(value, ScalarTransform4f):
+        return value
+    from djpt.transforms.lanes import Transform4f
+
+    return Transform4f(value)
 
 
 class Walk:
@@ -129,7 +145,7 @@ class SceneParameters(Mapping[str, Any]):
     def __getitem__(self, key: str) -> Any:
         entry = self._entry(key)
         loan, value = self._lent.get(key), entry.read()
-        if loan is None or not (loan.value is value or entry.is_computed()):
+        if loan is None or not (loan.source is value or entry.is_computed()):
             loan = self._lent[key] = Loan(value)
         return loan.value
 
@@ -185,7 +201,9 @@ class SceneParameters(Mapping[str, Any]):
     def __setitem__(self, key: str, value: Any) -> None:
         entry = self._entry(key)
         current, loan = entry.read(), self._lent.get(key)
-        in_place = loan is not None and value is loan.value and not entry.is_computed()
+        if loan is not None and loan.is_copy and value is loan.value and not loan.is_edited():
+            return
+        in_place = loan is not None and value is loan.value and not (loan.is_copy or entry.is_computed())
         try:
             converted = convert(entry.owner.check_parameter(entry.name, value), current)
             if not entry.flags & ParamFlags.Differentiable and dr.grad_enabled(value):
@@ -279,7 +297,7 @@ class SceneParameters(Mapping[str, Any]):
                 for sign, flag in (("∂", ParamFlags.Differentiable), ("D", ParamFlags.Discontinuous))
                 if entry.flags & flag
             ]
-            rows.append((key, ", ".join(flags), type(entry.read()).__name__, type(entry.owner).__name__))
+            rows.append((key, ", ".join(flags), type(lent(entry.read())).__name__, type(entry.owner).__name__))
         widths = [max(len(row[i]) for row in rows) for i in range(4)]
         lines = ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
         rule = "  " + "-" * (sum(widths) + 6)
@@ -296,7 +314,8 @@ def tell(told: Iterable[tuple[Plugin, set[str]]]) -> None:
 
 def state_of(value: Any) -> Any:
     """A key that differs after any edit: the Dr.Jit and gradient indices of an array, else the value."""
-    return tuple(dr.detail.collect_indices(value)) if dr.is_array_v(value) else value
+    on_lanes = dr.is_array_v(value) or hasattr(value, "DRJIT_STRUCT")
+    return tuple(dr.detail.collect_indices(value)) if on_lanes else value
 
 
 def convert(value: Any, current: Any) -> Any:

@@ -20,7 +20,7 @@ from djpt.emitters.choice import EmitterChoice, make_choice
 from djpt.emitters.choice.sampling import LightSampling
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
-from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
@@ -202,9 +202,9 @@ class Scene(Plugin):
         """The emitter that surrounds the scene, or None."""
         return None if self._environment is None else self._emitters[self._environment]
 
-    def bbox(self) -> BoundingBox3f:
+    def bbox(self) -> ScalarBoundingBox3f:
         """The box about all shapes, world space; ``low, high = scene.bbox()`` gives its corners."""
-        return BoundingBox3f(*self.geometry.bounding_box())
+        return ScalarBoundingBox3f(*self.geometry.bounding_box())
 
     @property
     def refracts(self) -> bool:

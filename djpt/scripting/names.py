@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from djpt.scripting.array_names import ARRAYS
+
 __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
+    "djpt.scripting.arrays": " ".join(ARRAYS),
+    "djpt.scripting.transforms": (
+        "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
+        "ProjectiveTransform4f ScalarAffineTransform3d ScalarAffineTransform3f ScalarAffineTransform4d "
+        "ScalarAffineTransform4f ScalarProjectiveTransform3d ScalarProjectiveTransform3f ScalarProjectiveTransform4d "
+        "ScalarProjectiveTransform4f ScalarTransform3d ScalarTransform4d Transform3d Transform4d"
+    ),
     "djpt.scripting.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""

@@ -80,7 +80,7 @@ class Bitmap(UVTexture):
     def prepare_sampling(self) -> None:
         """Build the distribution: its cells are texels unless `to_uv` moves them, which Mitsuba 3.9.1 ignores."""
         height, width, _ = self.data.shape
-        plain = np.array_equal(self.to_uv.matrix, np.eye(4))
+        plain = np.array_equal(self.to_uv.matrix, np.eye(3))
         self.tents = plain and self.filter_type == "bilinear"
         weights = luminance(numbers_of(self.data)) if plain else cell_weights(self, (width, height))
         if self.distribution is None:

@@ -14,7 +14,7 @@ from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_vector
 from djpt.textures.base import Texture
-from djpt.transforms import ScalarTransform4f, matrix_of
+from djpt.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 from djpt.types import Float, Point2f, Vector2f, Vector3f
 
 __all__ = ["UVTexture", "as_uv_transform"]
@@ -33,7 +33,7 @@ class UVTexture(Texture):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         try:
-            self.to_uv = as_uv_transform(props.raw("to_uv", ScalarTransform4f()))
+            self.to_uv = as_uv_transform(props.raw("to_uv", ScalarTransform3f()))
         except SceneError as error:
             raise props.error("to_uv", str(error)) from None
         self._place()
@@ -41,7 +41,7 @@ class UVTexture(Texture):
     def _place(self) -> None:
         """Compute the rows of `to_uv` that kernels read."""
         matrix = self.to_uv.matrix
-        self.to_u, self.to_v = (as_vector(matrix[i, [0, 1, 3]]) for i in range(2))
+        self.to_u, self.to_v = (as_vector(matrix[i]) for i in range(2))
 
     def traverse(self, callback: TraversalCallback) -> None:
         for name, flags in self.tables.items():
@@ -81,22 +81,17 @@ def affine(row: Vector3f, u: Float, v: Float) -> Float:
     return row.x * u + (row.y * v + row.z)
 
 
-def as_uv_transform(value: Any) -> ScalarTransform4f:
+def as_uv_transform(value: Any) -> ScalarTransform3f:
     """A map of uv from any accepted form; what a transform of space does with z is dropped.
 
     Raises:
         SceneError: not an affine 3x3 or 4x4 matrix.
     """
-    if isinstance(value, ScalarTransform4f):
-        matrix: NDArray[np.float64] = value.matrix
-    else:
-        matrix = as_array(matrix_of(value))
+    if isinstance(value, ScalarTransform3f):
+        return value
+    matrix: NDArray[np.float64] = value.matrix if isinstance(value, ScalarTransform4f) else as_array(matrix_of(value))
     if matrix.shape == (4, 4):
-        matrix = ScalarTransform4f(matrix).matrix[np.ix_([0, 1, 3], [0, 1, 3])]
+        return ScalarTransform4f(matrix).extract()
     if matrix.shape != (3, 3):
         raise SceneError(f"must be a 3x3 or 4x4 matrix, found {describe(value)}")
-    if not np.array_equal(matrix[2], (0, 0, 1)):
-        raise SceneError(f"must be affine: the last row of the matrix is {matrix[2].tolist()}, not [0, 0, 1]")
-    padded = np.eye(4)
-    padded[np.ix_([0, 1, 3], [0, 1, 3])] = matrix
-    return ScalarTransform4f(padded)
+    return ScalarTransform3f(matrix)

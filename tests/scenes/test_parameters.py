@@ -14,6 +14,7 @@ from djpt.description.plugin import ParamFlags
 from djpt.errors import ParameterError
 from djpt.parameters import SceneParameters
 from djpt.transforms import ScalarTransform4f as T
+from djpt.transforms import Transform
 from djpt.types import Array3f, Color3f, Float, TensorXf, UInt32
 
 RED = "red.reflectance.value"
@@ -73,8 +74,9 @@ def test_values_are_mitsubas(mi: Any, params: SceneParameters) -> None:
     theirs = mi.traverse(mi.load_dict(mi.cornell_box(), optimize=False))
     for key, value in params.items():
         other = theirs[key]
-        if isinstance(value, T):
-            np.testing.assert_allclose(value.matrix, np.array(other.matrix)[..., 0], atol=2e-7, err_msg=key)
+        if isinstance(value, Transform):
+            assert type(value).__name__ == type(other).__name__
+            np.testing.assert_allclose(np.array(value.matrix), np.array(other.matrix), atol=2e-7, err_msg=key)
         else:
             np.testing.assert_allclose(np.array(value), np.array(other), atol=5e-7, err_msg=key)
 
@@ -133,7 +135,7 @@ def test_keep(params: SceneParameters) -> None:
 def test_table(params: SceneParameters) -> None:
     lines = {line.split()[0]: line.split() for line in repr(params).splitlines() if "." in line}
     assert lines[RED] == [RED, "∂", "Array3f", "ConstantTexture"]
-    assert lines["floor.to_world"] == ["floor.to_world", "∂,", "D", "ScalarTransform4f", "Rectangle"]
+    assert lines["floor.to_world"] == ["floor.to_world", "∂,", "D", "AffineTransform4f", "Rectangle"]
     assert len(lines) == 38
 
 
@@ -321,7 +323,7 @@ def test_refused(params: SceneParameters, key: str, value: Any, message: str) ->
     params.update()
     for k, old in before.items():
         new = params[k]
-        assert old == new if isinstance(old, (T, tuple, float)) else numbers(old) == numbers(new), k
+        assert old == new if isinstance(old, (Transform, tuple, float)) else numbers(old) == numbers(new), k
 
 
 def test_refused_in_place_edits_are_taken_back(params: SceneParameters) -> None:

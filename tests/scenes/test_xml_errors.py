@@ -94,7 +94,7 @@ WRONG = {
     ),
     "axis": (
         sphere('<transform name="t">', '<rotate angle="3"/>', "</transform>"),
-        ":4: <rotate>: rotate: the axis has length 0",
+        ":4: <rotate>: the axis has length 0",
     ),
     "no angle": (
         sphere('<transform name="t"><rotate x="1"/></transform>'),

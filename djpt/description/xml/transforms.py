@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -12,6 +10,7 @@ from djpt.description.xml.source import Element
 from djpt.description.xml.values import check_attributes, number, numbers, vector
 from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
+from djpt.transforms.host import rotation, warn_of_length
 
 __all__ = ["OPERATIONS", "transform"]
 
@@ -49,22 +48,8 @@ def _scale(element: Element) -> ScalarTransform4f:
 def _rotate(element: Element) -> ScalarTransform4f:
     """A rotation; what Mitsuba makes of an axis without unit length, for files that contain one."""
     axis, angle = vector(element, 0.0, "angle"), number(element, element.attributes["angle"])
-    rotation = ScalarTransform4f.rotate(axis, angle)
-    length = float(np.linalg.norm(axis))
-    if abs(length - 1) < 1e-3:
-        return rotation
-    warnings.warn(
-        f"{element.place}: <rotate>: the axis has the length {length:.4g}, so Mitsuba's matrix also scales and shears; "
-        "for a rotation give an axis of length 1",
-        stacklevel=2,
-    )
-    # Rodrigues' formula cos(a) I + sin(a) K + (1 - cos(a)) x x^T, of which the normalised axis gave other parts.
-    matrix = np.array(rotation.matrix)
-    turned = matrix[:3, :3]
-    antisymmetric = (turned - turned.T) / 2
-    cosine = math.cos(math.radians(angle))
-    matrix[:3, :3] = cosine * np.eye(3) + length * antisymmetric + (1 - cosine) * np.outer(axis, axis)
-    return ScalarTransform4f(matrix)
+    warn_of_length(axis, f"{element.place}: <rotate>", 2)
+    return ScalarTransform4f(rotation(axis, angle))
 
 
 def _look_at(element: Element) -> ScalarTransform4f:

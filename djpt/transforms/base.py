@@ -1,0 +1,156 @@
+"""What all transforms have in common: how they are chained, composed and applied."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
+
+import drjit as dr
+
+from djpt.errors import AmbiguityError, SceneError
+
+__all__ = ["Chained", "Transform", "matrix_of"]
+
+
+class Chained:
+    """A method that multiplies from the right by what `build` returns: a transform, or its matrix.
+
+    Works on the class as well, as in Mitsuba: ``T.translate(v)`` is ``T().translate(v)``.
+    """
+
+    def __init__(self, build: Callable[..., Any]) -> None:
+        self.build = build
+        self.__doc__ = build.__doc__
+
+    def __get__(self, instance: Any, owner: type[Any]) -> Callable[..., Any]:
+        def chained(*args: Any, **kwargs: Any) -> Any:
+            try:
+                right = owner(self.build(owner, *args, **kwargs))
+            except SceneError as error:
+                raise SceneError(f"{self.build.__name__}: {error}") from None
+            return right if instance is None else instance @ right
+
+        chained.__name__, chained.__doc__ = self.build.__name__, self.__doc__
+        return chained
+
+
+def matrix_of(value: Any) -> Any:
+    """The matrix of a transform (djpt's or Mitsuba's), or `value` itself."""
+    # Dr.Jit's arrays have this name as well: they take it for a swizzle.
+    return value if dr.is_array_v(value) else getattr(value, "matrix", value)
+
+
+class Transform:
+    """A map of points, vectors, normals and rays by a matrix that acts on homogeneous column vectors.
+
+    Points, vectors and normals are one type of Dr.Jit array here, so ``T @ array`` can't tell them apart. It
+    works where T treats them alike: where it doesn't translate and keeps all angles. Elsewhere it raises
+    `AmbiguityError`, and `transform_point`, `transform_vector` or `transform_normal` say what is meant.
+    Lists, tuples and NumPy arrays are points, as in Mitsuba.
+    """
+
+    __slots__ = ()
+
+    size: ClassVar[int]
+    """Rows of the matrix: 4 for maps of space, 3 for maps of the plane."""
+    projective: ClassVar[bool] = False
+    """Whether the last row of the matrix may be any; else it is (0, .., 0, 1)."""
+    on_lanes: ClassVar[bool] = False
+    """Whether the entries are Dr.Jit arrays."""
+
+    # NumPy must leave `array @ transform` to this class, which refuses it.
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    matrix: Any
+    inverse_transpose: Any
+
+    def __init__(self, matrix: Any = None) -> None:
+        raise NotImplementedError
+
+    # ---- composing ---------------------------------------------------------------------
+
+    def __matmul__(self, other: Any) -> Any:
+        """Compose with a transform (which is applied first), or apply to points or a ray."""
+        if isinstance(other, Transform):
+            kind = self._kind_of_product(other)
+            return kind._product(kind._of(self), kind._of(other))
+        if hasattr(other, "o") and hasattr(other, "d") and not dr.is_array_v(other):
+            return self._transform_ray(other)
+        if dr.is_array_v(other) and not dr.is_tensor_v(other):
+            if not self._treats_alike():
+                raise AmbiguityError(
+                    f"T @ x: this {type(self).__name__} treats points, vectors and normals differently, and a Dr.Jit "
+                    "array doesn't say which of them it holds; write T.transform_point(x), T.transform_vector(x) or "
+                    "T.transform_normal(x)"
+                )
+            return self.transform_point(other)
+        if isinstance(other, (str, bytes, dict, set)) or not hasattr(other, "__len__"):
+            return self._matmul_other(other)
+        return self.transform_point(other)
+
+    def _matmul_other(self, other: Any) -> Any:
+        """Apply to, or compose with, what isn't a transform, a ray, an array or a sequence."""
+        return NotImplemented
+
+    def __mul__(self, other: Any) -> Any:
+        raise SceneError(f"{type(self).__name__} * x: transforms are composed and applied by the operator @")
+
+    def _kind_of_product(self, other: Transform) -> type[Transform]:
+        """The class of ``self @ other``: on lanes if one factor is, and projective if one is."""
+        for kind in (type(self), type(other)):
+            on_lanes = kind.on_lanes or not (self.on_lanes or other.on_lanes)
+            projective = kind.projective or not (self.projective or other.projective)
+            if on_lanes and projective and self.size == other.size:
+                return kind
+        raise SceneError(
+            f"{type(self).__name__} @ {type(other).__name__}: the two can't be composed; convert one of them to a kind "
+            "that can hold both, such as ProjectiveTransform4f(T)"
+        )
+
+    @classmethod
+    def _of(cls, transform: Transform) -> Self:
+        """`transform` as one of this class."""
+        return transform if type(transform) is cls else cls(transform)
+
+    @classmethod
+    def _product(cls, left: Self, right: Self) -> Self:
+        raise NotImplementedError
+
+    # ---- applying ----------------------------------------------------------------------
+
+    def _treats_alike(self) -> bool:
+        """Whether points, vectors and the directions of normals are known to be mapped alike."""
+        raise NotImplementedError
+
+    def transform_point(self, p: Any) -> Any:
+        """Apply to points."""
+        raise NotImplementedError
+
+    def transform_vector(self, v: Any) -> Any:
+        """Apply to vectors, which a translation doesn't change."""
+        raise NotImplementedError
+
+    def transform_normal(self, n: Any) -> Any:
+        """Apply to normals: by the inverse transpose, so that they stay perpendicular. Their length changes."""
+        raise NotImplementedError
+
+    def apply_vector(self, v: Any) -> Any:
+        """The same as `transform_vector`."""
+        return self.transform_vector(v)
+
+    def transform_affine(self, p: Any) -> Any:
+        """The same as the operator ``@``."""
+        return self @ p
+
+    def _transform_ray(self, ray: Any) -> Any:
+        """`ray` with origin and direction transformed, and those of its differentials, if it has some."""
+        moved = copy.copy(ray)
+        for name in ("o", "o_x", "o_y"):
+            if hasattr(ray, name):
+                setattr(moved, name, self.transform_point(getattr(ray, name)))
+        for name in ("d", "d_x", "d_y"):
+            if hasattr(ray, name):
+                setattr(moved, name, self.transform_vector(getattr(ray, name)))
+        return moved

@@ -1,0 +1,369 @@
+"""Transforms of the scene description, on the host and in double precision."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any, ClassVar, Self
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.numeric import as_array, as_number, as_vector, describe
+from djpt.errors import SceneError
+from djpt.transforms.base import Chained, Transform, matrix_of
+
+__all__ = [
+    "COUNTS",
+    "HostTransform",
+    "ScalarTransform3f",
+    "ScalarTransform4f",
+    "SpatialHostTransform",
+    "as_transform",
+    "is_unit",
+    "rotation",
+    "rotation_of_plane",
+    "warn_of_length",
+]
+
+Matrix = NDArray[np.float64]
+
+FLATTEST = 1e-7
+"""A linear part is singular if the smallest singular value of its columns, made unit vectors, is below this.
+
+Kernels compute in float32, in which such a shape can't be represented.
+"""
+
+ALIKE = 1e-5
+"""How far from a rotation with a uniform scale a linear part may be, relative to the scale, to count as one."""
+
+
+class HostTransform(Transform):
+    """A transform of float64 numbers, immutable."""
+
+    __slots__ = ("_matrix",)
+
+    def __init__(self, matrix: Any = None) -> None:
+        n = self.size
+        value = np.eye(n) if matrix is None else as_array(matrix_of(matrix))
+        if value.shape != (n, n):
+            raise SceneError(f"must be a {n}x{n} matrix, found {describe(matrix)} of shape {value.shape}")
+        last = [0] * (n - 1) + [1]
+        if not self.projective and not np.array_equal(value[-1], last):
+            raise SceneError(f"must be affine: the last row of the matrix is {value[-1].tolist()}, not {last}")
+        value.flags.writeable = False
+        self._matrix = value
+
+    @property
+    def matrix(self) -> Matrix:
+        """(size, size) float64, row-major, read-only."""
+        return self._matrix
+
+    @property
+    def inverse_transpose(self) -> Matrix:
+        """The transposed inverse of the matrix, float64; `SceneError` if singular."""
+        return self.inverse()._matrix.T
+
+    # ---- building, from the right ----------------------------------------------------
+
+    @Chained
+    def translate(kind: Any, v: Any) -> Matrix:
+        """Move by `v`."""
+        matrix = np.eye(kind.size)
+        matrix[:-1, -1] = kind._numbers(v)
+        return matrix
+
+    @Chained
+    def scale(kind: Any, v: Any) -> Matrix:
+        """Scale by a number, or by one per axis."""
+        factors = as_array(v)
+        if factors.shape not in ((), (kind.size - 1,)):
+            raise SceneError(f"must be one or {COUNTS[kind.size - 1]} numbers, found {describe(v)}")
+        return np.diag([*np.broadcast_to(factors, kind.size - 1), 1.0])
+
+    @classmethod
+    def _numbers(cls, v: Any) -> Matrix:
+        """One number per axis."""
+        array = as_array(v)
+        if array.shape != (cls.size - 1,):
+            raise SceneError(f"must be {COUNTS[cls.size - 1]} numbers, found {describe(v)}")
+        return array
+
+    # ---- composing and applying --------------------------------------------------------
+
+    @classmethod
+    def _product(cls, left: Self, right: Self) -> Self:
+        return cls(left._matrix @ right._matrix)
+
+    def transform_point(self, p: Any) -> Any:
+        """Apply to points: a Dr.Jit array (the result is one, too), or numbers of shape (.., size - 1), as float64."""
+        if not self.projective:
+            return self._apply(self._matrix[:-1], p, 1.0)
+        if dr.is_array_v(p):
+            *head, last = self._rows(self._matrix, p, 1.0)
+            return float_type(p)(*head) / last
+        moved = self._apply(self._matrix, p, 1.0)
+        return moved[..., :-1] / moved[..., -1:]
+
+    def transform_vector(self, v: Any) -> Any:
+        """Apply to vectors, which a translation doesn't change; takes the same forms as `transform_point`."""
+        return self._apply(self._matrix[:-1], v, 0.0)
+
+    def transform_normal(self, n: Any) -> Any:
+        """Apply to normals, by the inverse transpose; takes the same forms as `transform_point`."""
+        return self._apply(self.inverse_transpose[:-1], n, 0.0)
+
+    def _apply(self, rows: Matrix, value: Any, w: float) -> Any:
+        n = self.size - 1
+        if dr.is_array_v(value) and not dr.is_tensor_v(value) and dr.size_v(value) == n:
+            return float_type(value)(*self._rows(rows, value, w))
+        points = as_array(value)
+        if points.shape[-1:] != (n,):
+            raise SceneError(f"points have {COUNTS[n]} coordinates, found {describe(value)} of shape {points.shape}")
+        return points @ rows[:, :-1].T + w * rows[:, -1]
+
+    @staticmethod
+    def _rows(rows: Matrix, value: Any, w: float) -> list[Any]:
+        """The products of `rows` with a Dr.Jit array, to which `w` is appended."""
+        found = []
+        for *linear, constant in rows:
+            total = float(constant) * w
+            for entry, component in zip(reversed(linear), reversed(list(value)), strict=True):
+                total = dr.fma(float(entry), component, total)
+            found.append(total)
+        return found
+
+    def _treats_alike(self) -> bool:
+        linear, corner = self._matrix[:-1, :-1], self._matrix[-1]
+        if self._matrix[:-1, -1].any() or corner[:-1].any() or corner[-1] != 1:
+            return False
+        return _is_similarity(linear)
+
+    # ---- asking ------------------------------------------------------------------------
+
+    def is_singular(self) -> bool:
+        """Whether the transform flattens shapes, in the precision of float32."""
+        linear = self._matrix if self.projective else self._matrix[:-1, :-1]
+        lengths = np.linalg.norm(linear, axis=0)
+        if not (lengths > 0).all():
+            return True
+        return bool(np.linalg.svd(linear / lengths, compute_uv=False)[-1] < FLATTEST)
+
+    def inverse(self) -> Self:
+        """The inverse transform; `SceneError` if singular."""
+        if self.is_singular():
+            raise SceneError("the transform is singular (it flattens shapes) and has no inverse")
+        matrix = np.linalg.inv(self._matrix)
+        if not self.projective:
+            matrix[-1] = self._matrix[-1]
+        return type(self)(matrix)
+
+    def transpose(self) -> Self:
+        """The transform of the transposed matrix; `SceneError` if that isn't affine."""
+        return type(self)(self._matrix.T.copy())
+
+    def translation(self) -> Matrix:
+        """The image of the origin, (size - 1,) float64."""
+        return self._matrix[:-1, -1].copy()
+
+    def has_scale(self) -> bool:
+        """Whether the transform changes lengths or angles; mirroring doesn't."""
+        linear = self._matrix[:-1, :-1]
+        return bool((np.abs(linear @ linear.T - np.eye(self.size - 1)) > 1e-3).any())
+
+    def update(self) -> Self:
+        """The transform itself: there is nothing to bring up to date, unlike in `Transform4f`."""
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return bool(np.array_equal(self._matrix, other._matrix))
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        rows = (", ".join(f"{x:.9g}" for x in row) for row in self._matrix)
+        return f"{name}([" + f",\n{' ' * (len(name) + 2)}".join(f"[{row}]" for row in rows) + "])"
+
+
+COUNTS = {2: "two", 3: "three"}
+
+
+def float_type(value: Any) -> Any:
+    """The type of the transformed `value`: its own, unless that holds integers."""
+    return type(value) if dr.is_float_v(value) else dr.float32_array_t(type(value))
+
+
+def _is_similarity(linear: Matrix) -> bool:
+    """Whether a matrix is a rotation or reflection with a uniform scale."""
+    squared = linear @ linear.T
+    scale = squared.trace() / len(squared)
+    return bool((np.abs(squared - scale * np.eye(len(squared))) <= ALIKE * scale).all())
+
+
+class SpatialHostTransform(HostTransform):
+    """What transforms of space offer in addition."""
+
+    __slots__ = ()
+
+    size: ClassVar[int] = 4
+
+    @Chained
+    def rotate(kind: Any, axis: Any, angle: Any) -> Matrix:
+        """Turn by `angle` degrees about `axis`, counter-clockwise if the axis points at the viewer.
+
+        The axis must have unit length. Another one gives the matrix that Mitsuba makes of it, which scales and shears,
+        and a warning.
+        """
+        warn_of_length(axis, "rotate", 4)
+        return rotation(axis, angle)
+
+    @Chained
+    def look_at(kind: Any, origin: Any, target: Any, up: Any) -> Matrix:
+        """Place a camera at `origin` so that it looks along local +z at `target`, with +y near `up`.
+
+        The columns are left = up x direction, the corrected up, direction and origin; so +x points
+        to the left of the image.
+        """
+        eye = as_vector(origin)
+        direction = as_vector(target) - eye
+        if not direction.any():
+            raise SceneError(f"origin and target are the same point {eye.tolist()}")
+        direction /= np.linalg.norm(direction)
+        left = np.cross(as_vector(up), direction)
+        length = np.linalg.norm(left)
+        if length <= 1e-9 * np.linalg.norm(as_vector(up)):
+            raise SceneError(f"up = {as_vector(up).tolist()} is zero or parallel to the direction of view")
+        left /= length
+        matrix = np.eye(4)
+        matrix[:3] = np.stack([left, np.cross(direction, left), direction, eye], axis=1)
+        return matrix
+
+    @Chained
+    def orthographic(kind: Any, near: Any, far: Any) -> Matrix:
+        """Map z from [`near`, `far`] to [0, 1], and keep x and y."""
+        low, high = as_number(near), as_number(far)
+        if low == high:
+            raise SceneError(f"near and far are the same distance {low:g}")
+        matrix = np.eye(4)
+        matrix[2, 2:] = 1 / (high - low), -low / (high - low)
+        return matrix
+
+    @Chained
+    def to_frame(kind: Any, frame: Any) -> Matrix:
+        """Map local coordinates of an orthonormal `frame` (a `Frame3f`) to world space: the columns are its axes."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.stack([as_vector(axis) for axis in (frame.s, frame.t, frame.n)], axis=1)
+        return matrix
+
+    @Chained
+    def from_frame(kind: Any, frame: Any) -> Matrix:
+        """Map world space to local coordinates of an orthonormal `frame`: the rows are its axes."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.stack([as_vector(axis) for axis in (frame.s, frame.t, frame.n)])
+        return matrix
+
+
+class ScalarTransform4f(SpatialHostTransform):
+    """An affine transform of space, immutable: a 4x4 float64 matrix that acts on column vectors.
+
+    Transforms are composed from the right: ``T().translate(v).rotate(axis, angle)`` rotates
+    first. Vectors are three numbers in any form (list, NumPy, Dr.Jit, Mitsuba).
+
+    Args:
+        matrix: 4x4 numbers in any form, or another transform; default: the identity.
+
+    Raises:
+        SceneError: not a 4x4 matrix, not finite, or the last row isn't (0, 0, 0, 1). The
+            methods raise it for arguments that they can't use.
+    """
+
+    __slots__ = ()
+
+    def extract(self) -> ScalarTransform3f:
+        """What the transform does to x and y: the matrix without its third row and column."""
+        return ScalarTransform3f(self._matrix[np.ix_([0, 1, 3], [0, 1, 3])])
+
+
+class ScalarTransform3f(HostTransform):
+    """An affine transform of the plane, immutable: a 3x3 float64 matrix that acts on column vectors.
+
+    Args:
+        matrix: 3x3 numbers in any form, or another transform; default: the identity.
+
+    Raises:
+        SceneError: not a 3x3 matrix, not finite, or the last row isn't (0, 0, 1).
+    """
+
+    __slots__ = ()
+
+    size: ClassVar[int] = 3
+
+    @Chained
+    def rotate(kind: Any, angle: Any) -> Matrix:
+        """Turn counter-clockwise by `angle` degrees."""
+        return rotation_of_plane(angle)
+
+
+def rotation(axis: Any, angle: Any) -> Matrix:
+    """The 4x4 matrix that turns space by `angle` degrees about `axis`; if that isn't a unit vector, Mitsuba's matrix.
+
+    Raises:
+        SceneError: the axis is zero.
+    """
+    direction, radians = as_vector(axis), math.radians(as_number(angle))
+    length = np.linalg.norm(direction)
+    if length == 0:
+        raise SceneError("the axis has length 0")
+    unit = is_unit(direction)
+    x, y, z = direction / length if unit else direction
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    sine, cosine = math.sin(radians), math.cos(radians)
+    matrix = np.eye(4)
+    if unit:
+        # O. Rodrigues: R = I + sin(a) K + (1 - cos(a)) K K
+        matrix[:3, :3] += sine * cross + (1 - cosine) * (cross @ cross)
+    else:
+        # The same for unit axes only: R = cos(a) I + sin(a) K + (1 - cos(a)) x x^T
+        matrix[:3, :3] = cosine * np.eye(3) + sine * cross + (1 - cosine) * np.outer(direction, direction)
+    return matrix
+
+
+def is_unit(axis: Matrix) -> bool:
+    """Whether an axis has the length 1, in the precision of rounded numbers."""
+    return bool(abs(np.linalg.norm(axis) - 1) < 1e-3)
+
+
+def warn_of_length(axis: Any, place: str, stacklevel: int) -> None:
+    """Warn if `rotation` about `axis` isn't a rotation."""
+    direction = as_vector(axis)
+    if not is_unit(direction) and direction.any():
+        warnings.warn(
+            f"{place}: the axis has the length {np.linalg.norm(direction):.4g}, so Mitsuba's matrix also scales and "
+            "shears; for a rotation give an axis of length 1",
+            stacklevel=stacklevel,
+        )
+
+
+def rotation_of_plane(angle: Any) -> Matrix:
+    """The 3x3 matrix that turns the plane counter-clockwise by `angle` degrees."""
+    radians = math.radians(as_number(angle))
+    sine, cosine = math.sin(radians), math.cos(radians)
+    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+
+
+def as_transform(value: Any) -> ScalarTransform4f:
+    """Convert any accepted form to an invertible transform.
+
+    Accepted are transforms of djpt and Mitsuba, NumPy arrays, nested lists and Dr.Jit matrices.
+
+    Raises:
+        SceneError: not an affine 4x4 matrix, not finite, or singular.
+    """
+    if value is None:
+        raise SceneError("must be a 4x4 matrix, found None")
+    transform = value if isinstance(value, ScalarTransform4f) else ScalarTransform4f(value)
+    if transform.is_singular():
+        raise SceneError(f"must be invertible, found a singular matrix: {transform.matrix.tolist()}")
+    return transform
