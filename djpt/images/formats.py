@@ -232,6 +232,7 @@ def encode_png(
 
 
 def png_metadata(path: Path) -> dict[str, str]:
+    """The text chunks of a PNG file."""
     from PIL import Image
 
     with Image.open(path, formats=("PNG",)) as file:

@@ -100,8 +100,8 @@ def write(
     * `image`: `TensorXf`, NumPy array or `Image`; (H, W) or (H, W, C), linear values. `uint8`
       values are taken for sRGB and only accepted by the formats that hold it.
     * `exr`, `hdr` (3 channels), `pfm` (1 or 3), `npy`: linear, float32 (`hdr`: shared 8-bit exponent).
-    * `png`, `tga`, `tiff`, `jpg`, `jpeg` (1 to 4 channels), `bmp` (1 or 3), `ppm` (3): 8-bit sRGB: clipped to [0, 1] and
-      rounded, never dithered, so equal images give equal bytes. `jpg` drops alpha.
+    * `png`, `tga`, `tiff`, `jpg`, `jpeg` (1 to 4 channels), `bmp` (1 or 3), `ppm` (3): 8-bit sRGB: clipped to [0, 1]
+      and rounded, never dithered, so equal images give equal bytes. `jpg` drops alpha.
     * `channels`: names for the channels of an `exr`, such as those of an `aov` integrator.
       Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take the part before the last dot
       for a layer: `albedo.R`, `albedo.G` and `albedo.B` are the layer `albedo`.

@@ -109,9 +109,10 @@ def paeth(a: npt.NDArray[np.int16], b: npt.NDArray[np.int16], c: npt.NDArray[np.
 
 
 def encode_png16(pixels: Codes, metadata: Mapping[str, str], level: int, srgb: bool) -> bytes:
-    """The file of numbers (H, W, C), each row predicted by the one above.
+    """The file of an image, each row predicted by the one above.
 
     Args:
+        pixels: (H, W, C) of 1 to 4 channels.
         metadata: Text chunks: tEXt, or iTXt for what isn't Latin-1.
         level: Of compression, 1 to 9.
         srgb: Whether the file says that its colours are sRGB.

@@ -34,12 +34,14 @@ def lanczos(x: npt.NDArray[np.float32], lobes: int = 2) -> npt.NDArray[np.float3
 
 
 def taps_between(source: int, target: int, kernel: Kernel, radius: float, box: bool = False) -> Taps:
-    """The taps that turn `source` samples into `target`.
+    """The taps of a filter.
 
     Fewer samples: the filter is widened by the ratio, so that all old ones count. As many: it is centred on each.
     Rounding to float32 stands where Mitsuba has it, since the number of taps depends on it.
 
     Args:
+        source: The number of old samples.
+        target: The number of new ones.
         kernel: The filter.
         radius: The distance beyond which it is 0, in samples.
         box: Whether it is the box of radius 1/2; between two samples it then takes one, never none.
@@ -83,6 +85,7 @@ def resampled(
 
     Args:
         values: (source, ...).
+        taps: From `taps_between`.
         boundary: One of `BOUNDARIES`.
         clamp: The range that the results are clipped to.
     """

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from djpt.errors import FileError
 from djpt.images.exr import ORDER, RESERVED, read_layers, write_layers
-from djpt.images.formats import DISPLAY_FORMATS, FORMATS, Labels, encode_jpg, encode_png, png_metadata
+from djpt.images.formats import FORMATS, Labels, encode_jpg, encode_png, png_metadata
 from djpt.images.image import check_writable, reading, writing
 from djpt.images.png16 import encode_png16
 

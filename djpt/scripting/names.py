@@ -4,7 +4,14 @@ from __future__ import annotations
 
 __all__ = ["EXPORTS", "SUBMODULES"]
 
-EXPORTS: dict[str, str] = {}
+EXPORTS: dict[str, str] = {
+    "djpt.rfilters.base": "ReconstructionFilter",
+    "djpt.scripting.bitmap": "Bitmap",
+    "djpt.scripting.conversion": "StructConverter",
+    "djpt.scripting.denoiser": "OptixDenoiser",
+    "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
+    "djpt.scripting.structs": "Struct",
+}
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
 SUBMODULES: dict[str, str] = {}
