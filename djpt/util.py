@@ -6,23 +6,43 @@ Nothing else lives here: each function is a thin wrapper over the module that ow
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
-from djpt.images.image import Image, write
+from djpt.images.formats import DISPLAY_FORMATS
+from djpt.parameters import SceneParameters, traverse
+from djpt.rendering import render
+from djpt.scenes.cornell import cornell_box
+from djpt.scripting.bitmap import Bitmap
+from djpt.scripting.structs import Type
 
-__all__ = ["convert_to_bitmap", "write_bitmap"]
+__all__ = ["SceneParameters", "convert_to_bitmap", "cornell_box", "render", "traverse", "write_bitmap"]
 
 
 def write_bitmap(filename: str | os.PathLike[str], data: Any, write_async: bool = True, quality: int = -1) -> None:
-    """`djpt.write(filename, data)`.
+    """Write an image, as 8-bit sRGB if the format is one for displays (png, jpg, ...), otherwise as it is.
 
-    `write_async` and `quality` are accepted for compatibility: the file is complete on return, and
-    jpg has quality 95. Differs from Mitsuba in that 8-bit files are not dithered.
+    Args:
+        filename: Of the file.
+        data: As for `convert_to_bitmap`.
+        write_async: No effect: the file is complete on return.
+        quality: See `Bitmap.write`.
+
+    Raises:
+        SceneError: `data` isn't an image, or has channels that aren't colours and the format is one for displays.
+        FileError: the file can't be written.
     """
-    write(filename, data)
+    bitmap = convert_to_bitmap(data, uint8_srgb=Path(filename).suffix.lower() in DISPLAY_FORMATS)
+    bitmap.write(filename, quality=quality)
 
 
-def convert_to_bitmap(data: Any, uint8_srgb: bool = True) -> Image:
-    """An `Image` of sRGB bytes (default) or of linear float32 values, for display and for NumPy."""
-    image = Image(data)
-    return Image(image.srgb()) if uint8_srgb else image
+def convert_to_bitmap(data: Any, uint8_srgb: bool = True) -> Bitmap:
+    """A bitmap of an image, as bytes of sRGB in three channels (default) or as it is.
+
+    `data`: a `Bitmap`, a `TensorXf`, or an array of any library that NumPy reads, of linear values; a tensor of
+    PyTorch's may be attached to gradients and on any device.
+    """
+    if hasattr(data, "detach") and hasattr(data, "cpu"):
+        data = data.detach().cpu().numpy()
+    bitmap = data if isinstance(data, Bitmap) else Bitmap(data)
+    return bitmap.convert(Bitmap.PixelFormat.RGB, Type.UInt8, True) if uint8_srgb else bitmap

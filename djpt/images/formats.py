@@ -5,12 +5,11 @@ return such an array. They don't use djpt's types and errors: `djpt.images.image
 makes writes atomic and turns all exceptions raised here into a `FileError`.
 
 The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The display formats
-(`png`, `jpg`, `bmp`, `tga`, `ppm`) carry 8-bit sRGB, without dithering, so that equal images give equal bytes.
+(`png`, `jpg`, `bmp`, `tga`, `ppm`, `tiff`) carry 8-bit sRGB, without dithering, so that equal images give equal bytes.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -18,12 +17,15 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from djpt.images.colorimetry import XYZ_TO_RGB
+from djpt.images.exr import ORDER, read_attributes, read_layers, usual_names, write_layers
+from djpt.images.png16 import decode_png16, is_png16
 from djpt.images.srgb import Codes, strips, to_srgb8
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "RESERVED", "Format", "Labels"]
+__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "Format", "Labels", "encode_jpg", "encode_png", "png_metadata"]
 
 Pixels = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
@@ -48,63 +50,28 @@ class Format(NamedTuple):
 
 # ---------------------------------------------------------------- OpenEXR
 
-_EXR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
-
-# OpenEXR sorts channels by name; this header attribute of djpt stores their order.
-_EXR_ORDER = "channelOrder"
-
 
 def _write_exr(path: Path, image: Pixels, labels: Labels) -> None:
-    import OpenEXR
-
-    count = image.shape[2]
-    names = tuple(labels.channels) if labels.channels is not None else _EXR_NAMES.get(count)
-    if names is None:
-        digits = len(str(count - 1))
-        names = tuple(f"C{i:0{digits}d}" for i in range(count))
-    header = {
-        **labels.metadata,
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        _EXR_ORDER: ",".join(names),
-    }
-    planes = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate(names)}
-    OpenEXR.File(header, planes).write(str(path))
+    names = tuple(labels.channels) if labels.channels is not None else usual_names(image.shape[2])
+    write_layers(path, image, names, {**labels.metadata, ORDER: ",".join(names)})
 
 
 def _exr_metadata(path: Path) -> dict[str, str]:
-    import OpenEXR
-
-    with OpenEXR.File(str(path), header_only=True) as file:
-        # The header is emptied when the file is closed.
-        return {name: value for name, value in file.header().items() if isinstance(value, str) and name != _EXR_ORDER}
+    attributes = read_attributes(path)
+    return {name: value for name, value in attributes.items() if isinstance(value, str) and name != ORDER}
 
 
 def _read_exr(path: Path) -> Pixels:
-    import OpenEXR
-
-    with OpenEXR.File(str(path), header_only=True) as file:
-        header = file.header()
-        # What belongs to the file is emptied when it is closed.
-        stored = {channel.name: (channel.xSampling, channel.ySampling) for channel in header["channels"]}
-        order = str(header.get(_EXR_ORDER, "")).split(",")
-    if sorted(order) != sorted(stored):
+    names, stored, attributes = read_layers(path)
+    pixels = np.asarray(stored, np.float32)
+    if names in (("X", "Y", "Z"), ("X", "Y", "Z", "A")):
+        return np.concatenate([pixels[..., :3] @ XYZ_TO_RGB.T.astype(np.float32), pixels[..., 3:]], axis=2)
+    order = str(attributes.get(ORDER, "")).split(",")
+    if sorted(order) != sorted(names):
         # A file of another program: colour first, in the usual order, then the rest by name.
         usual = ("R", "G", "B", "Y", "A")
-        order = [name for name in usual if name in stored] + sorted(set(stored) - set(usual))
-    if set(stored.values()) != {(1, 1)}:
-        raise ValueError("subsampled channels are not supported")
-    together = "".join(order)
-    if together in ("RGB", "RGBA"):
-        # The library refuses to put channels of different types side by side.
-        with contextlib.suppress(ValueError), OpenEXR.File(str(path)) as file:
-            return np.asarray(file.channels()[together].pixels, np.float32)
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        planes = {name: channel.pixels for name, channel in file.channels().items()}
-    image = np.empty((*planes[order[0]].shape, len(order)), np.float32)
-    for i, name in enumerate(order):
-        image[..., i] = planes[name]
-    return image
+        order = [name for name in usual if name in names] + sorted(set(names) - set(usual))
+    return pixels if tuple(order) == names else pixels[..., [names.index(name) for name in order]]
 
 
 # ---------------------------------------------------------------- Radiance RGBE
@@ -234,29 +201,38 @@ def _read_npy(path: Path) -> Pixels:
     return np.array(pixels, np.float32)
 
 
-# ---------------------------------------------------------------- PNG, JPEG, BMP, TGA, PPM
+# ---------------------------------------------------------------- PNG, JPEG, BMP, TGA, PPM, TIFF
 
 _MODES = {1: "L", 2: "LA", 3: "RGB", 4: "RGBA"}
-_PICTURES = ("PNG", "JPEG", "BMP", "TGA", "PPM")
+_PICTURES = ("PNG", "JPEG", "BMP", "TGA", "PPM", "TIFF")
 
 
-def encode_png(file: Path | IO[bytes], pixels: Bytes, metadata: Mapping[str, str] | None = None) -> None:
+def encode_png(
+    file: Path | IO[bytes],
+    pixels: Bytes,
+    metadata: Mapping[str, str] | None = None,
+    level: int = 6,
+    srgb: bool = True,
+) -> None:
     """Write 8-bit pixels of 1 to 4 channels as PNG to a path or a binary stream.
 
-    The file says that it is sRGB, in the chunk of that name and, for readers that don't know it, by a gamma of
-    1 / 2.2. Metadata become text chunks: tEXt, or iTXt for what isn't Latin-1.
+    With `srgb`, the file says that it is that, in the chunk of that name and, for readers that don't know it, by a
+    gamma of 1 / 2.2. Metadata become text chunks: tEXt, or iTXt for what isn't Latin-1. `level`: of compression, 1
+    to 9.
     """
     from PIL.PngImagePlugin import PngInfo
 
     chunks = PngInfo()
-    chunks.add(b"sRGB", b"\0")  # rendering intent: perceptual
-    chunks.add(b"gAMA", (45455).to_bytes(4, "big"))
+    if srgb:
+        chunks.add(b"sRGB", b"\0")  # rendering intent: perceptual
+        chunks.add(b"gAMA", (45455).to_bytes(4, "big"))
     for name, text in (metadata or {}).items():
         chunks.add_text(name, text)
-    _picture(pixels).save(file, format="PNG", pnginfo=chunks)
+    _picture(pixels).save(file, format="PNG", pnginfo=chunks, compress_level=level)
 
 
-def _png_metadata(path: Path) -> dict[str, str]:
+def png_metadata(path: Path) -> dict[str, str]:
+    """The text chunks of a PNG file."""
     from PIL import Image
 
     with Image.open(path, formats=("PNG",)) as file:
@@ -278,27 +254,38 @@ def _write_png(path: Path, image: Pixels, labels: Labels) -> None:
 def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
     """Write a JPEG, which has no alpha; images are premultiplied, so without it the background is black."""
     pixels = _as_bytes(image)
-    pixels = pixels[..., : 1 if pixels.shape[2] < 3 else 3]
-    _picture(pixels).save(path, format="JPEG", quality=95, subsampling=0)
+    encode_jpg(path, pixels[..., : 1 if pixels.shape[2] < 3 else 3], 95, full_chroma=True)
+
+
+def encode_jpg(file: Path | IO[bytes], pixels: Bytes, quality: int, full_chroma: bool) -> None:
+    """Write 8-bit pixels of 1 or 3 channels as JPEG. `quality`: 0 to 100; `full_chroma`: colour of all pixels."""
+    _picture(pixels).save(file, format="JPEG", quality=quality, subsampling=0 if full_chroma else 2)
 
 
 def _write_plain(path: Path, image: Pixels, labels: Labels) -> None:
-    """Write the format that the extension names (`bmp`, `tga` or `ppm`), without compression."""
-    _picture(_as_bytes(image)).save(path, format=path.suffix[1:].upper())
+    """Write the format that the extension names, without compression."""
+    name = path.suffix[1:].upper()
+    _picture(_as_bytes(image)).save(path, format="TIFF" if name == "TIF" else name)
 
 
 def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
     return image if image.dtype == np.uint8 else to_srgb8(image)
 
 
-def _read_picture(path: Path) -> Codes:
+def _read_picture(path: Path) -> Codes | Pixels:
     from PIL import Image
 
+    if is_png16(path):
+        return decode_png16(path)
     with Image.open(path, formats=_PICTURES) as file:
         picture: Picture = file
+        if picture.mode == "F":  # a TIFF of linear numbers
+            return np.asarray(picture, np.float32)[..., None]
         if picture.mode.startswith("I"):  # 16 bit grey
             return np.asarray(picture).astype(np.uint16)[..., None]
-        if picture.mode not in _MODES.values():
+        if picture.mode == "1":
+            picture = picture.convert("L")
+        elif picture.mode not in _MODES.values():
             picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
         pixels = np.asarray(picture, np.uint8)
     return pixels[..., None] if pixels.ndim == 2 else pixels
@@ -317,16 +304,11 @@ FORMATS = {
     ".bmp": Format((1, 3), _write_plain, _read_picture),
     ".tga": Format((1, 2, 3, 4), _write_plain, _read_picture),
     ".ppm": Format((3,), _write_plain, _read_picture),
+    ".tif": Format((1, 2, 3, 4), _write_plain, _read_picture),
+    ".tiff": Format((1, 2, 3, 4), _write_plain, _read_picture),
 }
 
-DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm"})
+DISPLAY_FORMATS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".tif", ".tiff"})
 
-METADATA = {".exr": _exr_metadata, ".png": _png_metadata}
+METADATA = {".exr": _exr_metadata, ".png": png_metadata}
 """The formats that carry metadata, and the function that reads them."""
-
-RESERVED = frozenset(
-    f"{_EXR_ORDER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
-    "maxSamplesPerPixel multiView name pixelAspectRatio preview screenWindowCenter screenWindowWidth tiles type "
-    "version view zipCompressionLevel".split()
-)
-"""Header attributes of EXR with a meaning of their own, which metadata can't use."""

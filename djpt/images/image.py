@@ -23,11 +23,11 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError, near_miss
+from djpt.images.exr import RESERVED
 from djpt.images.formats import (
     DISPLAY_FORMATS,
     FORMATS,
     METADATA,
-    RESERVED,
     Format,
     Labels,
     encode_png,
@@ -37,7 +37,7 @@ from djpt.images.srgb import from_srgb, shares, to_srgb8
 if TYPE_CHECKING:
     from djpt.types import TensorXf
 
-__all__ = ["Image", "check_writable", "read", "read_metadata", "write"]
+__all__ = ["Image", "check_writable", "read", "read_metadata", "read_pixels", "reading", "write", "writing"]
 
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
@@ -100,8 +100,8 @@ def write(
     * `image`: `TensorXf`, NumPy array or `Image`; (H, W) or (H, W, C), linear values. `uint8`
       values are taken for sRGB and only accepted by the formats that hold it.
     * `exr`, `hdr` (3 channels), `pfm` (1 or 3), `npy`: linear, float32 (`hdr`: shared 8-bit exponent).
-    * `png`, `tga`, `jpg`, `jpeg` (1 to 4 channels), `bmp` (1 or 3), `ppm` (3): 8-bit sRGB: clipped to [0, 1] and
-      rounded, never dithered, so equal images give equal bytes. `jpg` drops alpha.
+    * `png`, `tga`, `tiff`, `jpg`, `jpeg` (1 to 4 channels), `bmp` (1 or 3), `ppm` (3): 8-bit sRGB: clipped to [0, 1]
+      and rounded, never dithered, so equal images give equal bytes. `jpg` drops alpha.
     * `channels`: names for the channels of an `exr`, such as those of an `aov` integrator.
       Default: Y; Y A; R G B; R G B A; otherwise C0, C1, ... Other programs take the part before the last dot
       for a layer: `albedo.R`, `albedo.G` and `albedo.B` are the layer `albedo`.
@@ -131,11 +131,21 @@ def write(
 
     labels = Labels(channels, _texts(target, metadata or {}))
 
+    with writing(target) as temporary:
+        form.encode(temporary, pixels, labels)
+
+
+@contextlib.contextmanager
+def writing(target: Path) -> Iterator[Path]:
+    """A path to write to, with the extension of `target`, whose place the file takes when all went well.
+
+    Raises `FileError` for what goes wrong, and leaves an old file as it was.
+    """
     # A link is followed, so that it stays a link. The name begins with a dot and keeps the extension.
     real = Path(os.path.realpath(target))
     temporary = real.with_name(f".{real.stem[:100]}.{secrets.token_hex(4)}{real.suffix}")
     try:
-        form.encode(temporary, pixels, labels)
+        yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())  # otherwise a crash may leave the new name with no content
         if real.exists():
@@ -151,7 +161,8 @@ def write(
 def read(path: str | os.PathLike[str]) -> TensorXf:
     """Read an image as a tensor of shape (H, W, C) with linear values.
 
-    exr, hdr, pfm and npy are read as they are; png, jpg, bmp, tga and ppm are decoded from sRGB (alpha is linear).
+    exr, hdr, pfm and npy are read as they are, but colours in other primaries than sRGB's are converted; png (8 and 16
+    bits), jpg, bmp, tga, ppm and tiff are decoded from sRGB (alpha is linear).
     Images that `write` wrote are read back bit for bit from exr, pfm and npy, and to the nearest representable value
     from the others. Raises `FileError` if the file is missing, damaged or of an unknown format.
     """
@@ -167,7 +178,7 @@ def read_pixels(path: str | os.PathLike[str], raw: bool = False) -> npt.NDArray[
     """
     source = Path(path)
     form = _format(source, "read")
-    with _reading(source):
+    with reading(source):
         pixels: npt.NDArray[Any] = form.decode(source)
         if pixels.dtype.kind == "u":
             return shares(pixels) if raw else from_srgb(pixels)
@@ -185,12 +196,12 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     decode = METADATA.get(source.suffix.lower())
     if decode is None:
         raise FileError(f"'{source}' has no metadata: only exr and png carry any")
-    with _reading(source):
+    with reading(source):
         return decode(source)
 
 
 @contextlib.contextmanager
-def _reading(source: Path) -> Iterator[None]:
+def reading(source: Path) -> Iterator[None]:
     """Turn any exception that is raised while a file is read into a `FileError`."""
     try:
         if source.is_dir():

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
 
 from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.description.plugin import Plugin
-from djpt.types import Float
+from djpt.types import Bool, Float
 
 __all__ = ["ReconstructionFilter", "tap_centers"]
+
+
+EDGE = 2.0**-10
+"""The part of a pixel that a kernel may reach into without counting it."""
 
 
 class ReconstructionFilter(Plugin):
@@ -21,13 +26,29 @@ class ReconstructionFilter(Plugin):
 
     kind: ClassVar[str] = "rfilter"
 
-    radius: float
+    extent: float
     """The distance, in pixels, beyond which `eval` is 0."""
 
-    def eval(self, x: Float) -> Float:
+    def radius(self) -> float:
+        """The distance, in pixels, beyond which `eval` is 0."""
+        return self.extent
+
+    def border_size(self) -> int:
+        """The number of pixels beyond its own, to one side, that a sample can reach."""
+        return max(0, math.ceil(self.extent - 0.5 - EDGE))
+
+    def is_box_filter(self) -> bool:
+        """Whether a sample counts for its own pixel only."""
+        return self.extent == 0.5
+
+    def eval(self, x: Float, active: Bool | bool = True) -> Float:
         """The kernel at distance `x`, which may be negative: by `formula`, unless a filter has none."""
         result: Float = self.formula(KERNELS, x)
         return result
+
+    def eval_discretized(self, x: Float, active: Bool | bool = True) -> Float:
+        """`eval`: there are no tables of filters."""
+        return self.eval(x, active)
 
     def formula(self, m: Arithmetic, x: Any) -> Any:
         """`eval` by the functions of an arithmetic: also compiled functions can then weigh samples."""

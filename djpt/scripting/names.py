@@ -15,6 +15,13 @@ EXPORTS: dict[str, str] = {
         "ScalarProjectiveTransform4f ScalarTransform3d ScalarTransform4d Transform3d Transform4d"
     ),
     "djpt.scripting.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
+EXPORTS: dict[str, str] = {
+    "djpt.rfilters.base": "ReconstructionFilter",
+    "djpt.scripting.bitmap": "Bitmap",
+    "djpt.scripting.conversion": "StructConverter",
+    "djpt.scripting.denoiser": "OptixDenoiser",
+    "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
+    "djpt.scripting.structs": "Struct",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 

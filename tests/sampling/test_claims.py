@@ -154,10 +154,10 @@ def test_positions_are_uniform(name: str, description: dict[str, Any]) -> None:
 class TestFilter:
     def test_is_even_and_ends(self, name: str, description: dict[str, Any]) -> None:
         rfilter = load(description)
-        x = np.linspace(0, rfilter.radius - 1e-3, 501, dtype=np.float32)
+        x = np.linspace(0, rfilter.radius() - 1e-3, 501, dtype=np.float32)
         w = np.array(rfilter.eval(Float(x)), np.float64)
         np.testing.assert_array_equal(np.array(rfilter.eval(Float(-x))), w.astype(np.float32))
-        beyond = np.array(rfilter.eval(Float(np.linspace(rfilter.radius + 1e-3, rfilter.radius + 3, 100))))
+        beyond = np.array(rfilter.eval(Float(np.linspace(rfilter.radius() + 1e-3, rfilter.radius() + 3, 100))))
         assert np.abs(beyond).max() <= 2e-5
         assert w.argmax() == 0
         assert w.sum() > 0
@@ -166,8 +166,8 @@ class TestFilter:
         mi = pytest.importorskip("mitsuba")
         mi.set_variant("llvm_ad_rgb")
         rfilter, other = load(description), mi.load_dict(djpt.validation.to_mitsuba(description))
-        assert rfilter.radius == pytest.approx(float(other.radius()))
-        x = np.linspace(-rfilter.radius, rfilter.radius, 999, dtype=np.float32)[1:-1]
+        assert rfilter.radius() == pytest.approx(float(other.radius()))
+        x = np.linspace(-rfilter.radius(), rfilter.radius(), 999, dtype=np.float32)[1:-1]
         expected = np.array(other.eval(mi.Float(x)))
         np.testing.assert_allclose(np.array(rfilter.eval(Float(x))), expected, atol=2.5e-5)
 

@@ -1,0 +1,87 @@
+"""The records of bitmaps: which fields a pixel has, how others are had from them, and which layers they form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from djpt.errors import SceneError
+from djpt.images.color import LUMINANCE
+from djpt.images.colorimetry import XYZ_TO_RGB
+from djpt.scripting.bitmap_formats import CHANNELS, PixelFormat
+from djpt.scripting.structs import Field, Flags, Struct, Type
+
+__all__ = ["described", "layers_of", "obtainable"]
+
+OF_RGB = {
+    "X": dict(zip("RGB", (0.412453, 0.357580, 0.180423), strict=True)),
+    "Y": dict(zip("RGB", LUMINANCE, strict=True)),
+    "Z": dict(zip("RGB", (0.019334, 0.119193, 0.950227), strict=True)),
+}
+"""X, Y and Z as sums of linear sRGB (ITU-R BT.709, white point D65)."""
+
+OF_XYZ = {name: dict(zip("XYZ", row, strict=True)) for name, row in zip("RGB", XYZ_TO_RGB.tolist(), strict=True)}
+"""Linear sRGB as sums of X, Y and Z."""
+
+OF_Y = {name: {"Y": share} for name, share in zip("RGBXZ", (1.0, 1.0, 1.0, 0.950456, 1.08875), strict=True)}
+"""Colours of a grey, which has the white of D65."""
+
+
+def described(names: Sequence[str], kind: Type, form: PixelFormat, srgb: bool, premultiplied: bool) -> Struct:
+    """The record of a pixel. The channels A and W are alpha and weight; `MultiChannel` has no alpha."""
+    struct = Struct()
+    for name in names:
+        flags = Flags.Normalized if kind.dtype.kind in "iu" else Flags.Empty
+        if name == "A" and form is not PixelFormat.MultiChannel:
+            flags |= Flags.Alpha
+        elif name == "W":
+            flags |= Flags.Weight
+        else:
+            flags |= (Flags.Gamma if srgb else Flags.Empty) | (
+                Flags.PremultipliedAlpha if premultiplied else Flags.Empty
+            )
+        struct.append(name, kind, flags)
+    return struct
+
+
+def obtainable(source: Struct, target: Struct, form: PixelFormat) -> Struct:
+    """The record `target` with sums for colours that `source`, of a pixel format, doesn't have; alpha and weight are 1.
+
+    Raises:
+        SceneError: a channel can't be had.
+    """
+    sums = {"R": OF_RGB, "X": OF_XYZ, "Y": OF_Y}.get(CHANNELS.get(form, ("",))[0], {})
+    result = Struct(target)
+    for field in result:
+        layer, dot, last = field.name.rpartition(".")
+        if field.name in source or field.blend:
+            continue
+        if last in ("A", "W"):
+            field.value = 1.0
+            field.flags |= Flags.Default
+        elif last in sums:
+            field.blend = [(factor, f"{layer}{dot}{name}") for name, factor in sums[last].items()]
+        else:
+            have = ", ".join(entry.name for entry in source)
+            raise SceneError(f"can't convert the bitmap: channel '{field.name}' can't be had from {have}")
+    return result
+
+
+def layers_of(struct: Struct) -> dict[str, tuple[PixelFormat, dict[str, str]]]:
+    """The layers of a record, sorted: format, and names of channels within the layer with their names in the record.
+
+    Raises:
+        SceneError: a layer other than the root has a weight.
+    """
+    found: dict[str, dict[str, Field]] = {}
+    for field in struct:
+        layer, _, last = field.name.rpartition(".")
+        found.setdefault(layer or "<root>", {})[last] = field
+    result = {}
+    for layer in sorted(found):
+        fields = found[layer]
+        if "W" in fields and layer != "<root>":
+            raise SceneError(f"layer '{layer}' has a weight, which only the root has")
+        form = next((kind for kind, usual in CHANNELS.items() if set(usual) == set(fields)), PixelFormat.MultiChannel)
+        order = CHANNELS.get(form, tuple(fields))
+        result[layer] = form, {name: fields[name].name for name in order}
+    return result
