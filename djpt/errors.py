@@ -12,6 +12,7 @@ from collections.abc import Iterable
 
 __all__ = [
     "AmbiguityError",
+    "ArgumentError",
     "BackendError",
     "DjptError",
     "FileError",
@@ -24,6 +25,13 @@ __all__ = [
 
 class DjptError(Exception):
     """The base of all errors that djpt raises on purpose."""
+
+
+class ArgumentError(DjptError, TypeError, ValueError, RuntimeError):
+    """An argument of a numerical function has a type or a value that it can't take.
+
+    Mitsuba raises a `TypeError` or a `RuntimeError` here; Python's own functions raise a `ValueError`.
+    """
 
 
 class BackendError(DjptError, RuntimeError):

@@ -9,7 +9,12 @@ classes can't be subclassed): the names say what is meant, not what is checked.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import functools
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from djpt.errors import ArgumentError
 
 if TYPE_CHECKING:
     import drjit.llvm.ad as backend
@@ -46,7 +51,10 @@ __all__ = [
     "Vector2f",
     "Vector3f",
     "backend",
+    "converting",
 ]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 Float = backend.Float
 Float64 = backend.Float64
@@ -76,3 +84,38 @@ Matrix4f = backend.Matrix4f
 TensorXf = backend.TensorXf
 Event = backend.Event
 PCG32 = backend.PCG32
+
+
+def converting(function: Function) -> Function:
+    """Let a function take whatever its arguments' types can be made from: numbers, lists, tuples, NumPy arrays.
+
+    Arguments are converted if their annotation is the name of a Dr.Jit type of this module. What has that type already
+    stays the object that it is, so kernels are the same with and without.
+
+    Raises:
+        ArgumentError: by the function, if an argument can't be converted.
+    """
+    names = [*inspect.signature(function).parameters]
+    types = {name: globals()[kind] for name, kind in inspect.get_annotations(function).items() if kind in __all__}
+    by_position = [(name, types.get(name)) for name in names]
+
+    def converted(name: str, value: Any, kind: Any) -> Any:
+        if kind is None or type(value) is kind:
+            return value
+        try:
+            return kind(value)
+        except TypeError as error:
+            raise ArgumentError(
+                f"{function.__name__}(): '{name}' must be something that {kind.__name__} can be made from: {error}"
+            ) from None
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **keywords: Any) -> Any:
+        front = [converted(name, value, kind) for (name, kind), value in zip(by_position, arguments, strict=False)]
+        return function(
+            *front,
+            *arguments[len(by_position) :],
+            **{name: converted(name, value, types.get(name)) for name, value in keywords.items()},
+        )
+
+    return call  # type: ignore[return-value]

@@ -27,8 +27,23 @@ COUNT = 2**18
 
 # ---------------------------------------------------------------- warps
 
-WARPS = [name for name in warp.__all__ if not name.endswith("_pdf")]
-WARP_ARGUMENTS: dict[str, list[tuple[Any, ...]]] = {"square_to_uniform_cone": [(0.3,), (0.9,), (-0.5,)]}
+OTHERS = {
+    "square_to_uniform_square_concentric",  # from square to square: it has no density
+    "square_to_bilinear",  # the sample is its last argument
+    "square_to_std_normal",  # the whole plane
+    "square_to_rough_fiber",  # takes three numbers
+}
+"""Warps of other forms: see tests/scripting/test_warps.py and test_chi2.py."""
+
+WARPS = [
+    name for name in warp.__all__ if name.startswith("square_to_") and not name.endswith("_pdf") and name not in OTHERS
+]
+WARP_ARGUMENTS: dict[str, list[tuple[Any, ...]]] = {
+    "square_to_uniform_cone": [(0.3,), (0.9,), (-0.5,)],
+    "square_to_beckmann": [(0.3,), (1.0,)],
+    "square_to_von_mises_fisher": [(0.5,), (7.0,)],
+    "square_to_uniform_spherical_lune": [((0.0, 0.8, -0.6), (0.0, 0.0, 1.0))],
+}
 """What a warp takes besides the sample."""
 
 WARP_CASES = [
@@ -40,9 +55,8 @@ WARP_CASES = [
 
 def warped(name: str, arguments: tuple[Any, ...], sample: Any) -> tuple[Any, Any]:
     """Values of a warp, and its density as a function."""
-    extra = [Float(x) for x in arguments]
     density = getattr(warp, f"{name}_pdf")
-    return getattr(warp, name)(sample, *extra), lambda value: density(value, *extra)
+    return getattr(warp, name)(sample, *arguments), lambda value: density(value, *arguments)
 
 
 def test_every_warp_has_a_density() -> None:
