@@ -1,15 +1,18 @@
-"""The search for files that a scene description names."""
+"""The search for files that a scene description names, and what is read from them."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any, TypeVar
 
 from djpt.errors import FileError
 
-__all__ = ["FileResolver", "resolve"]
+__all__ = ["FileResolver", "read_once", "reading_once", "resolve"]
+
+T = TypeVar("T")
 
 
 class FileResolver:
@@ -50,3 +53,36 @@ _current: ContextVar[FileResolver | None] = ContextVar("file_resolver", default=
 def resolve(name: str) -> Path:
     """The path of a file that is named by the description being loaded; raises `FileError`."""
     return (_current.get() or FileResolver()).resolve(name)
+
+
+# ---- what is read --------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reading_once(names: Collection[str]) -> Iterator[None]:
+    """Keep what is read from the files of these names until the end of a ``with`` block: see `read_once`.
+
+    `names` are those that a description has several times. What is read from other files isn't needed again.
+    """
+    token = _kept.set({name: {} for name in names})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
+_kept: ContextVar[dict[str, dict[Hashable, Any]] | None] = ContextVar("kept", default=None)
+
+
+def read_once(name: str, form: Hashable, read: Callable[[], T]) -> T:
+    """What `read` gives or, if the file `name` was read before in the same `form`, what it gave then.
+
+    Results may be shared, so they must not be changed.
+    """
+    known = (_kept.get() or {}).get(name)
+    if known is None:
+        return read()
+    if form not in known:
+        known[form] = read()
+    result: T = known[form]
+    return result
