@@ -25,6 +25,9 @@ FLATTEST = 1e-7
 Kernels compute in float32, in which such a shape can't be represented.
 """
 
+IDENTITY: Matrix = np.eye(4)
+IDENTITY.flags.writeable = False
+
 
 class Chained(Generic[P]):
     """A method that multiplies from the right by what `build` returns.
@@ -46,6 +49,17 @@ class Chained(Generic[P]):
 
         chained.__name__, chained.__doc__ = self.build.__name__, self.__doc__
         return chained
+
+
+def is_far_from_flat(linear: list[list[float]]) -> bool:
+    """Whether it is plain from its determinant that a linear map isn't singular; nearly always it is.
+
+    The determinant of unit columns is the product of the singular values, of which none is above the root of 3.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = linear
+    lengths = math.hypot(a, d, g) * math.hypot(b, e, h) * math.hypot(c, f, i)
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return abs(determinant) > 1e-3 * lengths > 0
 
 
 def matrix_of(value: Any) -> Any:
@@ -74,10 +88,13 @@ class ScalarTransform4f:
     __array_ufunc__ = None
 
     def __init__(self, matrix: Any = None) -> None:
-        value = np.eye(4) if matrix is None else as_array(matrix_of(matrix))
+        if matrix is None:
+            self._matrix = IDENTITY
+            return
+        value = as_array(matrix_of(matrix))
         if value.shape != (4, 4):
             raise SceneError(f"must be a 4x4 matrix, found {describe(matrix)} of shape {value.shape}")
-        if not np.array_equal(value[3], (0, 0, 0, 1)):
+        if value[3].tolist() != [0, 0, 0, 1]:
             raise SceneError(f"must be affine: the last row of the matrix is {value[3].tolist()}, not [0, 0, 0, 1]")
         value.flags.writeable = False
         self._matrix = value
@@ -181,6 +198,8 @@ class ScalarTransform4f:
     def is_singular(self) -> bool:
         """Whether the transform flattens shapes, in the precision of float32."""
         linear = self._matrix[:3, :3]
+        if is_far_from_flat(linear.tolist()):
+            return False
         lengths = np.linalg.norm(linear, axis=0)
         if not (lengths > 0).all():
             return True
@@ -197,6 +216,11 @@ class ScalarTransform4f:
     def translation(self) -> Matrix:
         """The image of the origin, (3,) float64."""
         return self._matrix[:3, 3].copy()
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether the transform changes nothing."""
+        return self._matrix is IDENTITY or np.array_equal(self._matrix, IDENTITY)
 
     def has_scale(self) -> bool:
         """Whether the transform changes lengths; mirroring doesn't."""

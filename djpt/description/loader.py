@@ -188,8 +188,11 @@ class Loader:
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
             values[key] = value
-        places = {key: self.name(path, key) for key in node} if self.places else {}
-        props = Properties(name, where, values, self._own_name(path) or name, places)
+
+        def place(key: str) -> str:
+            return self.name(path, key) if self.places and key in node else where
+
+        props = Properties(name, where, values, self._own_name(path) or name, place)
         plugin: Any = factory(props)
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
