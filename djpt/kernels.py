@@ -155,18 +155,23 @@ def shared(values: NDArray[np.uint32]) -> UInt32:
 
 def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
     """The bits of an array in memory of Dr.Jit's own, for kernels that gather packets."""
-    words = UInt32(np.ascontiguousarray(values).view(np.uint32).ravel()) ^ dr.opaque(UInt32, 0)
-    dr.eval(words)
-    # The source may be freed when this returns.
-    dr.sync_thread()
-    return words
+    return own_array(UInt32, np.ascontiguousarray(values).view(np.uint32).ravel())
 
 
 def own_floats(values: NDArray[np.float32]) -> Float:
     """A copy of an array of floats in memory of Dr.Jit's own."""
-    copy: Float = float_in(own_copy(values))
-    dr.eval(copy)
-    return copy
+    return own_array(Float, np.ascontiguousarray(values, np.float32).ravel())
+
+
+def own_array(kind: type[T], values: NDArray[Any]) -> T:
+    """Copy numbers to an array of Dr.Jit, in its own memory."""
+    if dr.backend_v(kind) != dr.JitBackend.LLVM:
+        # To GPUs everything is copied.
+        return kind(values)  # type: ignore[call-arg]
+    memory = dr.empty(kind, len(values))
+    # The host sees the same memory, once no kernel uses what stood there before.
+    np.asarray(memory)[:] = values
+    return memory
 
 
 def float_in(word: UInt32) -> Float:

@@ -1,15 +1,19 @@
-"""The search for files that a scene description names."""
+"""The search for files that a scene description names, and what is read from them."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any, TypeVar
 
 from djpt.errors import FileError
 
-__all__ = ["FileResolver", "resolve"]
+__all__ = ["FileResolver", "read_once", "reading_once", "resolve"]
+
+T = TypeVar("T")
 
 
 class FileResolver:
@@ -17,6 +21,7 @@ class FileResolver:
 
     def __init__(self, directories: Sequence[Path] = ()) -> None:
         self.directories = tuple(directories)
+        self._places = [str(directory) for directory in self.directories]
 
     def resolve(self, name: str) -> Path:
         """The file or directory called `name`.
@@ -24,14 +29,15 @@ class FileResolver:
         Raises:
             FileError: it is in none of the directories.
         """
-        places = [*self.directories, Path.cwd()]
-        for place in places:
-            candidate = place / name
-            with contextlib.suppress(OSError, ValueError):
-                if candidate.exists():
-                    return candidate
+        # Texts: hundreds of names are looked up, and paths take ten times as long.
+        for place in self._places:
+            if os.path.exists(candidate := os.path.join(place, name)):
+                return Path(candidate)
         if Path(name).is_absolute():
             raise FileError(f"'{name}' doesn't exist")
+        if Path(name).exists():
+            return Path.cwd() / name
+        places = [*self.directories, Path.cwd()]
         raise FileError(f"'{name}' doesn't exist; searched: {', '.join(str(place) for place in places)}")
 
     @contextlib.contextmanager
@@ -50,3 +56,36 @@ _current: ContextVar[FileResolver | None] = ContextVar("file_resolver", default=
 def resolve(name: str) -> Path:
     """The path of a file that is named by the description being loaded; raises `FileError`."""
     return (_current.get() or FileResolver()).resolve(name)
+
+
+# ---- what is read --------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reading_once(names: Collection[str]) -> Iterator[None]:
+    """Keep what is read from the files of these names until the end of a ``with`` block: see `read_once`.
+
+    `names` are those that a description has several times. What is read from other files isn't needed again.
+    """
+    token = _kept.set({name: {} for name in names})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
+_kept: ContextVar[dict[str, dict[Hashable, Any]] | None] = ContextVar("kept", default=None)
+
+
+def read_once(name: str, form: Hashable, read: Callable[[], T]) -> T:
+    """What `read` gives or, if the file `name` was read before in the same `form`, what it gave then.
+
+    Results may be shared, so they must not be changed.
+    """
+    known = (_kept.get() or {}).get(name)
+    if known is None:
+        return read()
+    if form not in known:
+        known[form] = read()
+    result: T = known[form]
+    return result

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.description.files import FileResolver
+from djpt.description.files import FileResolver, reading_once
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
@@ -55,13 +56,16 @@ class Loader:
         self.paths: dict[str, str] = {}
         """The path of a node by each name that a reference can use: its path or its ``id`` entry."""
         self.plugins: dict[str, Plugin] = {}
+        self.files: Counter[str] = Counter()
+        """How many nodes name each file."""
         self.open: list[str] = []
         """Paths of the nodes under construction, outermost first; a reference to one of them is a cycle."""
 
     def load(self) -> Plugin:
         """Build the root, and with it all other nodes."""
         self.collect()
-        return self._build("")
+        with reading_once({name for name, count in self.files.items() if count > 1}):
+            return self._build("")
 
     def collect(self) -> None:
         """Check the form of the description, and fill `nodes` and `paths`."""
@@ -102,6 +106,8 @@ class Loader:
             raise SceneError(f"{where}: 'type' must be a string, found {describe(kind)}")
         if kind == "ref":
             return
+        if isinstance(file := node.get("filename"), str):
+            self.files[file] += 1
         identity = node.get("id")
         if identity is not None:
             # Exporters write ids with dots, such as "Material.001": any non-empty string is a name.
@@ -182,8 +188,11 @@ class Loader:
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
             values[key] = value
-        places = {key: self.name(path, key) for key in node} if self.places else {}
-        props = Properties(name, where, values, self._own_name(path) or name, places)
+
+        def place(key: str) -> str:
+            return self.name(path, key) if self.places and key in node else where
+
+        props = Properties(name, where, values, self._own_name(path) or name, place)
         plugin: Any = factory(props)
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")

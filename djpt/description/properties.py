@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import drjit as dr
@@ -38,7 +38,7 @@ class Properties:
         node: path for messages, such as ``scene.white``.
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
         id: the value of `Plugin.id`; default: `node`.
-        places: the text that replaces `node` in messages about an entry, by key, if its line in a file is known.
+        place: gives the text that replaces `node` in messages about the entry of a key; default: `node`.
     """
 
     def __init__(
@@ -47,13 +47,13 @@ class Properties:
         node: str,
         values: Mapping[str, Any],
         id: str | None = None,
-        places: Mapping[str, str] | None = None,
+        place: Callable[[str], str] | None = None,
     ) -> None:
         self.plugin_name = plugin_name
         self.node = node
         self.id = node if id is None else id
         self._values = dict(values)
-        self._places = places or {}
+        self._place_of = place
         self._asked: set[str] = set()
         self._used: set[str] = set()
 
@@ -89,7 +89,7 @@ class Properties:
         return SceneError(f"{self._place(key)}: '{key}' {problem}")
 
     def _place(self, key: str) -> str:
-        return self._places.get(key, self.node)
+        return self.node if self._place_of is None else self._place_of(key)
 
     def _take(self, key: str, default: Any) -> Any:
         """Take the raw entry, or `default`, and mark its key as used."""

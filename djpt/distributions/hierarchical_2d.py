@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -61,21 +62,24 @@ class Hierarchical2D(Plugin):
         values = np.asarray(values, np.float64)
         mass = (values[:-1, :-1] + values[:-1, 1:] + values[1:, :-1] + values[1:, 1:]) / 4
         self.at_corners = at = values / mass.mean()
-        self.corners = packets([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]])
+        single = at.astype(np.float32)
+        self.corners = packets([single[:-1, :-1], single[:-1, 1:], single[1:, :-1], single[1:, 1:]])
         rows, columns = mass.shape
         self.columns = dr.opaque(UInt32, columns)
         self.levels = ((rows - 1).bit_length(), (columns - 1).bit_length())
         """The numbers of halvings of rows and of columns."""
         full = np.zeros((1 << self.levels[0], 1 << self.levels[1]))
         full[:rows, :columns] = mass
-        levels = []
-        while full.size > 1:
-            shares, full = halved(full)
-            levels.append([share.ravel() for share in shares])
-        # From the root down.
-        tree = [np.concatenate(parts) for parts in zip(*reversed(levels), strict=True)] or [np.zeros(1)] * 3
-        self.splits = packets([*tree, np.zeros(len(tree[0]))])
-        self.root = as_vector(np.array([share[0] for share in tree]))
+        # From the root down: the first level to be written comes last.
+        shapes = [tuple(1 << max(count - 1 - level, 0) for count in self.levels) for level in range(max(self.levels))]
+        end = sum(rows * columns for rows, columns in shapes)
+        nodes = aligned_floats((max(end, 1), 4))
+        for level in shapes:
+            count = math.prod(level)
+            full = halve(full, nodes[end - count : end].reshape(*level, 4))
+            end -= count
+        self.splits = TensorXf(nodes.reshape(-1, 1, 4))
+        self.root = as_vector(nodes[0, :3])
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -141,7 +145,7 @@ class Hierarchical2D(Plugin):
 # ---- on the host ---------------------------------------------------------------------------
 
 
-def packets(columns: Sequence[Numbers]) -> TensorXf:
+def packets(columns: Sequence[NDArray[np.float32]]) -> TensorXf:
     """Four numbers side by side as a table."""
     table = aligned_floats((*columns[0].shape, 4))
     for k, column in enumerate(columns):
@@ -149,10 +153,11 @@ def packets(columns: Sequence[Numbers]) -> TensorXf:
     return TensorXf(table.reshape(-1, 1, 4))
 
 
-def halved(mass: Numbers) -> tuple[tuple[Numbers, Numbers, Numbers], Numbers]:
-    """Nodes over cells in twos or, where there are several rows and columns, in fours; and their masses.
+def halve(mass: Numbers, nodes: NDArray[np.float32]) -> Numbers:
+    """Write the nodes over cells in twos or, where there are several rows and columns, in fours; give their masses.
 
-    A node is the share of the upper half, and of the left half of either.
+    A node is the share of the upper half, and of the left half of either; 0 where there is no mass: no sample arrives
+    there.
     """
     rows, columns = mass.shape
     if 1 in mass.shape:
@@ -160,19 +165,10 @@ def halved(mass: Numbers) -> tuple[tuple[Numbers, Numbers, Numbers], Numbers]:
     upper, lower = mass[::2], mass[1::2]
     halves = [half[:, ::2] + half[:, 1::2] for half in (upper, lower)]
     total = halves[0] + halves[1]
-    return (
-        (
-            share_of(halves[0], total),
-            share_of(upper[:, ::2], halves[0]),
-            share_of(lower[:, ::2], halves[1]),
-        ),
-        total,
-    )
-
-
-def share_of(part: Numbers, whole: Numbers) -> Numbers:
-    """The ratio, 0 where there is no mass: no sample arrives there."""
-    return np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0)
+    parts = ((halves[0], total), (upper[:, ::2], halves[0]), (lower[:, ::2], halves[1]))
+    for k, (part, whole) in enumerate(parts):
+        nodes[..., k] = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0)
+    return total
 
 
 # ---- in kernels ----------------------------------------------------------------------------

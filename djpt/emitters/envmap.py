@@ -365,8 +365,7 @@ def mean_over_sphere(texels: NDArray[Any]) -> float:
     # Integrals of sin(theta) times the hat of each row.
     shares = np.sin(np.arange(rows) * step) * (2 * (1 - math.cos(step)) / step)
     shares[[0, -1]] = 1 - math.sin(step) / step
-    means = np.array([row.mean(dtype=np.float64) for row in texels])
-    return float(np.average(means, weights=shares))
+    return float(np.average(texels.mean(axis=(1, 2), dtype=np.float64), weights=shares))
 
 
 register_emitter("envmap", EnvironmentMap)

@@ -53,7 +53,7 @@ class Geometry:
         low, high = self.bounding_box()
         self.triangles = self.seen_from([low, high]).triangles
         # An infinite plane may be hit before a ray comes near the box about everything else.
-        if any(np.isinf(shape.interval(unit)).any() for shape in self.contents.seen for unit in np.eye(3)):
+        if not self.unrolled.is_bounded:
             low, high = np.full(3, -np.inf), np.full(3, np.inf)
         self._low, self._high = as_vector(low), as_vector(high)
 

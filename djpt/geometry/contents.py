@@ -57,7 +57,6 @@ class Contents:
         solids = [self.shapes[i] for i in self._solids]
         self.bounding = [*(s for s in shapes if s.of_triangles or isinstance(s, Instance)), *solids]
         """The shapes beside the unrolled ones that make up the scene's extent."""
-        self.seen = [*(self.shapes[i] for i in self.analytic), *self.bounding]
 
     def triangles(self) -> Triangles | None:
         """All meshes, and the instances of those in groups; None if there are none."""

@@ -14,7 +14,9 @@ something back and forth compiles one kernel at most.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
+from functools import cached_property
 
 import drjit as dr
 import numpy as np
@@ -27,6 +29,8 @@ from djpt.shapes.base import Face, Shape
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Unrolled"]
+
+UNITS = np.eye(3)
 
 
 class Unrolled:
@@ -58,6 +62,7 @@ class Unrolled:
 
     def move(self, shape: Shape) -> None:
         """Follow an edit of a shape's parameters."""
+        self.__dict__.pop("_extent", None)
         if shape not in self.shapes:
             shape.place(AxisPool())
             self._find_occluders()
@@ -80,13 +85,26 @@ class Unrolled:
 
         Infinite extents, those of planes, don't count.
         """
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        low, high, _ = self._extent
+        return low.copy(), high.copy()
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether no shape, the others included, reaches to infinity."""
+        return self._extent[2]
+
+    @cached_property
+    def _extent(self) -> tuple[np.ndarray, np.ndarray, bool]:
+        """The corners of the bounding box, and whether all shapes lie in it; until the next move."""
+        low, high, bounded = np.full(3, np.inf), np.full(3, -np.inf), True
         for shape in (*self.shapes, *self._others):
-            for k, unit in enumerate(np.eye(3)):
+            for k, unit in enumerate(UNITS):
                 a, b = shape.interval(unit)
-                if np.isfinite(a) and np.isfinite(b):
+                if math.isfinite(a) and math.isfinite(b):
                     low[k], high[k] = min(low[k], a), max(high[k], b)
-        return low, high
+                elif math.isinf(a) or math.isinf(b):
+                    bounded = False
+        return low, high, bounded
 
     # ---- structure -----------------------------------------------------------------
 

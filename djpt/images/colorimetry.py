@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,14 +45,21 @@ def spectrum_to_xyz(wavelengths: Sequence[float], values: Sequence[float], under
         under_d65: D is daylight, for what reflects (a constant spectrum is white). Otherwise D = 1, for
             what emits.
     """
+    grid, matching, daylight = _observer()
+    spectrum = np.interp(grid, wavelengths, values, left=0, right=0)
+    if under_d65:
+        spectrum = spectrum * daylight * _D65_SCALE
+    xyz: NDArray[np.float64] = (matching * spectrum).sum(axis=1) / matching[1].sum()
+    return xyz
+
+
+@cache
+def _observer() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """The wavelengths of sums, (N,), with the three matching functions, (3, N), and D65, (N,)."""
     grid = np.linspace(SHORTEST, LONGEST, _STEPS)
     table = np.array([float(number) for number in _TABLE.split()]).reshape(-1, 5).T
     matching = np.stack([np.interp(grid, table[0], table[row]) for row in (1, 2, 3)])
-    spectrum = np.interp(grid, wavelengths, values, left=0, right=0)
-    if under_d65:
-        spectrum = spectrum * np.interp(grid, table[0], table[4]) * _D65_SCALE
-    xyz: NDArray[np.float64] = (matching * spectrum).sum(axis=1) / matching[1].sum()
-    return xyz
+    return grid, matching, np.interp(grid, table[0], table[4])
 
 
 def black_body_xyz(kelvin: float) -> NDArray[np.float64]:

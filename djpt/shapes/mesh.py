@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 __all__ = ["Mesh"]
 
 HIDDEN = ParamFlags.NonDifferentiable
+PARAMETERS = ("faces_parameter", "vertex_positions", "vertex_normals", "vertex_texcoords")
+"""The attributes that hold the parameters of all meshes; made when they are asked for, which most never are."""
 MOVES = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
 
@@ -100,21 +102,21 @@ class Mesh(Shape):
             data.compute_normals()
         self.positions, self.indices = data.positions, data.indices
         self.normals, self.texcoords = data.normals, data.texcoords
+        self.set: MeshSet | None = None
+        """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
+        self._first_face = 0
+        for key in data.attributes:
+            if key in PARAMETERS or hasattr(self, key):
+                raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
         self.attributes: dict[str, tuple[NDArray[np.float32], Literal["vertex", "face"]]] = {
             key: (value, "vertex" if key.startswith("vertex_") else "face") for key, value in data.attributes.items()
         }
-        self.set: MeshSet | None = None
-        """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
-        self.first_face = dr.opaque(UInt32, 0)
-        for key in self.attributes:
-            if hasattr(self, key) or key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
-                raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
-        self._expose()
         self._measure(areas)
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""
-        self.set, self.first_face = meshes, dr.opaque(UInt32, first_face)
+        self.set, self._first_face = meshes, first_face
+        self.__dict__.pop("first_face", None)
 
     # ---- parameters --------------------------------------------------------------------
 
@@ -126,14 +128,39 @@ class Mesh(Shape):
         for name in self.attributes:
             callback.put(name, getattr(self, name), ParamFlags.Differentiable)
 
-    def _expose(self) -> None:
-        """Make the flat parameters that `traverse` reports from the host's arrays."""
-        self.faces_parameter = own_copy(self.indices)
-        self.vertex_positions = own_floats(self.positions)
-        self.vertex_normals = Float() if self.normals is None else own_floats(self.normals)
-        self.vertex_texcoords = Float() if self.texcoords is None else own_floats(self.texcoords)
-        for name, (value, _) in self.attributes.items():
-            setattr(self, name, own_floats(value))
+    @cached_property
+    def faces_parameter(self) -> UInt32:
+        """The parameter `faces`: the corners of all triangles, one after the other."""
+        return own_copy(self.indices)
+
+    @cached_property
+    def vertex_positions(self) -> Float:
+        """The parameter of this name: the coordinates of all vertices, one after the other."""
+        return own_floats(self.positions)
+
+    @cached_property
+    def vertex_normals(self) -> Float:
+        """The parameter of this name, likewise; empty if there are none."""
+        return Float() if self.normals is None else own_floats(self.normals)
+
+    @cached_property
+    def vertex_texcoords(self) -> Float:
+        """The parameter of this name, likewise; empty if there are none."""
+        return Float() if self.texcoords is None else own_floats(self.texcoords)
+
+    def __getattr__(self, name: str) -> Float:
+        """The parameter that holds an attribute of vertices or faces; made when it is asked for, like the others."""
+        attributes = self.__dict__.get("attributes", {})
+        if name not in attributes:
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+        value = own_floats(attributes[name][0])
+        setattr(self, name, value)
+        return value
+
+    def _forget(self) -> None:
+        """Let the parameters be made from the host's arrays again."""
+        for name in (*PARAMETERS, *self.attributes):
+            self.__dict__.pop(name, None)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Take over edited parameters; as in Mitsuba, vertex normals are computed anew when vertices have moved.
@@ -172,7 +199,7 @@ class Mesh(Shape):
             data = MeshData(positions, indices)
             data.compute_normals()
             self.normals = data.normals
-        self._expose()
+        self._forget()
         self._measure()
 
     def _read(self, name: str, width: int, attribute: str | None = None) -> NDArray[Any]:
@@ -203,8 +230,18 @@ class Mesh(Shape):
     def _measure(self, areas: NDArray[np.float64] | None = None) -> None:
         """Begin to measure the mesh anew; `areas` are those of its triangles if they are known."""
         self._measures = Measures(self.positions, self.indices, areas)
-        self.__dict__.pop("area", None)
-        self.own_faces = dr.opaque(UInt32, len(self.indices))
+        for name in ("area", "own_faces"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def first_face(self) -> UInt32:
+        """The number of the first face in the set."""
+        return dr.opaque(UInt32, self._first_face)
+
+    @cached_property
+    def own_faces(self) -> UInt32:
+        """The number of faces."""
+        return dr.opaque(UInt32, len(self.indices))
 
     @cached_property
     def area(self) -> Float:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Hashable
 from pathlib import Path
 from typing import ClassVar
 
-from djpt.description.files import resolve
+from djpt.description.files import read_once, resolve
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
 from djpt.shapes.mesh import Mesh
@@ -27,7 +29,12 @@ class MeshFile(Mesh):
 
     def __init__(self, props: Properties) -> None:
         path = self.find(props)
-        data = self.read(self.load(props, path), f"{props.node}: {path.name}", props)
+        form = (type(self), self.part(props))
+        where = f"{props.node}: {path.name}"
+        read = read_once(props.string("filename"), form, lambda: self.read(self.load(props, path), where, props))
+        # A copy of its own: the arrays may be shared, but aren't changed in place.
+        data = copy.copy(read)
+        data.attributes = dict(read.attributes)
         if props.boolean("flip_tex_coords", self.flips_texcoords) and data.texcoords is not None:
             data.texcoords = data.texcoords.copy()
             data.texcoords[:, 1] = 1 - data.texcoords[:, 1]
@@ -40,6 +47,10 @@ class MeshFile(Mesh):
             return resolve(props.string("filename"))
         except FileError as error:
             raise SceneError(f"{props.node}: 'filename': {error}") from None
+
+    def part(self, props: Properties) -> Hashable:
+        """What tells apart the meshes that one file may hold; by default it holds one."""
+        return None
 
     @staticmethod
     def load(props: Properties, path: Path) -> bytes:

@@ -17,8 +17,11 @@ class Serialized(MeshFile):
     `shape_index` (default 0) chooses one of the file's meshes.
     """
 
+    def part(self, props: Properties) -> int:
+        return props.integer("shape_index", 0, low=0)
+
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:
-        return read_serialized(data, where, props.integer("shape_index", 0, low=0))
+        return read_serialized(data, where, self.part(props))
 
 
 register_shape("serialized", Serialized)

@@ -31,7 +31,7 @@ def luminance(texels: NDArray[Any]) -> NDArray[np.float64]:
     shares = [1.0] if texels.shape[2] == 1 else list(LUMINANCE)
     weights: NDArray[np.float64] = np.zeros(texels.shape[:2])
     for k, share in enumerate(shares):
-        weights += share * texels[..., k].astype(np.float64)
+        weights += np.multiply(texels[..., k], share, dtype=np.float64)
     return np.maximum(weights, 0, out=weights)
 
 

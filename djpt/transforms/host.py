@@ -39,6 +39,27 @@ ALIKE = 1e-5
 """How far from a rotation with a uniform scale a linear part may be, relative to the scale, to count as one."""
 
 
+def identity(size: int) -> Matrix:
+    """A matrix that changes nothing, read-only."""
+    matrix = np.eye(size)
+    matrix.flags.writeable = False
+    return matrix
+
+
+IDENTITIES = {size: identity(size) for size in (3, 4)}
+
+
+def is_far_from_flat(linear: list[list[float]]) -> bool:
+    """Whether it is plain from its determinant that a 3x3 matrix isn't singular; nearly always it is.
+
+    The determinant of unit columns is the product of the singular values, of which none is above the root of 3.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = linear
+    lengths = math.hypot(a, d, g) * math.hypot(b, e, h) * math.hypot(c, f, i)
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return abs(determinant) > 1e-3 * lengths > 0
+
+
 class HostTransform(Transform):
     """A transform of float64 numbers, immutable."""
 
@@ -46,11 +67,14 @@ class HostTransform(Transform):
 
     def __init__(self, matrix: Any = None) -> None:
         n = self.size
-        value = np.eye(n) if matrix is None else as_array(matrix_of(matrix))
+        if matrix is None:
+            self._matrix = IDENTITIES[n]
+            return
+        value = as_array(matrix_of(matrix))
         if value.shape != (n, n):
             raise SceneError(f"must be a {n}x{n} matrix, found {describe(matrix)} of shape {value.shape}")
         last = [0] * (n - 1) + [1]
-        if not self.projective and not np.array_equal(value[-1], last):
+        if not self.projective and value[-1].tolist() != last:
             raise SceneError(f"must be affine: the last row of the matrix is {value[-1].tolist()}, not {last}")
         value.flags.writeable = False
         self._matrix = value
@@ -145,6 +169,8 @@ class HostTransform(Transform):
     def is_singular(self) -> bool:
         """Whether the transform flattens shapes, in the precision of float32."""
         linear = self._matrix if self.projective else self._matrix[:-1, :-1]
+        if linear.shape == (3, 3) and is_far_from_flat(linear.tolist()):
+            return False
         lengths = np.linalg.norm(linear, axis=0)
         if not (lengths > 0).all():
             return True
@@ -166,6 +192,12 @@ class HostTransform(Transform):
     def translation(self) -> Matrix:
         """The image of the origin, (size - 1,) float64."""
         return self._matrix[:-1, -1].copy()
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether the transform changes nothing."""
+        unchanged = IDENTITIES[self.size]
+        return self._matrix is unchanged or np.array_equal(self._matrix, unchanged)
 
     def has_scale(self) -> bool:
         """Whether the transform changes lengths or angles; mirroring doesn't."""

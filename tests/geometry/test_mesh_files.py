@@ -14,7 +14,11 @@ from hypothesis import strategies as st
 
 import djpt
 from djpt.errors import DjptError, FileError, SceneError
-from djpt.shapes.meshes.obj import read_obj
+from djpt.shapes.mesh_file import MeshFile
+from djpt.shapes.meshes import obj_compiled
+from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.obj import read_carefully, read_obj
+from djpt.shapes.meshes.obj_compiled import read_compiled
 from djpt.shapes.meshes.ply import read_ply
 from djpt.shapes.meshes.serialized import read_serialized
 from djpt.transforms import ScalarTransform4f as T
@@ -203,6 +207,117 @@ def test_obj_with_lines_in_any_order() -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found '1 2'"):
         read_obj(mixed.replace("g f 1 2 3", "v 1 2").encode(), "x.obj")
+
+
+# ---------------------------------------------------------------- obj by compiled functions
+
+KNOWN = [
+    OBJ + "f 1 2 3 4",
+    OBJ + TEXCOORDS + NORMALS + "f 1/1/1 2/2/1 3/3/2\nf -4/-4/-2 -2/-2/-1 -1/-1/-1 # the other half\n\n",
+    OBJ + NORMALS + "o x\r\nf 1//1 2//2 3//1\r\nf\t1//2 2//2 4//1 ",
+    "f 1 2 3\nv 1e2 -2.5E-3 +.5\nv 5. 0.000000000000000000000000 -0 9 9\nv 1 2 3.25e1\n",
+    "".join(f"v {i} {i / 7:.17f} {-i / 3:.9g}e-30\n" for i in range(99))
+    + "".join(f"f {i} 1 {i + 1}\n" for i in range(1, 99)),
+    OBJ + "".join(f"vt {i} 0\n" for i in range(50)) + "".join(f"f 1/{i} 2/{i} 3/1\n" for i in range(1, 50)),
+    "v 3.4028236e29 4e22 1e-44\nv 1.17549421e-36 33554433 33554435\nv 16777217 0.1 0.3\nf 1 2 3",
+    OBJ + "f\nf 1\nf 1 2\nf 3 2 1",
+]
+UNKNOWN = [
+    OBJ + "f 1 2 \\\n3",
+    OBJ + "f 1 2 9",
+    OBJ + "f 0 1 2",
+    OBJ + "f -5 1 2",
+    OBJ + "f 1/ 2/ 3/",
+    OBJ + "f 1.5 2 3",
+    OBJ + "f 1/1 2 3",
+    OBJ + "v 1 2",
+    OBJ + "v 1 2 nan",
+    OBJ + "v 1 2 3x",
+    OBJ + "v 1e500 2 3",
+    OBJ + "v 0.12345678901234567890123 2 3",
+    OBJ + "v\x011 2 3",
+]
+
+
+@pytest.fixture
+def from_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small files are read by compiled functions, too, from the first on."""
+    monkeypatch.setattr(obj_compiled, "FEW", 0)
+
+
+def assert_equal(found: MeshData, expected: MeshData) -> None:
+    """Two meshes have the same bits."""
+    for name in ("positions", "indices", "normals", "texcoords"):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        assert (ours is None) == (theirs is None), name
+        if ours is not None:
+            assert (ours.shape, ours.dtype, ours.tobytes()) == (theirs.shape, theirs.dtype, theirs.tobytes()), name
+
+
+@pytest.mark.usefixtures("from_the_first")
+@pytest.mark.parametrize("text", KNOWN)
+def test_compiled_functions_read_the_same_from_obj_files(text: str) -> None:
+    found = read_compiled(text.encode())
+    assert found is not None
+    assert_equal(found, read_carefully(text.encode(), "x.obj"))
+
+
+@pytest.mark.usefixtures("from_the_first")
+@pytest.mark.parametrize("text", UNKNOWN)
+def test_compiled_functions_leave_unusual_obj_files_to_the_careful_reader(text: str) -> None:
+    assert read_compiled(text.encode()) is None
+
+
+WORDS = (
+    "v vt vn f vp # 1 2 3 -1 -2 0 1/1 2/2 3/1 1//1 2//2 2/1/1 -1/-1/-1 1/ /1 1/2/ 0.5 -.25 1e1 2. x 0.1234567|\n|\n|\n"
+    "|\nv 1 2 3\n|\nvt 1 2\n|\nvn 0 0 1\n|\nf 1 2 1\n|\t|\\\n|\r\n|\x00"
+)
+ALPHABET = [word for part in WORDS.split("|") for word in (part.split(" ") if part.startswith("v vt") else [part])]
+
+
+@pytest.mark.usefixtures("from_the_first")
+@settings(max_examples=400, deadline=None)
+@given(words=st.lists(st.sampled_from(ALPHABET), max_size=25))
+def test_no_obj_file_whatsoever_is_read_in_two_ways(words: list[str]) -> None:
+    text = " ".join(words).encode()
+    found = read_compiled(text)
+    if found is not None:
+        assert_equal(found, read_carefully(text, "x.obj"))
+
+
+def test_small_obj_files_compile_nothing_unless_they_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(obj_compiled, "small_files", iter(range(100)))
+    found = [read_compiled(KNOWN[0].encode()) for _ in range(obj_compiled.FEW + 2)]
+    assert found[: obj_compiled.FEW] == [None] * obj_compiled.FEW
+    assert None not in found[obj_compiled.FEW :]
+
+
+def test_a_file_that_several_shapes_name_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, sheet = tmp_path / "a.serialized", bumpy_sheet()
+    write_serialized(path, [sheet, {**sheet, "positions": sheet["positions"] * 2}])
+    reads: list[str] = []
+    load = MeshFile.load
+
+    def noted(props: Any, path: Path) -> bytes:
+        reads.append(path.name)
+        return load(props, path)
+
+    monkeypatch.setattr(MeshFile, "load", staticmethod(noted))
+    one = {"type": "serialized", "filename": str(path), "flip_tex_coords": True}
+    scene = djpt.load_dict({"type": "scene", "a": one, "b": {**one, "to_world": MOVED}, "c": {**one, "shape_index": 1}})
+    assert reads == ["a.serialized"] * 2
+    a, b, c = scene.shapes()
+    np.testing.assert_allclose(b.positions, MOVED @ a.positions, atol=1e-5)
+    np.testing.assert_array_equal(b.texcoords, a.texcoords)
+    np.testing.assert_array_equal(c.positions, 2 * a.positions)
+    before = a.positions.copy()
+    parameters = djpt.traverse(scene)
+    parameters["b.vertex_positions"] = parameters["b.vertex_positions"] + 1
+    parameters.update()
+    np.testing.assert_array_equal(a.positions, before)
+    del reads[:]
+    assert djpt.load_dict(one).positions.tolist() == before.tolist()
+    assert reads == ["a.serialized"]
 
 
 # ---------------------------------------------------------------- serialized

@@ -15,6 +15,8 @@ from djpt.errors import near_miss
 __all__ = ["VALUES", "check_attributes", "numbers", "spectrum_file", "vector"]
 
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_PLAIN = re.compile(r"[-+.eE:,\s\d]*", re.ASCII)
+"""The characters of pairs of numbers; what Python takes for numbers is written in others as well (nan, 1_000)."""
 _INTEGER = re.compile(r"[+-]?\d{1,19}", re.ASCII)
 _SEPARATORS = re.compile(r"[,\s]+")
 
@@ -95,14 +97,28 @@ def _spectrum(element: Element) -> dict[str, Any]:
     parts = [part for part in _SEPARATORS.split(text) if part]
     if len(parts) == 1 and ":" not in text:
         return {"type": "spectrum", "value": number(element, parts[0])}
-    pairs = []
-    for part in parts:
-        wavelength, colon, value = part.partition(":")
-        if not colon:
-            raise element.error(f"must be one number or pairs such as '400:0.1, 700:0.2', found '{part}'")
-        pairs.append((number(element, wavelength), number(element, value)))
+    pairs = _plain_pairs(text, parts) or [_pair(element, part) for part in parts]
     _check_pairs(element, pairs)
     return {"type": "spectrum", "value": pairs}
+
+
+def _plain_pairs(text: str, parts: list[str]) -> list[tuple[float, float]] | None:
+    """Parse pairs of numbers at once; None if there is anything to say about them."""
+    if not _PLAIN.fullmatch(text):
+        return None
+    try:
+        pairs = [(float(wavelength), float(value)) for wavelength, value in (part.split(":") for part in parts)]
+    except ValueError:
+        return None
+    return pairs if all(max(abs(a), abs(b)) <= LARGEST for a, b in pairs) else None
+
+
+def _pair(element: Element, text: str) -> tuple[float, float]:
+    """Parse a wavelength and a value."""
+    wavelength, colon, value = text.partition(":")
+    if not colon:
+        raise element.error(f"must be one number or pairs such as '400:0.1, 700:0.2', found '{text}'")
+    return number(element, wavelength), number(element, value)
 
 
 def spectrum_file(element: Element, path: Path) -> dict[str, Any]:

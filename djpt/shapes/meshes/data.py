@@ -31,7 +31,7 @@ class MeshData:
     def transform(self, to_world: ScalarTransform4f) -> None:
         """Move to world space; normals are transformed by the inverse transpose and keep their side."""
         matrix = to_world.matrix
-        if np.array_equal(matrix, np.eye(4)):
+        if to_world.is_identity:
             return
         # `clean` finds and reports what overflows to infinity.
         with np.errstate(over="ignore", invalid="ignore"):
