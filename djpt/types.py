@@ -18,6 +18,8 @@ else:
 
     backend = load_backend()
 
+from drjit.scalar import Array2u as ScalarArray2u
+
 __all__ = [
     "PCG32",
     "Array3f",
@@ -38,6 +40,7 @@ __all__ = [
     "Normal3f",
     "Point2f",
     "Point3f",
+    "ScalarArray2u",
     "Spectrum",
     "TensorXf",
     "UInt",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
 
 from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.description.plugin import Plugin
-from djpt.types import Float
+from djpt.types import Bool, Float
 
 __all__ = ["ReconstructionFilter", "tap_centers"]
 
@@ -21,13 +22,29 @@ class ReconstructionFilter(Plugin):
 
     kind: ClassVar[str] = "rfilter"
 
-    radius: float
+    reach: float
     """The distance, in pixels, beyond which `eval` is 0."""
 
-    def eval(self, x: Float) -> Float:
+    def radius(self) -> float:
+        """The distance, in pixels, beyond which `eval` is 0."""
+        return self.reach
+
+    def border_size(self) -> int:
+        """The number of pixels, along an axis and to one side, that a sample reaches besides its own."""
+        return max(0, math.ceil(self.reach - 0.5))
+
+    def is_box_filter(self) -> bool:
+        """Whether no sample reaches a neighbouring pixel."""
+        return self.border_size() == 0
+
+    def eval(self, x: Float, active: Bool | bool = True) -> Float:
         """The kernel at distance `x`, which may be negative: by `formula`, unless a filter has none."""
         result: Float = self.formula(KERNELS, x)
         return result
+
+    def eval_discretized(self, x: Float, active: Bool | bool = True) -> Float:
+        """The same as `eval`: kernels are exact here, where Mitsuba reads a table."""
+        return self.eval(x, active)
 
     def formula(self, m: Arithmetic, x: Any) -> Any:
         """`eval` by the functions of an arithmetic: also compiled functions can then weigh samples."""

@@ -7,7 +7,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Float
+from djpt.types import Bool, Float
 
 __all__ = ["Box"]
 
@@ -18,12 +18,12 @@ class Box(ReconstructionFilter):
     Films treat it specially (no sample reaches a neighbour), so it is also the fastest.
     """
 
-    radius = 0.5
+    reach = 0.5
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
 
-    def eval(self, x: Float) -> Float:
+    def eval(self, x: Float, active: Bool | bool = True) -> Float:
         return dr.select(dr.abs(x) <= 0.5, Float(1), 0)
 
 

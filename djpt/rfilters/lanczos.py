@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Float
+from djpt.types import Bool, Float
 
 __all__ = ["Lanczos"]
 
@@ -24,15 +24,15 @@ class Lanczos(ReconstructionFilter):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.radius = float(props.integer("lobes", 3, low=1, high=16))
+        self.reach = float(props.integer("lobes", 3, low=1, high=16))
 
-    def eval(self, x: Float) -> Float:
+    def eval(self, x: Float, active: Bool | bool = True) -> Float:
         x = dr.abs(x)
         a = math.pi * x
-        b = a * (1 / self.radius)
+        b = a * (1 / self.reach)
         value = dr.sin(a) * dr.sin(b) * dr.rcp(a * b)
         # At the centre the quotient is 0/0 and its limit 1.
-        return dr.select(x < 1e-4, Float(1), dr.select(x < self.radius, value, 0))
+        return dr.select(x < 1e-4, Float(1), dr.select(x < self.reach, value, 0))
 
 
 register_rfilter("lanczos", Lanczos)

@@ -22,10 +22,10 @@ class Tent(ReconstructionFilter):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.radius = props.float("radius", 1.0, low=0.0, low_open=True, high=16.0)
+        self.reach = props.float("radius", 1.0, low=0.0, low_open=True, high=16.0)
 
     def formula(self, m: Arithmetic, x: Any) -> Any:
-        w = 1 - m.abs(x) * (1 / self.radius)
+        w = 1 - m.abs(x) * (1 / self.reach)
         return m.select(w > 0, w, 0)
 
 

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 __all__ = ["EXPORTS", "SUBMODULES"]
 
-EXPORTS: dict[str, str] = {}
+EXPORTS: dict[str, str] = {
+    "djpt.films.base": "Film FilmFlags",
+    "djpt.films.image_block": "ImageBlock",
+    "djpt.rfilters.base": "ReconstructionFilter",
+    "djpt.samplers.base": "Sampler",
+    "djpt.sensors.base": "Sensor",
+    "djpt.sensors.projective": "ProjectiveCamera",
+    "djpt.shapes.base": "Shape",
+    "djpt.textures.base": "Texture",
+}
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
 SUBMODULES: dict[str, str] = {}
