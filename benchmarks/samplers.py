@@ -85,7 +85,7 @@ def main() -> None:
             for name, loaded in scenes.items():
                 begin = time.perf_counter()
                 np.array(djpt.render(loaded, spp=TIMED_SPP, seed=seed))
-                spp = loaded.sensors()[0].sampler.round_count(TIMED_SPP)
+                spp = loaded.sensors()[0].sampler().round_count(TIMED_SPP)
                 times[name].append((time.perf_counter() - begin) / (spp * options.size**2))
         print(f"\n{lit}\n{'sampler':20s}" + "".join(f"{spp:>15d}" for spp in options.spp) + "   blurred  ns/sample")
         plain: dict[int, float] = {}
@@ -94,7 +94,7 @@ def main() -> None:
             line = ""
             for spp in options.spp:
                 e = errors(loaded, spp, options.seeds, reference)
-                taken = loaded.sensors()[0].sampler.round_count(spp)
+                taken = loaded.sensors()[0].sampler().round_count(spp)
                 plain.setdefault(spp, rmse(e))
                 if spp == options.spp[0]:
                     blur = rmse(np.array([blurred(image) for image in e]))

@@ -65,7 +65,7 @@ def as_float(value: float) -> Float:
     return dr.opaque(Float, float(value))
 
 
-def as_vector(v: NDArray[np.float64]) -> Vector3f:
+def as_vector(v: NDArray[np.floating[Any]]) -> Vector3f:
     """An opaque vector of width 1 from three numbers."""
     return Vector3f(*(as_float(float(x)) for x in v))
 

@@ -87,7 +87,7 @@ def primal(job: Job, schedule: Schedule) -> TensorXf:
 def centres(job: Job) -> TensorXf:
     """The channels of an integrator that come from the centres of pixels: (H, W, C)."""
     with dr.suspend_grad():
-        width, height = job.film.crop_size
+        width, height = job.film.crop_size()
         values = job.integrator.unfiltered_channels(job.scene, job.centre_rays())
         dr.eval(values)
         return picture(values, width, height)
@@ -99,7 +99,7 @@ def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tupl
     First those of the colour, such as ``("R", "G", "B")``, then those of the integrator's AOVs.
     `djpt.write` takes them as `channels`.
     """
-    film = find_sensor(scene, sensor).film
+    film = find_sensor(scene, sensor).film()
     estimator = find_integrator(scene, integrator)
     return image_channels(film, estimator) + tuple(estimator.unfiltered_names())
 
@@ -112,15 +112,16 @@ def make_job(
 ) -> Job:
     """Check the arguments of `render` and put the pieces together: views of the scene, never a change to it."""
     sensor, integrator = find_sensor(scene, sensor), find_integrator(scene, integrator)
+    sampler = sensor.sampler()
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
-    spp = sensor.sampler.round_count(spp or sensor.sampler.sample_count)
+    spp = sampler.round_count(spp or sampler.sample_count())
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
-    job = Job(scene, sensor, sensor.film, integrator, sensor.sampler, seed, spp, progress, pass_spp)
+    job = Job(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
     if job.samples > MAX_SAMPLES:
         raise RenderError(
             f"{job.width} x {job.height} pixels at {spp} spp are more than 2^32 samples; "
@@ -134,7 +135,7 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
     if not isinstance(scene, Scene):
         raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
     sensors = scene.sensors()
-    if not hasattr(sensor, "sample_ray"):
+    if not isinstance(sensor, Sensor):
         number = whole(sensor)
         if number is None:
             raise RenderError(f"'sensor' must be an index or a sensor, found {type(sensor).__name__}")

@@ -23,6 +23,8 @@ else:
 
     backend = load_backend()
 
+from drjit.scalar import Array2u as ScalarArray2u
+
 __all__ = [
     "PCG32",
     "Array3f",
@@ -43,6 +45,7 @@ __all__ = [
     "Normal3f",
     "Point2f",
     "Point3f",
+    "ScalarArray2u",
     "Spectrum",
     "TensorXf",
     "UInt",

@@ -12,7 +12,7 @@ from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32
 
 if TYPE_CHECKING:
-    from djpt.films import HDRFilm
+    from djpt.films import Film
     from djpt.scene import Scene
     from djpt.sensors.base import Sensor
 
@@ -49,7 +49,7 @@ class Walks(Protocol):
         """The sensor, with opaque values."""
 
     @property
-    def film(self) -> HDRFilm:
+    def film(self) -> Film:
         """The film."""
 
     @property

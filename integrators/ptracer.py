@@ -138,7 +138,7 @@ class ParticleTracer(PassIntegrator):
         proceed = si.is_valid() & (path.depth < max_depth)
 
         # ------------------ To the camera ---------------------
-        ds, importance = camera.sample_direction(si.p, sampler.next_2d())
+        ds, importance = camera.look_from(si.p, sampler.next_2d())
         to_camera = si.to_local(ds.d)
         value, _, bs, weight = si.bsdf().eval_pdf_sample(
             ctx, si, to_camera, sampler.next_1d(), sampler.next_2d(), proceed

@@ -329,13 +329,13 @@ def _facts(scene: djpt.Scene, sensor: int, spp: int | None, seed: int) -> dict[s
     def type_of(plugin: Any) -> str:
         return name_of(type(plugin)) or type(plugin).__name__
 
-    sampler, integrator = scene.sensors()[sensor].sampler, scene.integrator()
+    sampler, integrator = scene.sensors()[sensor].sampler(), scene.integrator()
     return {
         "Software": f"djpt {djpt.__version__}",
         "integrator": "path" if integrator is None else type_of(integrator),
         "sampler": type_of(sampler),
         "sensor": sensor,
-        "spp": sampler.round_count(spp or sampler.sample_count),
+        "spp": sampler.round_count(spp or sampler.sample_count()),
         "seed": seed,
     }
 

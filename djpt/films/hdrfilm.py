@@ -1,129 +1,185 @@
-"""The film: which pixels exist, which channels they store, how samples become pixels."""
+"""The film: which channels it stores, and how samples become pixels."""
 
 from __future__ import annotations
 
-import operator
+import importlib
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from djpt.description.plugin import Plugin, TraversalCallback
+import drjit as dr
+
 from djpt.description.properties import Properties
 from djpt.description.registry import register_film
-from djpt.errors import ParameterError, SceneError
-from djpt.images.color import LUMINANCE
-from djpt.rfilters import Box, Gaussian, ReconstructionFilter
-from djpt.types import Bool, Color3f, Float
+from djpt.errors import RenderError
+from djpt.films.base import Film, FilmFlags
+from djpt.films.pixel_formats import CHANNELS, ROWS
+from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
+
+if TYPE_CHECKING:
+    from djpt.films.image_block import ImageBlock
 
 __all__ = ["HDRFilm"]
 
-CHANNELS = {"rgb": ("R", "G", "B"), "rgba": ("R", "G", "B", "A"), "luminance": ("Y",)}
+EXTENSIONS = {"openexr": ".exr", "exr": ".exr", "rgbe": ".hdr", "pfm": ".pfm"}
 
 
-class HDRFilm(Plugin):
+class HDRFilm(Film):
     """A film of linear float32 pixels.
 
     Every sample adds w L and w to the pixels within the filter's radius, w = the kernel at the
     distance of the pixel's centre; `develop` divides the two sums.
 
     Parameters: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
-    `crop_height` (the rest), `pixel_format` (`rgb`, `rgba` or `luminance`; default `rgb`),
-    `component_format` and `file_format` (checked, then without effect: `djpt.write` chooses the format
-    and stores float32), `banner` (without effect, for scenes of older versions of Mitsuba), `sample_border`
+    `crop_height` (the rest), `pixel_format` (`rgb`, `rgba`, `luminance`, `luminance_alpha`, `xyz` or `xyza`; default
+    `rgb`), `component_format` (checked, then without effect: pixels are float32), `file_format` (for `write`),
+    `banner` (without effect, for scenes of older versions of Mitsuba), `sample_border`
     (default false: no samples outside the crop, so border pixels see fewer), a nested `rfilter` (default `gaussian`).
-    """
 
-    kind: ClassVar[str] = "film"
+    Scripts that trace rays themselves collect samples here: `prepare`, `create_block`, `put_block`, `develop`.
+    """
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.size = (props.integer("width", 768, low=1), props.integer("height", 576, low=1))
-        offset = (props.integer("crop_offset_x", 0, low=0), props.integer("crop_offset_y", 0, low=0))
-        size = (
-            props.integer("crop_width", self.size[0] - offset[0]),
-            props.integer("crop_height", self.size[1] - offset[1]),
-        )
-        self._require_crop(props.node, offset, size)
-        self.crop_offset, self.crop_size = offset, size
         self.pixel_format = props.string("pixel_format", "rgb", choices=tuple(CHANNELS))
         props.string("component_format", "float16", choices=("float16", "float32", "uint32"))
-        props.string("file_format", "openexr", choices=("openexr", "exr", "rgbe", "pfm"))
+        self._extension = EXTENSIONS[props.string("file_format", "openexr", choices=tuple(EXTENSIONS))]
         props.boolean("banner", False)
-        self.sample_border = props.boolean("sample_border", False)
-        default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
-        self.rfilter: ReconstructionFilter = props.child("rfilter", default)
-
-    def _require_crop(self, node: str, offset: Sequence[int], size: Sequence[int]) -> None:
-        for axis in range(2):
-            if size[axis] < 1 or offset[axis] + size[axis] > self.size[axis]:
-                name = ("width", "height")[axis]
-                place = f"{size[axis]} at offset {offset[axis]}"
-                raise SceneError(f"{node}: a crop of {name} {place} doesn't fit in {self.size[axis]} pixels")
-
-    # ---- parameters -------------------------------------------------------------
-
-    def traverse(self, callback: TraversalCallback) -> None:
-        for name in ("size", "crop_size", "crop_offset"):
-            callback.put(name, getattr(self, name))
-
-    def check_parameter(self, name: str, value: Any) -> Any:
-        try:
-            pair = tuple(operator.index(x) for x in value)
-        except TypeError:
-            pair = ()
-        if len(pair) != 2 or min(pair) < (0 if name == "crop_offset" else 1):
-            raise ParameterError(f"{self.id}.{name}: two whole numbers of pixels are expected, found {value!r}")
-        return pair
-
-    def parameters_changed(self, keys: Sequence[str]) -> None:
-        if "size" in keys and "crop_size" not in keys:
-            # As Mitsuba does: a new size drops the crop.
-            self.crop_size, self.crop_offset = self.size, (0, 0)
-        self._require_crop(self.id, self.crop_offset, self.crop_size)
+        self.m_flags = int(FilmFlags.Alpha if CHANNELS[self.pixel_format][-1] == "A" else FilmFlags.Empty)
+        self._storage: ImageBlock | None = None
+        self._names: tuple[str, ...] = ()
 
     # ---- what is rendered ----------------------------------------------------------
 
-    @property
-    def filters(self) -> bool:
-        """Whether samples reach neighbouring pixels."""
-        return not isinstance(self.rfilter, Box)
-
-    @property
-    def border(self) -> int:
-        """The width, in pixels, of the border about the crop that is sampled as well (`sample_border`)."""
-        # Pixels whose centres lie within the filter's radius of the crop's edge.
-        return self.taps // 2 if self.sample_border else 0
-
-    @property
-    def taps(self) -> int:
-        """The number of pixels per axis that one sample can reach."""
-        if not self.filters:
-            return 1
-        reach = self.rfilter.extent - 0.5
-        return 2 * max(0, -int(-reach // 1)) + 1
-
     def channel_names(self) -> tuple[str, ...]:
-        """The names of the channels of a colour."""
         return CHANNELS[self.pixel_format]
 
-    def channels(self, color: Color3f, valid: Bool) -> list[Float]:
-        """The values that one sample stores for a colour, by channel."""
-        if self.pixel_format == "luminance":
-            result = [color.x * LUMINANCE[0] + color.y * LUMINANCE[1] + color.z * LUMINANCE[2]]
-        else:
+    def channels(self, color: Color3f, valid: Bool | Float) -> list[Float]:
+        rows = ROWS.get(self.pixel_format)
+        if rows is None:
             result = [color.x, color.y, color.z]
-        if self.pixel_format == "rgba":
+        else:
+            result = [color.x * r + color.y * g + color.z * b for r, g, b in rows]
+        if self.m_flags & FilmFlags.Alpha:
             result.append(Float(valid))
         return result
 
-    def tangent_channels(self, color: Color3f) -> list[Float]:
-        """The derivative of `channels` in the direction of a change of the colour."""
-        return self.channels(color, Bool(False))
-
     def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
-        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
-        if self.pixel_format == "luminance":
-            return Color3f(*(weight * channels[0] for weight in LUMINANCE))
-        return Color3f(channels[0], channels[1], channels[2])
+        rows = ROWS.get(self.pixel_format)
+        if rows is None:
+            return Color3f(channels[0], channels[1], channels[2])
+        parts = [[weight * channel for weight in row] for row, channel in zip(rows, channels, strict=False)]
+        return Color3f(*(sum(column[1:], column[0]) for column in zip(*parts, strict=True)))
+
+    # ---- samples of scripts ----------------------------------------------------------
+
+    def base_channels_count(self) -> int:
+        """The number of channels of the pixel format."""
+        return len(self.channel_names())
+
+    def prepare(self, aovs: Sequence[str] = ()) -> int:
+        """Begin an image with further channels `aovs`; returns the number of all channels.
+
+        Raises:
+            RenderError: A name appears twice.
+        """
+        names = (*("RGBAW" if self.m_flags & FilmFlags.Alpha else "RGBW"), *aovs)
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise RenderError(f"{self.id}: the channel '{twice[0]}' appears twice")
+        self._names = names
+        self._storage = self._block(self._crop_size, self._crop_offset, False, False)
+        return len(names)
+
+    def create_block(self, size: Sequence[int] = (0, 0), normalize: bool = False, borders: bool = False) -> ImageBlock:
+        """An empty image block with the film's channels and filter.
+
+        Args:
+            size: width and height; 0 x 0 is the crop window, widened by the filter's reach with `sample_border`.
+            normalize: see `ImageBlock`.
+            borders: whether it has a border for samples that reach beyond.
+        """
+        self._prepared()
+        width, height = (int(n) for n in size)
+        if (width, height) != (0, 0):
+            return self._block((width, height), (0, 0), borders, normalize)
+        return self._block(self._crop_size, self._crop_offset, borders or self._sample_border, normalize)
+
+    def _block(self, size: tuple[int, int], offset: tuple[int, int], border: bool, normalize: bool) -> ImageBlock:
+        from djpt.films.image_block import ImageBlock
+
+        return ImageBlock(size, offset, len(self._names), self._rfilter, border=border, normalize=normalize)
+
+    def _prepared(self) -> ImageBlock:
+        if self._storage is None:
+            raise RenderError(f"{self.id}: the film holds no image yet: call film.prepare(aovs) first")
+        return self._storage
+
+    def put_block(self, block: ImageBlock) -> None:
+        """Add the sums of a block to those of the film."""
+        self._prepared().put_block(block)
+
+    def clear(self) -> None:
+        """Set all sums to zero."""
+        if self._storage is not None:
+            self._storage.clear()
+
+    def schedule_storage(self) -> None:
+        """Let the next `dr.eval` compute the sums."""
+        dr.schedule(self._prepared().tensor())
+
+    def prepare_sample(self, *args: Any, **options: Any) -> list[Float]:
+        """Raise `RenderError`: only films with `FilmFlags.Special` turn colours into channels of their own."""
+        raise RenderError(f"{self.id}: this film stores red, green and blue: pass them to ImageBlock.put")
+
+    def develop(self, raw: bool = False) -> TensorXf:
+        """The image (H, W, C): sums over weights, in the channels of the pixel format and then the `aovs`.
+
+        With `raw` the sums themselves, in the channels of `prepare`.
+        """
+        block = self._prepared()
+        sums = block.tensor()
+        if raw:
+            return sums
+        height, width, count = sums.shape
+        pixel = dr.arange(UInt32, width * height) * count
+        values = [dr.gather(Float, sums.array, pixel + c) for c in range(count)]
+        base = self._names.index("W") + 1  # red, green, blue, perhaps alpha, weight
+        weight = values[base - 1]
+        inverse: Any = dr.select(weight == 0, 1, dr.rcp(dr.select(weight == 0, 1, weight)))
+        colors = self.channels(Color3f(*values[:3]), values[3])
+        channels = [value * inverse for value in [*colors, *values[base:]]]
+        image = dr.zeros(Float, width * height * len(channels))
+        first = dr.arange(UInt32, width * height) * len(channels)
+        for c, channel in enumerate(channels):
+            dr.scatter(image, channel, first + c)
+        return TensorXf(image, shape=(height, width, len(channels)))
+
+    def developed_names(self) -> tuple[str, ...]:
+        """The names of the channels of `develop`."""
+        return (*self.channel_names(), *self._names[self._names.index("W") + 1 :])
+
+    def bitmap(self, raw: bool = False) -> Any:
+        """The result of `develop` as a `djpt.Bitmap`.
+
+        Raises:
+            RenderError: The class isn't there.
+        """
+        try:
+            home = importlib.import_module("djpt.scripting.bitmap")
+        except ModuleNotFoundError as error:
+            raise RenderError(f"{self.id}: bitmap() needs djpt.Bitmap, which isn't installed") from error
+        image, names = self.develop(raw), self._names if raw else self.developed_names()
+        formats = home.Bitmap.PixelFormat
+        if raw or len(names) > self.base_channels_count():
+            return home.Bitmap(image, formats.MultiChannel, list(names))
+        return home.Bitmap(image, getattr(formats, "".join(names)))
+
+    def write(self, path: str | Path) -> None:
+        """Write the developed image to a file of the film's `file_format`, whose extension replaces that of `path`."""
+        from djpt.images.image import write
+
+        write(Path(str(path)).with_suffix(self._extension), self.develop(), channels=self.developed_names())
 
 
 register_film("hdrfilm", HDRFilm)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.films.hdrfilm import HDRFilm
+from djpt.films.base import Film
 from djpt.kernels import as_float
 from djpt.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, UInt32
 
@@ -21,10 +21,10 @@ DIGITS = 32
 class Splats:
     """The sums of three channels per pixel of the crop window, as whole numbers."""
 
-    def __init__(self, film: HDRFilm, unit: float) -> None:
+    def __init__(self, film: Film, unit: float) -> None:
         """`unit`: a colour of usual size, which decides on the digits; a power of two."""
         self._film = film
-        width, height = film.crop_size
+        width, height = film.crop_size()
         self._size = Point2f(as_float(width), as_float(height))
         self._columns, self._rows = dr.opaque(UInt32, width), dr.opaque(UInt32, height)
         self._scale = as_float(2.0**DIGITS / unit)
@@ -44,7 +44,7 @@ class Splats:
         if not film.filters:
             self._add(row * self._columns + column, color, active)
             return
-        reach, weight = film.taps // 2, film.rfilter.eval
+        reach, weight = film.taps // 2, film.rfilter().eval
         # Before the first column and row the numbers wrap around to large ones.
         column, row, steps = column - reach, row - reach, range(2 * reach + 1)
         in_x = [weight(x - dr.floor(x) + (reach - i - 0.5)) for i in steps]

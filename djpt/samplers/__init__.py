@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from djpt.samplers.base import SampleIndex as SampleIndex
     from djpt.samplers.base import Sampler as Sampler
     from djpt.samplers.base import SampleStream as SampleStream
+    from djpt.samplers.base import WavefrontIndex as WavefrontIndex
     from djpt.samplers.independent import Independent as Independent
     from djpt.samplers.ldsampler import LDSampler as LDSampler
     from djpt.samplers.multijitter import Multijitter as Multijitter

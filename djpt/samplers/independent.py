@@ -26,6 +26,9 @@ class IndependentStream:
     def clone(self) -> IndependentStream:
         return IndependentStream(copy_of(self.rng))
 
+    def continued(self, fresh: IndependentStream) -> IndependentStream:
+        return self
+
     def next_1d(self, active: Bool | bool = True) -> Float:
         return self.rng.next_float32(Bool(active))
 

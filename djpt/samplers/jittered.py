@@ -40,7 +40,7 @@ class PointSets(Sampler):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self._base = dr.opaque(UInt32, self.seed)
+        self._base = dr.opaque(UInt32, self.base_seed)
 
     def point_set(self, seed: UInt32, index: SampleIndex) -> PointSet:
         """The set of a sample; beyond the count, the next sets of the pixel follow.
@@ -48,7 +48,7 @@ class PointSets(Sampler):
         Mitsuba's hash takes the sampler's seed and render's apart.
         """
         number = quotient(index.k, index.spp)
-        key, _ = sample_tea_32(self._base + number * SET_STEP, index.pixel * index.spp + (seed - self._base))
+        key, _ = sample_tea_32(self._base + number * SET_STEP, index.first + (seed - self._base))
         return PointSet(index.k - number * index.spp, key)
 
 
@@ -76,6 +76,9 @@ class JitteredStream:
 
     def clone(self: Stream) -> Stream:
         return replace(self, rng=None if self.rng is None else copy_of(self.rng))
+
+    def continued(self: Stream, fresh: Stream) -> Stream:
+        return replace(fresh, rng=self.rng)
 
 
 class JitteredSampler(PointSets):

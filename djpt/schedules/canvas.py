@@ -20,7 +20,7 @@ class Canvas:
 
     def __init__(self, job: Job, channels: int) -> None:
         self._job, self._channels = job, channels
-        width, height = job.film.crop_size
+        width, height = job.film.crop_size()
         self._memory = dr.empty(Float, width * height * channels)
 
     def develop(self, rows: Rows, weight: Float) -> None:
@@ -29,7 +29,7 @@ class Canvas:
         Rows of the border are left out.
         """
         job, count = self._job, self._channels
-        border, (width, height) = job.film.border, job.film.crop_size
+        border, (width, height) = job.film.border, job.film.crop_size()
         top, end = max(rows.first_row, border), min(rows.first_row + rows.count, border + height)
         if end <= top:
             return
@@ -51,7 +51,7 @@ class Canvas:
 
     def image(self) -> TensorXf:
         """The image (height, width, channels)."""
-        width, height = self._job.film.crop_size
+        width, height = self._job.film.crop_size()
         return TensorXf(self._memory, shape=(height, width, self._channels))
 
 

@@ -46,7 +46,7 @@ class Flat(Schedule):
     def image(self, job: Job) -> TensorXf:
         if not job.film.filters:
             return summed_image(job, radiance_sums)
-        if usable(Taps(job.film.taps, job.channel_count()), job.film.rfilter):
+        if usable(Taps(job.film.taps, job.channel_count()), job.film.rfilter()):
             return filtered_image(job, called_film_sums, spread=spread_called)
         if by_pixels(job, job.channel_count() + 1):
             return filtered_image(job, film_sums)
@@ -179,7 +179,7 @@ def called_film_sums(job: Job, band: Band, begin: int, end: int, memory: list[Fl
     """Add the samples begin <= k < end of a band to the film's sums by calls; the result goes to `spread_called`."""
     lanes = interleaved(job, band, begin, end)
     taps, width = Taps(job.film.taps, job.channel_count()), dr.width(lanes.pixel)
-    sums = CalledSums(taps, job.film.rfilter, width, None if memory is None else memory[0])
+    sums = CalledSums(taps, job.film.rfilter(), width, None if memory is None else memory[0])
     # A call takes time, which shows where vertices are cheap. A loop of one vertex is compiled in half the time.
     steps = 2 if job.scene.geometry.triangles is None else 1
     count = run(job, lanes, CalledFilmSums(job.on_film(*job.coordinates(lanes.pixel)), sums, steps))

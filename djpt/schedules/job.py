@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached, Ensemble
-from djpt.films import HDRFilm
+from djpt.films import Film
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f
 from djpt.samplers import SampleIndex, Sampler, SampleStream
@@ -45,7 +45,7 @@ class Job:
 
     scene: Scene
     sensor: Any
-    film: HDRFilm
+    film: Film
     integrator: Integrator
     sampler: Sampler
     seed: int
@@ -59,13 +59,13 @@ class Job:
 
     def __post_init__(self) -> None:
         border = self.film.border
-        self.width, self.height = (n + 2 * border for n in self.film.crop_size)
-        self.seed_value = dr.opaque(UInt32, (self.seed + self.sampler.seed) & 0xFFFFFFFF)
+        self.width, self.height = (n + 2 * border for n in self.film.crop_size())
+        self.seed_value = dr.opaque(UInt32, (self.seed + self.sampler.base_seed) & 0xFFFFFFFF)
         self.spp_value = dr.opaque(UInt32, self.spp)
         self.width_value = dr.opaque(UInt32, self.width)
         self._border = dr.opaque(Float, border)
-        self._origin = Point2f(*(dr.opaque(Float, n - border) for n in self.film.crop_offset))
-        inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size]
+        self._origin = Point2f(*(dr.opaque(Float, n - border) for n in self.film.crop_offset()))
+        inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size()]
         self._inverse_crop = Point2f(*inverse)
         self.camera = camera(self.sensor)
         self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
@@ -89,7 +89,7 @@ class Job:
 
     def centre_rays(self) -> Ray3f:
         """The rays through the centre of the lens and the centres of the crop's pixels, row by row."""
-        width, height = self.film.crop_size
+        width, height = self.film.crop_size()
         pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
@@ -111,13 +111,13 @@ class Job:
         """
         stream = self.stream(pixel, k)
         offset = stream.next_2d()
-        aperture = stream.next_2d() if self.sensor.needs_aperture_sample else Point2f(0.5)
+        aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
         return stream, self._camera_ray(position, aperture), offset
 
     def _camera_ray(self, position: Point2f, aperture: Point2f) -> Ray3f:
         """The ray through a position on the crop window, in pixels."""
-        ray = self.camera.sample_ray(position * self._inverse_crop, aperture)
+        ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
         return ray
 
@@ -150,7 +150,7 @@ class Job:
         return [Band(y, min(rows, self.height - y)) for y in range(0, self.height, rows)]
 
 
-def image_channels(film: HDRFilm, integrator: Integrator) -> tuple[str, ...]:
+def image_channels(film: Film, integrator: Integrator) -> tuple[str, ...]:
     """Names of the channels that an integrator's samples have on a film."""
     color = film.channel_names() if integrator.writes_color else ()
     return color + tuple(integrator.aov_names())

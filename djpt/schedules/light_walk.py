@@ -45,7 +45,7 @@ def walk_light(
     flux that arrives at a vertex. Kernels write to `sinks` (any PyTree of Dr.Jit arrays), which are evaluated.
     """
     scene = job.scene
-    width, height = job.film.crop_size
+    width, height = job.film.crop_size()
     begin, end = begin * width * height, end * width * height
     lanes = min(LANES, end - begin)
     first, stop, stride = dr.opaque(UInt32, begin), dr.opaque(UInt32, end), dr.opaque(UInt32, lanes)

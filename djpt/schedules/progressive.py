@@ -33,7 +33,7 @@ class Progressive(Schedule):
     def image(self, job: Job) -> TensorXf:
         integrator, walks = job.integrator, JobWalks(job)
         assert isinstance(integrator, PassIntegrator)
-        width, height = job.film.crop_size
+        width, height = job.film.crop_size()
         state = integrator.begin(walks)
         for begin, end in ranges(job.spp, max(1, PASS_PATHS // (width * height))):
             state = integrator.add_pass(walks, state, begin, end)

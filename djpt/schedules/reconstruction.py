@@ -158,7 +158,7 @@ def tap_weights(job: Job, corner: Point2f, offset: Point2f) -> tuple[list[Float]
     """Weights of a sample for the columns and rows in its reach; `corner` is the corner of its pixel."""
     # Distances come from rounded film positions, as in Mitsuba: in the filter's tail the rounding shows.
     position = corner + offset
-    taps, weight = job.film.taps, job.film.rfilter.eval
+    taps, weight = job.film.taps, job.film.rfilter().eval
     centers = tap_centers(taps)
     return (
         [weight(corner.x + c - position.x) for c in centers],
@@ -225,7 +225,7 @@ def collect_row(job: Job, band: Band, lanes: int, read: Read, below: int, place:
 def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
     """Add samples to `Sums` with the layout [row tap * (channels + 1) + channel]."""
     taps, count = job.film.taps, dr.opaque(UInt32, end - begin)
-    reach, channels, weight = taps // 2, len(samples) + 1, job.film.rfilter.eval
+    reach, channels, weight = taps // 2, len(samples) + 1, job.film.rfilter().eval
     _, column, row, corner = pixels_of(job, band)
     lanes = dr.width(column)
     size, first, width = dr.opaque(UInt32, lanes), dr.opaque(UInt32, begin), Int32(job.width_value)

@@ -8,6 +8,15 @@ __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
     "djpt.scripting.arrays": " ".join(ARRAYS),
+    "djpt.films.base": "Film FilmFlags",
+    "djpt.films.image_block": "ImageBlock",
+    "djpt.rfilters.base": "ReconstructionFilter",
+    "djpt.samplers.base": "Sampler",
+    "djpt.scripting.bitmap": "Bitmap",
+    "djpt.scripting.conversion": "StructConverter",
+    "djpt.scripting.denoiser": "OptixDenoiser",
+    "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
+    "djpt.scripting.structs": "Struct",
     "djpt.scripting.transforms": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
         "ProjectiveTransform4f ScalarAffineTransform3d ScalarAffineTransform3f ScalarAffineTransform4d "
@@ -15,13 +24,10 @@ EXPORTS: dict[str, str] = {
         "ScalarProjectiveTransform4f ScalarTransform3d ScalarTransform4d Transform3d Transform4d"
     ),
     "djpt.scripting.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
-EXPORTS: dict[str, str] = {
-    "djpt.rfilters.base": "ReconstructionFilter",
-    "djpt.scripting.bitmap": "Bitmap",
-    "djpt.scripting.conversion": "StructConverter",
-    "djpt.scripting.denoiser": "OptixDenoiser",
-    "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
-    "djpt.scripting.structs": "Struct",
+    "djpt.sensors.base": "Sensor",
+    "djpt.sensors.projective": "ProjectiveCamera",
+    "djpt.shapes.base": "Shape",
+    "djpt.textures.base": "Texture",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -13,14 +14,17 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError
+from djpt.films.base import Film
 from djpt.records import DirectionSample3f, Ray3f
+from djpt.samplers.base import Sampler
+from djpt.sensors.sampling import SampledRays
 from djpt.transforms import ScalarTransform4f, as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, Vector3f
 
 __all__ = ["Sensor"]
 
 
-class Sensor(Plugin):
+class Sensor(SampledRays, Plugin):
     """A camera or meter: the rays of film positions, with a film and a sampler of its own.
 
     Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up;
@@ -33,8 +37,8 @@ class Sensor(Plugin):
     """Whether it must be nested in a shape; the scene then sets `shape`."""
     shape: Any = None
     can_be_reached: ClassVar[bool] = False
-    """Whether light can be traced towards it: `sample_direction` and `pdf_ray` exist."""
-    needs_aperture_sample = False
+    """Whether light can be traced towards it: `look_from` and `pdf_ray` exist."""
+    uses_aperture = False
     """Whether rays depend on more than the film position: on two more numbers, drawn after those of the film."""
     weight = 1.0
     """The factor from radiance to what the sensor measures; the same for all its rays."""
@@ -44,21 +48,21 @@ class Sensor(Plugin):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         size = ONE_PIXEL if self.one_pixel else {}
-        self.film: Any = props.child("film") or default(props, "film", "hdrfilm", **size)
-        if self.one_pixel and self.film.size != (1, 1):
-            width, height = self.film.size
+        self._film: Film = props.child("film") or default(props, "film", "hdrfilm", **size)
+        width, height = self._film.size()
+        if self.one_pixel and (width, height) != (1, 1):
             problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name}' measures one number"
             raise props.error("film", problem)
-        self.sampler: Any = props.child("sampler") or default(props, "sampler", "independent")
+        self._sampler: Sampler = props.child("sampler") or default(props, "sampler", "independent")
         self.to_world = props.transform("to_world")
         try:
             self.check_placement(self.to_world)
         except SceneError as error:
             raise props.error("to_world", str(error)) from None
-        self.shutter_open = props.float("shutter_open", 0.0)
-        self.shutter_open_time = props.float("shutter_close", self.shutter_open) - self.shutter_open
-        if self.shutter_open_time < 0:
-            raise props.error("shutter_close", f"must not be less than 'shutter_open' ({self.shutter_open:g})")
+        opens = self._shutter_open = props.float("shutter_open", 0.0)
+        self._shutter_open_time = props.float("shutter_close", opens) - opens
+        if self._shutter_open_time < 0:
+            raise props.error("shutter_close", f"must not be less than 'shutter_open' ({opens:g})")
 
     @staticmethod
     def check_placement(transform: ScalarTransform4f) -> None:
@@ -69,9 +73,9 @@ class Sensor(Plugin):
     # ---- parameters --------------------------------------------------------------------
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("shutter_open", self.shutter_open)
-        callback.put("shutter_open_time", self.shutter_open_time)
-        callback.put("film", self.film)
+        for name in ("shutter_open", "shutter_open_time"):
+            callback.put(name, getattr(self, f"_{name}"), attribute=f"_{name}")
+        callback.put("film", self._film)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "to_world":
@@ -85,6 +89,38 @@ class Sensor(Plugin):
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Recompute what kernels read; ``film`` is among the keys if the film's size or crop changed."""
+
+    # ---- its parts ---------------------------------------------------------------------
+
+    def film(self) -> Film:
+        """The film."""
+        return self._film
+
+    def resize_film(self, width: int, height: int) -> None:
+        """Take a film of another size, like the present one in all else."""
+        self._film = copy.copy(self._film)  # it may be another sensor's as well
+        self._film.resize(width, height)
+        self.parameters_changed(("film",))
+
+    def sampler(self) -> Sampler:
+        """The sampler that the sensor's images are rendered with."""
+        return self._sampler
+
+    def shutter_open(self) -> float:
+        """The time at which the shutter opens."""
+        return self._shutter_open
+
+    def shutter_open_time(self) -> float:
+        """The time for which the shutter stays open."""
+        return self._shutter_open_time
+
+    def world_transform(self) -> ScalarTransform4f:
+        """The transform from camera to world."""
+        return self.to_world
+
+    def get_shape(self) -> Any:
+        """The shape that the sensor is nested in, or None."""
+        return self.shape
 
     # ---- on the host -------------------------------------------------------------------
 
@@ -109,15 +145,15 @@ class Sensor(Plugin):
 
     # ---- in kernels --------------------------------------------------------------------
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         """Sample the ray through a position in [0, 1]^2 of the film's crop window, y downwards.
 
-        `aperture_sample` in [0, 1)^2 is random only for sensors with `needs_aperture_sample`. The ray's
+        `aperture_sample` in [0, 1)^2 is random only for sensors with `uses_aperture`. The ray's
         `d` has unit length; its origin and `maxt` lie on the near and far plane where there are any.
         """
         raise NotImplementedError
 
-    def sample_direction(
+    def look_from(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         """Sample the way from the point `ref` to the sensor, with its importance, for light paths.
@@ -135,13 +171,13 @@ class Sensor(Plugin):
         """The density of a camera ray's direction, and its distance from the centre of projection: (pdf, distance).
 
         pdf is per unit solid angle, for film positions that are uniform over the crop window; distance is measured
-        from the centre to the ray's origin. At t from the origin the importance of `sample_direction` is then
+        from the centre to the ray's origin. At t from the origin the importance of `look_from` is then
 
             pdf / (t + distance)^2    per unit area across the ray.
 
         Parallel rays have no centre: their distance is inf, and their pdf is per unit area across them.
 
-        `d`, of unit length, must be the direction of a ray of `sample_ray`. Whether it lies in the crop window isn't
+        `d`, of unit length, must be the direction of a ray of `ray_through`. Whether it lies in the crop window isn't
         tested: filters look beyond it.
 
         Raises:

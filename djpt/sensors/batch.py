@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -58,7 +57,7 @@ class Batch(Sensor):
                     f"{props.node}: '{self.names[0]}' and '{name}' measure in different units "
                     f"({unit(self.sensors[0])} and {unit(sensor)}); put them in batches of their own"
                 )
-        self.needs_aperture_sample = any(sensor.needs_aperture_sample for sensor in self.sensors)
+        self.uses_aperture = any(sensor.uses_aperture for sensor in self.sensors)
         self._cameras: Ensemble[Sensor] | None = None
         self._lookup = Detached()
         try:
@@ -84,17 +83,14 @@ class Batch(Sensor):
 
     def _divide(self) -> None:
         """Give every sensor's film the size of its part."""
-        width, height = self.film.size
+        width, height = self.film().size()
         count = len(self.sensors)
         if width % count:
             raise ParameterError(f"the film's width, {width}, must be a multiple of the number of sensors, {count}")
         for sensor in self.sensors:
             part = (width // count, height)
-            if (sensor.film.size, sensor.film.crop_size) != (part, part):
-                sensor.film = copy.copy(sensor.film)  # it may be another sensor's as well
-                sensor.film.size = sensor.film.crop_size = part
-                sensor.film.crop_offset = (0, 0)
-                sensor.parameters_changed(("film",))
+            if (tuple(sensor.film().size()), tuple(sensor.film().crop_size())) != (part, part):
+                sensor.resize_film(*part)
 
     # ---- parameters --------------------------------------------------------------------
 
@@ -141,7 +137,7 @@ class Batch(Sensor):
 
     # ---- in kernels --------------------------------------------------------------------
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         if self._cameras is None:
             self.prepare()
         assert self._cameras is not None
@@ -151,7 +147,7 @@ class Batch(Sensor):
         part = minimum(maximum(dr.floor(x), 0), last)
         position = Point2f(x - part, film_position.y)
         return self._cameras.call(
-            UInt32(part), self._lookup, lambda sensor: sensor.sample_ray(position, aperture_sample, active), None
+            UInt32(part), self._lookup, lambda sensor: sensor.ray_through(position, aperture_sample, active), None
         )
 
 

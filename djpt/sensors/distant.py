@@ -38,7 +38,7 @@ class Distant(Sensor):
     """
 
     one_pixel = True
-    needs_aperture_sample = True
+    uses_aperture = True
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
         ("direction", "origin", "side_x", "side_y"), ParamFlags.NonDifferentiable
     )
@@ -93,7 +93,7 @@ class Distant(Sensor):
         self.origin, self.direction = as_vector(origin), as_vector(z)
         self.side_x, self.side_y = as_vector(r * x), as_vector(r * y)
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = self.origin
         if self.target is not None:
             o = o + self.target.sample_position(aperture_sample).p

@@ -35,14 +35,14 @@ class IrradianceMeter(Sensor):
 
     children = ("shape",)
     on_shape = True
-    needs_aperture_sample = True
+    uses_aperture = True
     weight = math.pi
 
     def __init__(self, props: Properties) -> None:
         if "to_world" in props:
             raise props.error("to_world", "can't be given: move the shape that carries the irradiance meter")
         super().__init__(props)
-        if self.film.filters:
+        if self.film().filters:
             warnings.warn(f"{self.id}: an irradiance meter needs a film with a box filter", stacklevel=2)
 
     def viewpoint(self) -> None:
@@ -52,7 +52,7 @@ class IrradianceMeter(Sensor):
         if self.shape is not None:
             require_area(self.shape, "irradiancemeter")
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         ps = self.shape.sample_position(film_position)
         d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(aperture_sample))
         return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d, Float(dr.inf))

@@ -14,7 +14,7 @@ from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
 from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f, Ray3f
-from djpt.sensors.projective import Projective
+from djpt.sensors.projective import ProjectiveCamera
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -24,7 +24,7 @@ MAX_SKEW = 1e-3
 """Largest cosine between axes that still counts as a right angle: transforms may come in float32."""
 
 
-class Orthographic(Projective):
+class Orthographic(ProjectiveCamera):
     """A camera whose rays are parallel: no perspective.
 
     It sees -1 <= x <= 1 of its space, -1 / aspect <= y <= 1 / aspect (aspect = width / height of the film), and
@@ -43,7 +43,7 @@ class Orthographic(Projective):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        props.float("focus_distance", self.far_clip)
+        props.float("focus_distance", self._far_clip)
         self.place()
 
     @staticmethod
@@ -56,11 +56,11 @@ class Orthographic(Projective):
     def place(self) -> None:
         corner, step = self.crop_window(1.0)
         linear = self.to_world.matrix[:3, :3]
-        self.corner = as_vector(self.to_world.translation() + linear @ [*corner, self.near_clip])
+        self.corner = as_vector(self.to_world.translation() + linear @ [*corner, self._near_clip])
         self.across = as_vector(linear[:, 0] * step[0])
         self.down = as_vector(linear[:, 1] * step[1])
         self.direction = as_vector(linear[:, 2] / np.linalg.norm(linear[:, 2]))
-        self.depth = as_float(self.far_clip - self.near_clip)
+        self.depth = as_float(self._far_clip - self._near_clip)
         across, down = linear[:, 0] * step[0], linear[:, 1] * step[1]
         self.to_column, self.to_row = as_vector(across / (across @ across)), as_vector(down / (down @ down))
         self.axis_length = float(np.linalg.norm(linear[:, 2]))
@@ -70,11 +70,11 @@ class Orthographic(Projective):
         # A scale moves the near plane, as it does in Mitsuba, but not the length of rays.
         return super().near_share() * self.axis_length
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
         return Ray3f(o, self.direction, self.depth)
 
-    def sample_direction(
+    def look_from(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         to_ref = ref - self.corner

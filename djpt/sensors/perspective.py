@@ -34,9 +34,11 @@ class Perspective(Central):
     on the near plane and ends on the far plane.
     """
 
+    is_pinhole = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        props.float("focus_distance", self.far_clip)
+        props.float("focus_distance", self._far_clip)
         self.principal_point_offset_x, self.principal_point_offset_y = (Float(props.float(n, 0.0)) for n in OFFSETS)
         self.place()
 
@@ -50,7 +52,7 @@ class Perspective(Central):
     def image_shift(self) -> NDArray[np.float64]:
         return np.array([self.principal_point_offset_x[0], self.principal_point_offset_y[0]])
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         d = self.through_centre(film_position)
         length_squared = dr.squared_norm(d)
         inv_length = dr.rsqrt(length_squared)

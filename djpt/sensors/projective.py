@@ -17,16 +17,16 @@ from djpt.errors import ParameterError
 from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["Central", "Projective", "horizontal_fov"]
+__all__ = ["Central", "ProjectiveCamera", "horizontal_fov"]
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 FRAME_DIAGONAL = math.hypot(36.0, 24.0)
 """Diagonal of 35 mm film in mm, which `focal_length` refers to."""
 
 
-class Projective(Sensor):
+class ProjectiveCamera(Sensor):
     """A camera whose rays start on a near plane and end on a far plane.
 
     Parameters, besides those of all sensors: `near_clip` (0.01) and `far_clip` (10000), measured along
@@ -35,18 +35,18 @@ class Projective(Sensor):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.near_clip = props.float("near_clip", 1e-2, low=0.0, low_open=True)
-        self.far_clip = props.float("far_clip", 1e4, low=0.0, low_open=True)
-        if self.near_clip >= self.far_clip:
+        self._near_clip = props.float("near_clip", 1e-2, low=0.0, low_open=True)
+        self._far_clip = props.float("far_clip", 1e4, low=0.0, low_open=True)
+        if self._near_clip >= self._far_clip:
             raise props.error(
-                "near_clip", f"must be less than 'far_clip' ({self.far_clip:g}), found {self.near_clip:g}"
+                "near_clip", f"must be less than 'far_clip' ({self._far_clip:g}), found {self._near_clip:g}"
             )
 
     # ---- parameters --------------------------------------------------------------------
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("near_clip", self.near_clip)
-        callback.put("far_clip", self.far_clip)
+        callback.put("near_clip", self._near_clip, attribute="_near_clip")
+        callback.put("far_clip", self._far_clip, attribute="_far_clip")
         super().traverse(callback)
         self.traverse_lens(callback)
         callback.put("to_world", self.to_world)
@@ -61,9 +61,9 @@ class Projective(Sensor):
         return checked
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
-        if self.near_clip >= self.far_clip:
+        if self._near_clip >= self._far_clip:
             raise ParameterError(
-                f"{self.id}.near_clip: must be less than far_clip ({self.far_clip:g}), found {self.near_clip:g}"
+                f"{self.id}.near_clip: must be less than far_clip ({self._far_clip:g}), found {self._near_clip:g}"
             )
         self.place()
 
@@ -73,8 +73,16 @@ class Projective(Sensor):
         """Compute what kernels read."""
         raise NotImplementedError
 
+    def near_clip(self) -> float:
+        """The distance of the near plane along the optical axis."""
+        return self._near_clip
+
+    def far_clip(self) -> float:
+        """The distance of the far plane along the optical axis."""
+        return self._far_clip
+
     def near_share(self) -> float:
-        return self.near_clip / (self.far_clip - self.near_clip)
+        return self._near_clip / (self._far_clip - self._near_clip)
 
     def crop_window(
         self, half_width: float, shift: NDArray[np.float64] | None = None
@@ -85,18 +93,19 @@ class Projective(Sensor):
         ((1 - 2u) half_width, (1 - 2v) half_width / aspect) of the plane. Returned are the point of
         (0, 0) and the step from there to (1, 1). `shift` is added to (u, v).
         """
+        film = self.film()
         size, crop, offset = (
-            np.array(pair, dtype=np.float64) for pair in (self.film.size, self.film.crop_size, self.film.crop_offset)
+            np.array(pair, dtype=np.float64) for pair in (film.size(), film.crop_size(), film.crop_offset())
         )
         start = offset / size if shift is None else shift + offset / size
         reach = np.array([half_width, half_width * size[1] / size[0]])
         return (1 - 2 * start) * reach, -2 * reach * crop / size
 
 
-class Central(Projective):
+class Central(ProjectiveCamera):
     """A camera that images by a central projection: the rays through the centre of its lens meet in one point.
 
-    Parameters, besides those of `Projective`: `fov` (degrees, in (0, 180), along `fov_axis`), or
+    Parameters, besides those of `ProjectiveCamera`: `fov` (degrees, in (0, 180), along `fov_axis`), or
     else `focal_length` (a string such as ``'50mm'``, the default, for 35 mm film); `fov_axis` (`x`,
     the default, `y`, `diagonal`, `smaller` or `larger` of the film's sides). The field of view refers to
     the whole film, also if only a crop of it is rendered.
@@ -110,7 +119,7 @@ class Central(Projective):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        width, height = self.film.size
+        width, height = self.film().size()
         self.x_fov = Float(horizontal_fov(props, width / height))
 
     def check_parameter(self, name: str, value: Any) -> Any:
@@ -132,8 +141,8 @@ class Central(Projective):
         self.corner = as_vector(linear @ [*corner, 1.0])
         self.across = as_vector(linear[:, 0] * step[0])
         self.down = as_vector(linear[:, 1] * step[1])
-        self.near = as_float(self.near_clip)
-        self.depth = as_float(self.far_clip - self.near_clip)
+        self.near = as_float(self._near_clip)
+        self.depth = as_float(self._far_clip - self._near_clip)
         self.axis = as_vector(linear[:, 2])
         self.to_column, self.to_row = as_vector(linear[:, 0] / step[0]), as_vector(linear[:, 1] / step[1])
         self.inv_area = as_float(1 / abs(step[0] * step[1]))
@@ -152,7 +161,7 @@ class Central(Projective):
         """
         return Vector3f(0), Vector3f(0)
 
-    def sample_direction(
+    def look_from(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Float]:
         lens, bend = self.lens_point(aperture_sample)
@@ -161,7 +170,7 @@ class Central(Projective):
         z = dr.dot(to_ref, self.axis)
         in_range = (z > self.near) & (z < self.near + self.depth)
         inv_z = dr.rcp(dr.select(in_range, z, 1))
-        # Per unit along the optical axis, as `through_centre`; the inverse of what `sample_ray` does.
+        # Per unit along the optical axis, as `through_centre`; the inverse of what `ray_through` does.
         m = to_ref * inv_z
         on_plane = m - bend - self.corner
         uv = Point2f(dr.dot(on_plane, self.to_column), dr.dot(on_plane, self.to_row))
@@ -183,6 +192,15 @@ class Central(Projective):
             emitter_index=UInt32(0),
         )
         return ds, dr.select(seen, importance, 0)
+
+    def sample_direction(
+        self, it: Any, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """See `SampledRays`; `ds.p` is the point of the lens, and `ds.dist` the distance from there."""
+        ds, importance = super().sample_direction(it, sample, active)
+        behind = self.near * dr.rcp(dr.abs(dr.dot(ds.d, self.axis)))
+        ds.p, ds.dist, ds.delta = dr.fma(ds.d, behind, ds.p), ds.dist + behind, Bool(False)
+        return ds, importance
 
     def pdf_ray(self, d: Vector3f) -> tuple[Float, Float]:
         """The density 1 / (A cos^3), A: the crop window's area on the plane at distance 1; the distance near / cos.

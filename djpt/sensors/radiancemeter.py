@@ -47,7 +47,7 @@ class RadianceMeter(Sensor):
         self.origin = as_vector(self.to_world.translation() + RAY_EPSILON * direction)
         self.direction = as_vector(direction)
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         return Ray3f(self.origin, self.direction, Float(float("inf")))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -13,9 +14,9 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import ParameterError
 from djpt.kernels import as_float, as_vector
-from djpt.records import Ray3f
+from djpt.records import DirectionSample3f, Ray3f
 from djpt.sensors.projective import Central
-from djpt.types import Bool, Float, Point2f, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["ThinLens"]
@@ -44,12 +45,12 @@ class ThinLens(Central):
         **Central.values,
         **dict.fromkeys(("lens_x", "lens_y", "inv_focus"), ParamFlags.NonDifferentiable),
     }
-    needs_aperture_sample = True
+    uses_aperture = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.aperture_radius = Float(props.float("aperture_radius", low=0.0, low_open=True))
-        self.focus_distance = Float(props.float("focus_distance", self.far_clip, low=0.0, low_open=True))
+        self.focus_distance = Float(props.float("focus_distance", self._far_clip, low=0.0, low_open=True))
         self.place()
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
@@ -75,7 +76,16 @@ class ThinLens(Central):
         a = self.lens_x * lens.x + self.lens_y * lens.y
         return a, a * -self.inv_focus
 
-    def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
+    def sample_direction(
+        self, it: Any, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """See `SampledRays`; `ds.pdf` is that of the point of the lens, per unit solid angle."""
+        ds, importance = super().sample_direction(it, sample, active)
+        area = math.pi * dr.square(self.aperture_radius)
+        ds.pdf = dr.square(ds.dist) * dr.rcp(area * dr.abs(dr.dot(ds.d, self.axis)))
+        return ds, importance
+
+    def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         a, bend = self.lens_point(aperture_sample)
         d = self.through_centre(film_position) + bend
         length_squared = dr.squared_norm(d)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
 from djpt.errors import AmbiguityError, SceneError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["Chained", "Transform", "matrix_of"]
 

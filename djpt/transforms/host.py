@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_array, as_number, as_vector, describe
 from djpt.errors import SceneError
 from djpt.transforms.base import Chained, Transform, matrix_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "COUNTS",

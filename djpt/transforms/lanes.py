@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -19,6 +19,9 @@ from djpt.transforms.host import (
     warn_of_length,
 )
 from djpt.types import Array3f, Bool, Matrix4f, backend
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "AffineTransform3f",

@@ -27,7 +27,7 @@ def camera(film: dict[str, Any] | None = None, **entries: Any) -> Any:
 
 
 def rays(sensor: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    ray = sensor.sample_ray(Point2f(POSITIONS), Point2f(0.5))
+    ray = sensor.ray_through(Point2f(POSITIONS), Point2f(0.5))
     return np.array(ray.o), np.array(ray.d), np.array(ray.maxt)
 
 
@@ -85,7 +85,7 @@ def test_edits_move_the_rays_as_in_mitsuba(mi: Any) -> None:
 
 def test_looks_along_z_with_y_down_and_x_to_the_left() -> None:
     sensor = camera({"width": 8, "height": 8}, fov=90, near_clip=1.0, far_clip=5.0)
-    ray = sensor.sample_ray(Point2f([0.5, 0.75, 0.5], [0.5, 0.5, 0.75]), Point2f(0.5))
+    ray = sensor.ray_through(Point2f([0.5, 0.75, 0.5], [0.5, 0.5, 0.75]), Point2f(0.5))
     np.testing.assert_allclose(np.array(ray.d)[:, 0], [0, 0, 1], atol=1e-7)
     np.testing.assert_allclose(np.array(ray.d)[:, 1], np.array([-0.5, 0, 1]) / np.hypot(0.5, 1), atol=1e-6)
     np.testing.assert_allclose(np.array(ray.d)[:, 2], np.array([0, -0.5, 1]) / np.hypot(0.5, 1), atol=1e-6)
@@ -100,7 +100,7 @@ def test_edits_compile_nothing() -> None:
 
     def kernels() -> set[int]:
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-            ray = sensor.sample_ray(position, Point2f(0.5))
+            ray = sensor.ray_through(position, Point2f(0.5))
             dr.eval(ray)
         return {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
 

@@ -50,7 +50,7 @@ def test_a_panel_loads(name: str) -> None:
     description = panel.scene(SIZE)
     assert panel.title in types_in(description["ball"]["bsdf"])
     scene = djpt.load_dict(description)
-    assert scene.sensors()[0].film.size == (SIZE, SIZE)
+    assert tuple(scene.sensors()[0].film().size()) == (SIZE, SIZE)
 
 
 def test_the_ball_rests_on_the_rim_of_its_stand() -> None:

@@ -53,7 +53,7 @@ def streams(description: dict[str, Any], count: int, grid: int = 1, seed: int = 
     pixel = i // counts
     sampler = djpt.load_dict(description)
     index = SampleIndex(pixel, i - pixel * counts + start, dr.opaque(UInt32, spp or count), dr.opaque(UInt32, grid))
-    return sampler.stream(dr.opaque(UInt32, seed + sampler.seed), index)
+    return sampler.stream(dr.opaque(UInt32, seed + sampler.base_seed), index)
 
 
 def pairs(description: dict[str, Any], count: int, grid: int = 1, draws: int = 6, **options: Any) -> np.ndarray:

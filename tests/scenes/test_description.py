@@ -148,7 +148,7 @@ def test_vectors(position: Any) -> None:
 
 def test_integers_of_every_form() -> None:
     for count in (7, np.int64(7), np.array(7), UInt32(7)):
-        assert djpt.load_dict({"type": "independent", "sample_count": count}).sample_count == 7
+        assert djpt.load_dict({"type": "independent", "sample_count": count}).sample_count() == 7
 
 
 # ---------------------------------------------------------------- registering plugins

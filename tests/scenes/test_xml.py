@@ -38,7 +38,7 @@ def test_the_file_and_the_dict_are_the_same_image() -> None:
     description = djpt.cornell_box()
     description["sensor"]["film"].update(width=24, height=24)
     loaded = djpt.load_file(CORNELL, res=24, spp=2)
-    assert loaded.sensors()[0].sampler.sample_count == 2
+    assert loaded.sensors()[0].sampler().sample_count() == 2
     np.testing.assert_array_equal(np.array(djpt.render(loaded, spp=4)), ours(description, spp=4))
 
 

@@ -89,7 +89,7 @@ def test_bands_do_not_matter(schedule: str, rfilter: str, rows: int, monkeypatch
     film = {"crop_width": 17, "crop_height": 19, "crop_offset_x": 3, "crop_offset_y": 1, "sample_border": True}
     scene = djpt.load_dict(box((23, 21), rfilter, PATH, **film))
     image = pixels(djpt.render(scene, spp=6, seed=1, schedule=schedule))
-    width = 17 + 2 * scene.sensors()[0].film.border
+    width = 17 + 2 * scene.sensors()[0].film().border
     for name in ("SUMMED_PIXELS", "FILTERED_PIXELS"):
         monkeypatch.setattr(passes, name, rows * width)
     monkeypatch.setattr(passes, "STORED_PIXELS", (rows * width, rows * width))

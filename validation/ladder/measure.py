@@ -243,7 +243,7 @@ class Render:
 def measure_step(step: Step, scene: Scene, goal: Reference, budget: Budget, seed: Iterator[int]) -> Measured:
     """Render all images of one integrator, and compare them with the reference."""
     integrator = load_dict(step.description(scene))
-    sampler = scene.sensors()[0].sampler
+    sampler = scene.sensors()[0].sampler()
     first = rendered(scene, integrator, 1, next(seed))
     points: list[Point] = []
     means: list[float] = []
@@ -345,7 +345,7 @@ def reference_image(
         took = [first.seconds]
         for size in Budget(budget.seconds * REFERENCE_SHARE, None, budget.most).counts(lambda: took[-1]):
             took.append(render_batch(size, next(random)).seconds)
-    size = scene.sensors()[0].sampler.round_count(size)
+    size = scene.sensors()[0].sampler().round_count(size)
     batches, means, seconds = Batches(), [], 0.0
     for _ in range(BATCHES):
         batch = render_batch(size, next(random))
@@ -369,8 +369,8 @@ def most_spp(scene: Scene) -> int:
     """The number of samples per pixel that one render can take."""
     if not scene.sensors():
         raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
-    film = scene.sensors()[0].film
-    width, height = (n + 2 * film.border for n in film.crop_size)
+    film = scene.sensors()[0].film()
+    width, height = (n + 2 * film.border for n in film.crop_size())
     return max(1, MAX_SAMPLES // (width * height) // 2)
 
 

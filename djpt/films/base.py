@@ -1,0 +1,150 @@
+"""The contract of films: which pixels exist, and how samples become channels."""
+
+from __future__ import annotations
+
+import enum
+import operator
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import ParameterError, SceneError
+from djpt.rfilters import Box, Gaussian, ReconstructionFilter
+from djpt.types import Bool, Color3f, Float, ScalarArray2u
+
+__all__ = ["Film", "FilmFlags"]
+
+
+class FilmFlags(enum.IntFlag):
+    """Properties of a film; the values are Mitsuba's."""
+
+    Empty = 0x0
+    Alpha = 0x1
+    Spectral = 0x2
+    Special = 0x4
+
+
+class Film(Plugin):
+    """A grid of pixels, of which a window is rendered, with a reconstruction filter.
+
+    Parameters of all films: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
+    `crop_height` (the rest), `sample_border` (default false: no samples outside the crop, so border pixels see
+    fewer), a nested `rfilter` (default `gaussian`).
+    """
+
+    kind: ClassVar[str] = "film"
+
+    m_flags: int = int(FilmFlags.Empty)
+    """The result of `flags` unless it is overridden; scripts written for Mitsuba set it."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self._size = (props.integer("width", 768, low=1), props.integer("height", 576, low=1))
+        offset = (props.integer("crop_offset_x", 0, low=0), props.integer("crop_offset_y", 0, low=0))
+        size = (
+            props.integer("crop_width", self._size[0] - offset[0]),
+            props.integer("crop_height", self._size[1] - offset[1]),
+        )
+        self._require_crop(props.node, offset, size)
+        self._crop_offset, self._crop_size = offset, size
+        self._sample_border = props.boolean("sample_border", False)
+        default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
+        self._rfilter: ReconstructionFilter = props.child("rfilter", default)
+
+    def _require_crop(self, node: str, offset: Sequence[int], size: Sequence[int]) -> None:
+        for axis in range(2):
+            if size[axis] < 1 or offset[axis] + size[axis] > self._size[axis]:
+                name = ("width", "height")[axis]
+                place = f"{size[axis]} at offset {offset[axis]}"
+                raise SceneError(f"{node}: a crop of {name} {place} doesn't fit in {self._size[axis]} pixels")
+
+    # ---- parameters -------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name in ("size", "crop_size", "crop_offset"):
+            callback.put(name, getattr(self, f"_{name}"), attribute=f"_{name}")
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        try:
+            pair = tuple(operator.index(x) for x in value)
+        except TypeError:
+            pair = ()
+        if len(pair) != 2 or min(pair) < (0 if name == "crop_offset" else 1):
+            raise ParameterError(f"{self.id}.{name}: two whole numbers of pixels are expected, found {value!r}")
+        return pair
+
+    def parameters_changed(self, keys: Sequence[str] = ()) -> None:
+        if "size" in keys and "crop_size" not in keys:
+            # As Mitsuba does: a new size drops the crop.
+            self._crop_size, self._crop_offset = self._size, (0, 0)
+        self._require_crop(self.id, self._crop_offset, self._crop_size)
+
+    def resize(self, width: int, height: int) -> None:
+        """Take a new size, without a crop."""
+        self._size = self._crop_size = (width, height)
+        self._crop_offset = (0, 0)
+
+    # ---- pixels -----------------------------------------------------------------
+
+    def size(self) -> ScalarArray2u:
+        """Width and height in pixels, the crop disregarded."""
+        return ScalarArray2u(*self._size)
+
+    def crop_size(self) -> ScalarArray2u:
+        """Width and height of the window that is rendered."""
+        return ScalarArray2u(*self._crop_size)
+
+    def crop_offset(self) -> ScalarArray2u:
+        """Column and row of the window's first pixel."""
+        return ScalarArray2u(*self._crop_offset)
+
+    def sample_border(self) -> bool:
+        """Whether pixels beside the crop are sampled, as far as the filter reaches."""
+        return self._sample_border
+
+    def rfilter(self) -> ReconstructionFilter:
+        """The reconstruction filter."""
+        return self._rfilter
+
+    def flags(self) -> int:
+        """The `FilmFlags`."""
+        return int(self.m_flags)
+
+    def sensor_response_function(self) -> None:
+        """Nothing: films of colours have no response to single wavelengths."""
+        return None
+
+    # ---- what is rendered ---------------------------------------------------------
+
+    @property
+    def filters(self) -> bool:
+        """Whether samples reach neighbouring pixels."""
+        return not isinstance(self._rfilter, Box)
+
+    @property
+    def border(self) -> int:
+        """The width, in pixels, of the border about the crop that is sampled as well (`sample_border`)."""
+        # Pixels whose centres lie within the filter's radius of the crop's edge.
+        return self.taps // 2 if self._sample_border else 0
+
+    @property
+    def taps(self) -> int:
+        """The number of pixels per axis that one sample can reach."""
+        return 2 * self._rfilter.border_size() + 1 if self.filters else 1
+
+    def channel_names(self) -> tuple[str, ...]:
+        """The names of the channels of a colour."""
+        raise NotImplementedError
+
+    def channels(self, color: Color3f, valid: Bool | Float) -> list[Float]:
+        """The values that one sample stores for a colour, by channel; `valid`: whether, or how far, it is covered."""
+        raise NotImplementedError
+
+    def tangent_channels(self, color: Color3f) -> list[Float]:
+        """The derivative of `channels` in the direction of a change of the colour."""
+        return self.channels(color, Bool(False))
+
+    def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
+        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
+        raise NotImplementedError
