@@ -71,14 +71,14 @@ class HDRFilm(Plugin):
         except TypeError:
             pair = ()
         if len(pair) != 2 or min(pair) < (0 if name == "crop_offset" else 1):
-            raise ParameterError(f"{self.id}.{name}: two whole numbers of pixels are expected, found {value!r}")
+            raise ParameterError(f"{self.id()}.{name}: two whole numbers of pixels are expected, found {value!r}")
         return pair
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "size" in keys and "crop_size" not in keys:
             # As Mitsuba does: a new size drops the crop.
             self.crop_size, self.crop_offset = self.size, (0, 0)
-        self._require_crop(self.id, self.crop_offset, self.crop_size)
+        self._require_crop(self.id(), self.crop_offset, self.crop_size)
 
     # ---- what is rendered ----------------------------------------------------------
 

@@ -47,7 +47,7 @@ class Sensor(Plugin):
         self.film: Any = props.child("film") or default(props, "film", "hdrfilm", **size)
         if self.one_pixel and self.film.size != (1, 1):
             width, height = self.film.size
-            problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name}' measures one number"
+            problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name()}' measures one number"
             raise props.error("film", problem)
         self.sampler: Any = props.child("sampler") or default(props, "sampler", "independent")
         self.to_world = props.transform("to_world")
@@ -152,7 +152,7 @@ class Sensor(Plugin):
     def unreachable(self) -> RenderError:
         """The error of sensors that light can't be traced towards."""
         possible = (name for name, sensor in registered("sensor").items() if getattr(sensor, "can_be_reached", False))
-        return RenderError(f"{self.id}: light can't be traced towards this sensor; possible: {', '.join(possible)}")
+        return RenderError(f"{self.id()}: light can't be traced towards this sensor; possible: {', '.join(possible)}")
 
 
 ONE_PIXEL = {"width": 1, "height": 1}
@@ -160,4 +160,4 @@ ONE_PIXEL = {"width": 1, "height": 1}
 
 def default(props: Properties, kind: str, name: str, **entries: Any) -> Any:
     """A nested plugin that the description leaves out, with its own defaults except for `entries`."""
-    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", entries, f"{props.id}.{kind}"))
+    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", entries, f"{props.id()}.{kind}"))

@@ -63,7 +63,7 @@ class Projective(Sensor):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if self.near_clip >= self.far_clip:
             raise ParameterError(
-                f"{self.id}.near_clip: must be less than far_clip ({self.far_clip:g}), found {self.near_clip:g}"
+                f"{self.id()}.near_clip: must be less than far_clip ({self.far_clip:g}), found {self.near_clip:g}"
             )
         self.place()
 
