@@ -1,8 +1,9 @@
 """The exception family of djpt, and the part of messages that suggests a near miss.
 
 Every error that a user can cause is a `DjptError`. A message names the node (a scene
-path such as ``scene.white``), what was found and what is possible. Subclasses also
-derive from the built-in exception that Python code would expect to catch.
+path such as ``scene.white``), what was found and what is possible. All are `RuntimeError`,
+which is what Mitsuba raises; subclasses also derive from the built-in exception that Python
+code would expect to catch.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ __all__ = [
 ]
 
 
-class DjptError(Exception):
+class DjptError(RuntimeError):
     """The base of all errors that djpt raises on purpose."""
 
 
-class ArgumentError(DjptError, TypeError, ValueError, RuntimeError):
+class ArgumentError(DjptError, TypeError, ValueError):
     """An argument of a numerical function has a type or a value that it can't take.
 
     Mitsuba raises a `TypeError` or a `RuntimeError` here; Python's own functions raise a `ValueError`.
     """
 
 
-class BackendError(DjptError, RuntimeError):
+class BackendError(DjptError):
     """No usable Dr.Jit backend, or the variant can no longer change."""
 
 

@@ -146,7 +146,7 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
         sensor = sensors[number]
     found: Sensor = sensor
     if found.on_shape and found.shape is None:
-        raise RenderError(f"'{found.id}' must be nested in a shape of the scene to be rendered")
+        raise RenderError(f"'{found.id()}' must be nested in a shape of the scene to be rendered")
     if found not in sensors:
         found.set_bounds(*scene.bounding_sphere())
     return found

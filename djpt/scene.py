@@ -85,7 +85,7 @@ class Scene(Plugin):
         self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
         self._at_infinity = Members(self._from_infinity, none)
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
-        self._use_bsdfs(bsdfs or [black(f"{self.id}.bsdf")])
+        self._use_bsdfs(bsdfs or [black(f"{self.id()}.bsdf")])
         check_textures(contents.shapes)
         self._set_bounds()
         self._prepare()

@@ -1,6 +1,6 @@
 """Mitsuba's `mitsuba.util` verbs, under Mitsuba's names, so that a script ports by its import.
 
-Nothing else lives here: each function is a thin wrapper over the module that owns the concept.
+Nothing else lives here: each name is a thin wrapper over the module that owns the concept, or that module's own.
 """
 
 from __future__ import annotations
@@ -15,8 +15,18 @@ from djpt.rendering import render
 from djpt.scenes.cornell import cornell_box
 from djpt.scripting.bitmap import Bitmap
 from djpt.scripting.structs import Type
+from djpt.scripting.variants import scoped_set_variant, variant_context
 
-__all__ = ["SceneParameters", "convert_to_bitmap", "cornell_box", "render", "traverse", "write_bitmap"]
+__all__ = [
+    "SceneParameters",
+    "convert_to_bitmap",
+    "cornell_box",
+    "render",
+    "scoped_set_variant",
+    "traverse",
+    "variant_context",
+    "write_bitmap",
+]
 
 
 def write_bitmap(filename: str | os.PathLike[str], data: Any, write_async: bool = True, quality: int = -1) -> None:

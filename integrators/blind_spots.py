@@ -18,7 +18,7 @@ __all__ = ["warn_of_blind_spots"]
 def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
     """Warn of the materials and lights of a scene that stay black, whatever the number of samples."""
     name = type(integrator).__name__
-    delta = [bsdf.id for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
+    delta = [bsdf.id() for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
     if delta and not integrator.shows_delta:
         warn(
             f"'{name}' without BSDF samples can't show mirrors, smooth glass or openings: "
@@ -27,10 +27,10 @@ def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
     if integrator.starts_at_lights or not integrator.needs_light:
         return
     lights = [e for e in scene.emitters() if has_flag(e.flags(), EmitterFlags.Delta)]
-    beams = [e.id for e in lights if e.on_shape]
+    beams = [e.id() for e in lights if e.on_shape]
     if beams:
         warn(f"'{name}' can't show light that leaves a surface in one direction only: {stay_black(beams)}")
-    points = [] if integrator.samples_lights else [e.id for e in lights if not e.on_shape]
+    points = [] if integrator.samples_lights else [e.id() for e in lights if not e.on_shape]
     if points:
         warn(
             f"'{name}' doesn't sample lights, and finds none that is a point or shines in one direction by "

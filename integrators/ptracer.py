@@ -80,7 +80,7 @@ class ParticleTracer(PassIntegrator):
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         if not sensor.can_be_reached:
             raise RenderError(
-                f"'ptracer' can't trace light to the sensor '{sensor.id}'; "
+                f"'ptracer' can't trace light to the sensor '{sensor.id()}'; "
                 "possible: perspective, thinlens, orthographic"
             )
         super().check_scene(scene, sensor)

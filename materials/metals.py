@@ -90,5 +90,5 @@ def metal(props: Properties) -> tuple[Texture, Texture]:
             )
         eta, k = METALS[name]
         named = {"eta": Color3f(*eta), "k": Color3f(*k)}
-        props = Properties(props.plugin_name, props.node, named, props.id)
+        props = Properties(props.plugin_name(), props.node, named, props.id())
     return props.texture("eta", 0.0, low=0.0, high=LARGEST), props.texture("k", 1.0, low=0.0, high=LARGEST)

@@ -45,7 +45,7 @@ class PerturbedBSDF(BSDF):
         super().__init__(props)
         nested = [plugin for _, plugin in props.children("bsdf")]
         if len(nested) != 1:
-            raise SceneError(f"{props.node}: '{props.plugin_name}' takes one nested BSDF, found {len(nested)}")
+            raise SceneError(f"{props.node}: '{props.plugin_name()}' takes one nested BSDF, found {len(nested)}")
         self.nested_bsdf: BSDF = nested[0]
         self.absorbs = self.nested_bsdf.absorbs
         self.flip_invalid_normals = props.boolean("flip_invalid_normals", True)

@@ -67,7 +67,7 @@ class Phong(BSDF):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         problem = self._excess()
         if problem:
-            raise ParameterError(f"{self.id}: {problem}")
+            raise ParameterError(f"{self.id()}: {problem}")
 
     def flags(self) -> int:
         return int(BSDFFlags.DiffuseReflection | BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)

@@ -26,7 +26,7 @@ def describe(scene: Scene) -> str:
     """
     rows = [("shapes", counted(scene.shapes()))]
     groups = [shape for shape in scene.shapes() if isinstance(shape, ShapeGroup)]
-    rows += [(f"in {group.id}", counted(group.shapes)) for group in groups]
+    rows += [(f"in {group.id()}", counted(group.shapes)) for group in groups]
     rows.append(("emitters", counted(scene.emitters())))
     triangles = scene.geometry.triangles
     analytic = len(scene.geometry.analytic_shapes)

@@ -1,61 +1,121 @@
-"""The search for files that a scene description names, and what is read from them."""
+"""The search for files that a scene description names."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
 from djpt.errors import FileError
 
-__all__ = ["FileResolver", "read_once", "reading_once", "resolve"]
+__all__ = ["FileResolver", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
 
 T = TypeVar("T")
 
 
 class FileResolver:
-    """Directories in which relative names are looked up, in order; the working directory comes last."""
+    """Directories in which relative names are looked up, in order; the working directory comes last.
 
-    def __init__(self, directories: Sequence[Path] = ()) -> None:
-        self.directories = tuple(directories)
-        self._places = [str(directory) for directory in self.directories]
+    Args:
+        directories: the directories, or another resolver whose directories are copied; default: the working
+            directory.
+    """
 
-    def resolve(self, name: str) -> Path:
+    def __init__(self, directories: Iterable[str | os.PathLike[str]] | None = None) -> None:
+        self.directories = [Path.cwd()] if directories is None else [Path(folder) for folder in directories]
+
+    def find(self, name: str | os.PathLike[str]) -> Path:
         """The file or directory called `name`.
 
         Raises:
             FileError: it is in none of the directories.
         """
-        # Texts: hundreds of names are looked up, and paths take ten times as long.
-        for place in self._places:
+        places = [*self.directories, Path.cwd()]
+        for place in places:
+            # Texts: hundreds of names are looked up, and paths take ten times as long.
             if os.path.exists(candidate := os.path.join(place, name)):
                 return Path(candidate)
         if Path(name).is_absolute():
             raise FileError(f"'{name}' doesn't exist")
-        if Path(name).exists():
-            return Path.cwd() / name
-        places = [*self.directories, Path.cwd()]
-        raise FileError(f"'{name}' doesn't exist; searched: {', '.join(str(place) for place in places)}")
+        searched = ", ".join(dict.fromkeys(str(place) for place in places))
+        raise FileError(f"'{name}' doesn't exist; searched: {searched}")
+
+    def resolve(self, path: str | os.PathLike[str], /) -> Path:
+        """The file or directory that `path` names, or `path` itself if there is none, as in Mitsuba."""
+        try:
+            return self.find(path)
+        except FileError:
+            return Path(path)
 
     @contextlib.contextmanager
     def active(self) -> Iterator[None]:
-        """Make `resolve` use this resolver within a ``with`` block."""
+        """Make `resolve` of this module use this resolver within a ``with`` block."""
         token = _current.set(self)
         try:
             yield
         finally:
             _current.reset(token)
 
+    # ---- the list of directories ---------------------------------------------------------
+
+    def append(self, folder: str | os.PathLike[str], /) -> None:
+        """Look in `folder` last."""
+        self.directories.append(Path(folder))
+
+    def prepend(self, folder: str | os.PathLike[str], /) -> None:
+        """Look in `folder` first."""
+        self.directories.insert(0, Path(folder))
+
+    def clear(self) -> None:
+        """Forget all directories."""
+        self.directories.clear()
+
+    def __len__(self) -> int:
+        return len(self.directories)
+
+    def __iter__(self) -> Iterator[Path]:
+        return iter(self.directories)
+
+    def __getitem__(self, index: int) -> Path:
+        return self.directories[index]
+
+    def __setitem__(self, index: int, folder: str | os.PathLike[str]) -> None:
+        self.directories[index] = Path(folder)
+
+    def __delitem__(self, index: int) -> None:
+        del self.directories[index]
+
+    def __repr__(self) -> str:
+        return f"FileResolver({[str(folder) for folder in self.directories]})"
+
 
 _current: ContextVar[FileResolver | None] = ContextVar("file_resolver", default=None)
+_of_process = FileResolver(())
+
+
+def file_resolver() -> FileResolver:
+    """The resolver of this process: where all descriptions look for files, after their own directory."""
+    return _of_process
+
+
+def set_file_resolver(resolver: FileResolver, /) -> None:
+    """Make `resolver` the resolver of this process.
+
+    Raises:
+        FileError: it isn't a resolver.
+    """
+    global _of_process
+    if not isinstance(resolver, FileResolver):
+        raise FileError(f"set_file_resolver: expected a djpt.FileResolver, found {type(resolver).__name__}")
+    _of_process = resolver
 
 
 def resolve(name: str) -> Path:
     """The path of a file that is named by the description being loaded; raises `FileError`."""
-    return (_current.get() or FileResolver()).resolve(name)
+    return (_current.get() or _of_process).find(name)
 
 
 # ---- what is read --------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.description.files import FileResolver, reading_once
+from djpt.description.files import FileResolver, file_resolver, reading_once
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
@@ -20,15 +20,15 @@ MAX_DEPTH = 32
 """Deepest nesting of nodes. Real scenes need about five levels."""
 
 
-def load_dict(d: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:
+def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:
     """Build a scene, or any other plugin, from Mitsuba's dict description.
 
-    ``d['type']`` names the plugin; nested dicts are nested plugins, ``{'type': 'ref', 'id':
+    ``dict['type']`` names the plugin; nested dicts are nested plugins, ``{'type': 'ref', 'id':
     'white'}`` refers to a node by its key, by its ``id`` entry, or by its path (``floor.bsdf``),
-    wherever it stands. Values may be plugins that exist already. `d` isn't modified.
+    wherever it stands. Values may be plugins that exist already. `dict` isn't modified.
 
     Args:
-        d: the description, for example `djpt.cornell_box()`.
+        dict: the description, for example `djpt.cornell_box()`.
         parallel: accepted for Mitsuba's signature, no effect.
         optimize: accepted for Mitsuba's signature, no effect: shapes are never merged and names
             are always kept (Mitsuba with ``optimize=False``).
@@ -39,10 +39,10 @@ def load_dict(d: Mapping[str, Any], parallel: bool = True, optimize: bool = True
     Raises:
         SceneError: the description is wrong; the message names the node.
     """
-    if isinstance(d, Document) and d.directories:
-        with FileResolver(d.directories).active():
-            return Loader(d).load()
-    return Loader(d).load()
+    if isinstance(dict, Document) and dict.directories:
+        with FileResolver((*dict.directories, *file_resolver())).active():
+            return Loader(dict).load()
+    return Loader(dict).load()
 
 
 class Loader:

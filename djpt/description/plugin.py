@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import drjit as dr
 
+from djpt.backends import variant
 from djpt.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -90,10 +91,26 @@ class Plugin:
     infers: ClassVar[bool] = False
     """Whether the class declares none of these, so that they are inferred from the attributes of instances."""
 
-    id: str = ""
+    _id: str = ""
 
-    def __init__(self, props: Properties) -> None:
-        self.id = props.id
+    def __init__(self, props: Properties | Plugin | None = None) -> None:
+        self._id = "" if props is None else props.id()
+
+    def id(self) -> str:
+        """The plugin's name in the scene, in messages and in `traverse`."""
+        return self._id
+
+    def set_id(self, id: str) -> None:
+        """Give the plugin another name."""
+        self._id = id
+
+    def class_name(self) -> str:
+        """The name of the plugin's class."""
+        return type(self).__name__
+
+    def variant_name(self) -> str:
+        """The variant that the plugin computes in."""
+        return variant()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

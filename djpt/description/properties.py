@@ -4,38 +4,35 @@ from __future__ import annotations
 
 import builtins
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed, bounds
+from djpt.description.entries import REQUIRED, Entries
 from djpt.description.numeric import as_integer, as_number, as_vector, describe
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.types import Color3f
 
 if TYPE_CHECKING:
     from djpt.textures.base import Texture
 
 __all__ = ["REQUIRED", "Properties"]
 
-REQUIRED: Final[Any] = type("Required", (), {"__repr__": lambda self: "REQUIRED"})()
-"""Stands for "no default": the key is required."""
 
-
-class Properties:
+class Properties(Entries):
     """The entries of a node, handed out by type and checked, to its plugin's constructor.
 
     Every getter raises `SceneError` with the node's path if an entry is missing, of the wrong
     type or out of range. Entries that no getter asked for are unknown keys: see `check_all_used`.
 
     Args:
-        plugin_name: the node's ``type``.
-        node: path for messages, such as ``scene.white``.
+        plugin_name: the node's ``type``, or properties to be copied.
+        node: path for messages, such as ``scene.white``; default: `plugin_name`.
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
         id: the value of `Plugin.id`; default: `node`.
         place: gives the text that replaces `node` in messages about the entry of a key; default: `node`.
@@ -43,44 +40,20 @@ class Properties:
 
     def __init__(
         self,
-        plugin_name: str,
-        node: str,
-        values: Mapping[str, Any],
+        plugin_name: str | Entries = "",
+        node: str | None = None,
+        values: Mapping[str, Any] | None = None,
         id: str | None = None,
         place: Callable[[str], str] | None = None,
     ) -> None:
-        self.plugin_name = plugin_name
-        self.node = node
-        self.id = node if id is None else id
-        self._values = dict(values)
+        super().__init__(plugin_name, node, values, id)
         self._place_of = place
-        self._asked: set[str] = set()
-        self._used: set[str] = set()
 
-    def __contains__(self, key: str) -> bool:
-        self._asked.add(key)
-        return key in self._values
-
-    def __getitem__(self, key: str) -> Any:
-        """The entry as in Mitsuba: numbers, strings, plugins; colours as `Color3f`."""
-        return as_in_mitsuba(self._take(key, REQUIRED))
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """``props[key]``, or `default` if there is no such entry."""
-        return as_in_mitsuba(self._take(key, default))
-
-    has_property = __contains__
-
-    def get_texture(self, key: str, default: builtins.float = REQUIRED) -> Texture:
+    def get_texture(self, name: str, default: builtins.float = REQUIRED) -> Texture:
         """The entry as a texture; numbers and colours become constant textures."""
-        return self.texture(key, default)
+        return self.texture(name, default)
 
-    def keys(self) -> list[str]:
-        """All keys, in the order of the description."""
-        return list(self._values)
-
-    def __repr__(self) -> str:
-        return f"Properties({self.plugin_name!r}, {self.node!r}, {describe(self._values)})"
+    get_emissive_texture = get_unbounded_texture = get_texture
 
     # ---- errors ----------------------------------------------------------------------
 
@@ -90,20 +63,6 @@ class Properties:
 
     def _place(self, key: str) -> str:
         return self.node if self._place_of is None else self._place_of(key)
-
-    def _take(self, key: str, default: Any) -> Any:
-        """Take the raw entry, or `default`, and mark its key as used."""
-        self._asked.add(key)
-        if key in self._values:
-            self._used.add(key)
-            return self._values[key]
-        if default is REQUIRED:
-            left = [k for k in self._values if k not in self._used]
-            raise SceneError(
-                f"{self.node}: '{self.plugin_name}' needs the key '{key}'"
-                + (near_miss(key, left).replace("possible", "found") if left else "")
-            )
-        return default
 
     def _check_range(
         self, key: str, value: float, low: float | None, high: float | None, low_open: bool, high_open: bool
@@ -226,12 +185,12 @@ class Properties:
                 except SceneError as error:
                     problem = str(error).replace("a float", "a number or a texture")
                     raise self.error(key, problem) from None
-            path = f"{self.id}.{key}"
+            path = f"{self.id()}.{key}"
             value = lookup("texture", constant)(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
         elif value.kind != "texture":
             raise self.error(key, f"must be a number or a texture, found {name_of(value)}")
         texture: Texture = value
-        texture.used_by(kind_of(self.plugin_name) or "")
+        texture.used_by(kind_of(self.plugin_name()) or "")
         texture.restrict(allowed, f"{self._place(key)}: '{key}'")
         return texture
 
@@ -247,9 +206,9 @@ class Properties:
         found = self.children(kind)
         if len(found) > 1:
             keys = ", ".join(f"'{key}'" for key, _ in found)
-            raise SceneError(f"{self.node}: '{self.plugin_name}' takes one {kind}, found {len(found)}: {keys}")
+            raise SceneError(f"{self.node}: '{self.plugin_name()}' takes one {kind}, found {len(found)}: {keys}")
         if not found and default is REQUIRED:
-            raise SceneError(f"{self.node}: '{self.plugin_name}' needs a nested {kind}")
+            raise SceneError(f"{self.node}: '{self.plugin_name()}' needs a nested {kind}")
         return found[0][1] if found else default
 
     def children(self, kind: str) -> list[tuple[str, Any]]:
@@ -265,28 +224,17 @@ class Properties:
         for key, value in self._values.items():
             if key in self._used or key in self._asked:
                 continue
-            own = kind_of(self.plugin_name) or "plugin"
-            name = f"'{self.plugin_name}'" if own == self.plugin_name else f"{own} '{self.plugin_name}'"
+            own = kind_of(self.plugin_name()) or "plugin"
+            name = f"'{self.plugin_name()}'" if own == self.plugin_name() else f"{own} '{self.plugin_name()}'"
             held = f" ({article(value.kind)})" if isinstance(value, Plugin) else ""
             raise SceneError(f"{self._place(key)}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
-
-
-def as_in_mitsuba(value: Any) -> Any:
-    """Convert an entry for scripts: constant colours and number triples to `Color3f`, NumPy's scalars to Python's."""
-    if isinstance(value, Plugin):
-        return value.as_property()
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, (list, tuple, np.ndarray)) and np.shape(value) == (3,):
-        return Color3f(*as_vector(value).tolist())
-    return value
 
 
 def name_of(value: Any) -> str:
     """Describe an entry for a message: ``the film 'hdrfilm'``, ``str 'abc'``."""
     if not isinstance(value, Plugin):
         return describe(value)
-    return f"the {value.kind} '{value.id}'" if value.id else article(value.kind)
+    return f"the {value.kind} '{value.id()}'" if value.id() else article(value.kind)
 
 
 def article(kind: str) -> str:

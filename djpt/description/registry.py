@@ -120,49 +120,49 @@ def is_own(factory: Factory) -> bool:
     return str(getattr(factory, "__module__", "")).split(".")[0] == "djpt"
 
 
-def register_bsdf(name: str, factory: Factory) -> None:
-    """Register a scattering model; `factory(props)` returns a `djpt.materials.BSDF`."""
-    register("bsdf", name, factory)
+def register_bsdf(name: str, constructor: Factory) -> None:
+    """Register a scattering model; `constructor(props)` returns a `djpt.materials.BSDF`."""
+    register("bsdf", name, constructor)
 
 
-def register_emitter(name: str, factory: Factory) -> None:
-    """Register a light source; `factory(props)` returns a `djpt.emitters.Emitter`."""
-    register("emitter", name, factory)
+def register_emitter(name: str, constructor: Factory) -> None:
+    """Register a light source; `constructor(props)` returns a `djpt.emitters.Emitter`."""
+    register("emitter", name, constructor)
 
 
-def register_film(name: str, factory: Factory) -> None:
-    """Register a film; `factory(props)` returns a plugin of kind `film`."""
-    register("film", name, factory)
+def register_film(name: str, constructor: Factory) -> None:
+    """Register a film; `constructor(props)` returns a plugin of kind `film`."""
+    register("film", name, constructor)
 
 
-def register_integrator(name: str, factory: Factory) -> None:
-    """Register an estimator; `factory(props)` returns a `djpt.integrators` integrator."""
-    register("integrator", name, factory)
+def register_integrator(name: str, constructor: Factory) -> None:
+    """Register an estimator; `constructor(props)` returns a `djpt.integrators` integrator."""
+    register("integrator", name, constructor)
 
 
-def register_rfilter(name: str, factory: Factory) -> None:
-    """Register a reconstruction filter; `factory(props)` returns a plugin of kind `rfilter`."""
-    register("rfilter", name, factory)
+def register_rfilter(name: str, constructor: Factory) -> None:
+    """Register a reconstruction filter; `constructor(props)` returns a plugin of kind `rfilter`."""
+    register("rfilter", name, constructor)
 
 
-def register_sampler(name: str, factory: Factory) -> None:
-    """Register a source of sample points; `factory(props)` returns a `djpt.samplers.Sampler`."""
-    register("sampler", name, factory)
+def register_sampler(name: str, constructor: Factory) -> None:
+    """Register a source of sample points; `constructor(props)` returns a `djpt.samplers.Sampler`."""
+    register("sampler", name, constructor)
 
 
-def register_sensor(name: str, factory: Factory) -> None:
-    """Register a camera; `factory(props)` returns a plugin of kind `sensor`."""
-    register("sensor", name, factory)
+def register_sensor(name: str, constructor: Factory) -> None:
+    """Register a camera; `constructor(props)` returns a plugin of kind `sensor`."""
+    register("sensor", name, constructor)
 
 
-def register_shape(name: str, factory: Factory) -> None:
-    """Register a shape; `factory(props)` returns a `djpt.shapes.Shape`."""
-    register("shape", name, factory)
+def register_shape(name: str, constructor: Factory) -> None:
+    """Register a shape; `constructor(props)` returns a `djpt.shapes.Shape`."""
+    register("shape", name, constructor)
 
 
-def register_texture(name: str, factory: Factory) -> None:
-    """Register a texture; `factory(props)` returns a `djpt.textures.Texture`."""
-    register("texture", name, factory)
+def register_texture(name: str, constructor: Factory) -> None:
+    """Register a texture; `constructor(props)` returns a `djpt.textures.Texture`."""
+    register("texture", name, constructor)
 
 
 def registered(kind: str | None = None) -> dict[str, Factory]:

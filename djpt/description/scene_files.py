@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 from djpt.description.document import Document
+from djpt.description.files import file_resolver
 from djpt.description.loader import load_dict
 from djpt.description.numeric import describe
 from djpt.description.xml.naming import Naming
@@ -18,7 +18,7 @@ from djpt.errors import FileError, SceneError
 __all__ = ["load_file", "load_string", "read_file", "read_string"]
 
 
-def load_file(path: str | os.PathLike[str], /, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
+def load_file(path: str | os.PathLike[str], parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
     """Build a scene, or any other plugin, from an XML file of Mitsuba 3.
 
     File names in it are looked up in its own directory first, then in the working directory.
@@ -40,12 +40,12 @@ def load_file(path: str | os.PathLike[str], /, parallel: bool = True, optimize: 
     return load_dict(read_file(path, **parameters), parallel, optimize)
 
 
-def load_string(text: str | bytes, /, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
+def load_string(value: str | bytes, parallel: bool = True, optimize: bool = True, **parameters: Any) -> Any:
     """Build a scene, or any other plugin, from the text of an XML file: see `load_file`.
 
     File names are looked up in the working directory.
     """
-    return load_dict(read_string(text, **parameters), parallel, optimize)
+    return load_dict(read_string(value, **parameters), parallel, optimize)
 
 
 def read_file(path: str | os.PathLike[str], /, **parameters: Any) -> Document:
@@ -55,7 +55,7 @@ def read_file(path: str | os.PathLike[str], /, **parameters: Any) -> Document:
     """
     if not isinstance(path, (str, os.PathLike)):
         raise FileError(f"the path of a scene file is a string or a path, found {describe(path)}")
-    source = Path(os.fspath(path))
+    source = file_resolver().resolve(path)
     check_readable(source)
     reader = Reader(parameters)
     return _document(reader, reader.read_file(source), str(source), source.stem)

@@ -46,7 +46,7 @@ class DiscreteDistribution2D(Plugin):
     """The weights over their mean: densities over the unit square."""
 
     def __init__(self, name: str, weights: NDArray[Any]) -> None:
-        self.id = name
+        self.set_id(name)
         self.steps = (0, 0)
         self.set(weights)
 

@@ -117,7 +117,7 @@ class EnvironmentMap(OrientedEmitter):
                 check_texels(numbers_of(texels))
                 check_radiance(texels)
         except SceneError as error:
-            raise ParameterError(f"{self.id}.data: {error}") from None
+            raise ParameterError(f"{self.id()}.data: {error}") from None
         return texels
 
     def parameters_changed(self, keys: Sequence[str]) -> None:

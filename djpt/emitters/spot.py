@@ -70,7 +70,7 @@ class SpotLight(OrientedEmitter):
         if is_readable():
             beam, cutoff = number(self.beam_width), number(self.cutoff_angle)
             if beam > cutoff:
-                raise ParameterError(f"{self.id}: beam_width {beam:g} must be at most cutoff_angle, {cutoff:g}")
+                raise ParameterError(f"{self.id()}: beam_width {beam:g} must be at most cutoff_angle, {cutoff:g}")
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -71,14 +71,14 @@ class Film(Plugin):
         except TypeError:
             pair = ()
         if len(pair) != 2 or min(pair) < (0 if name == "crop_offset" else 1):
-            raise ParameterError(f"{self.id}.{name}: two whole numbers of pixels are expected, found {value!r}")
+            raise ParameterError(f"{self.id()}.{name}: two whole numbers of pixels are expected, found {value!r}")
         return pair
 
     def parameters_changed(self, keys: Sequence[str] = ()) -> None:
         if "size" in keys and "crop_size" not in keys:
             # As Mitsuba does: a new size drops the crop.
             self._crop_size, self._crop_offset = self._size, (0, 0)
-        self._require_crop(self.id, self._crop_offset, self._crop_size)
+        self._require_crop(self.id(), self._crop_offset, self._crop_size)
 
     def resize(self, width: int, height: int) -> None:
         """Take a new size, without a crop."""

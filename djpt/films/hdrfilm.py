@@ -86,7 +86,7 @@ class HDRFilm(Film):
         names = (*("RGBAW" if self.m_flags & FilmFlags.Alpha else "RGBW"), *aovs)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise RenderError(f"{self.id}: the channel '{twice[0]}' appears twice")
+            raise RenderError(f"{self.id()}: the channel '{twice[0]}' appears twice")
         self._names = names
         self._storage = self._block(self._crop_size, self._crop_offset, False, False)
         return len(names)
@@ -112,7 +112,7 @@ class HDRFilm(Film):
 
     def _prepared(self) -> ImageBlock:
         if self._storage is None:
-            raise RenderError(f"{self.id}: the film holds no image yet: call film.prepare(aovs) first")
+            raise RenderError(f"{self.id()}: the film holds no image yet: call film.prepare(aovs) first")
         return self._storage
 
     def put_block(self, block: ImageBlock) -> None:
@@ -130,7 +130,7 @@ class HDRFilm(Film):
 
     def prepare_sample(self, *args: Any, **options: Any) -> list[Float]:
         """Raise `RenderError`: only films with `FilmFlags.Special` turn colours into channels of their own."""
-        raise RenderError(f"{self.id}: this film stores red, green and blue: pass them to ImageBlock.put")
+        raise RenderError(f"{self.id()}: this film stores red, green and blue: pass them to ImageBlock.put")
 
     def develop(self, raw: bool = False) -> TensorXf:
         """The image (H, W, C): sums over weights, in the channels of the pixel format and then the `aovs`.
@@ -168,7 +168,7 @@ class HDRFilm(Film):
         try:
             home = importlib.import_module("djpt.scripting.bitmap")
         except ModuleNotFoundError as error:
-            raise RenderError(f"{self.id}: bitmap() needs djpt.Bitmap, which isn't installed") from error
+            raise RenderError(f"{self.id()}: bitmap() needs djpt.Bitmap, which isn't installed") from error
         image, names = self.develop(raw), self._names if raw else self.developed_names()
         formats = home.Bitmap.PixelFormat
         if raw or len(names) > self.base_channels_count():

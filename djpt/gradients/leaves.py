@@ -71,7 +71,7 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
                         continue
                     parameter = Parameter(owner, leaf.attribute)
                     if not parameter.flags & ParamFlags.Differentiable:
-                        raise RenderError(f"no gradient is available for '{owner.id}.{leaf.attribute}'")
+                        raise RenderError(f"no gradient is available for '{owner.id()}.{leaf.attribute}'")
                     found[id(owner), leaf.attribute] = parameter
     return list(found.values())
 

@@ -126,7 +126,7 @@ class Sampler(Plugin):
     def set_sample_count(self, spp: int) -> None:
         """Change `sample_count`, rounded up by `round_count`."""
         if spp < 1:
-            raise RenderError(f"{self.id}: at least 1 sample per pixel is possible, found {spp}")
+            raise RenderError(f"{self.id()}: at least 1 sample per pixel is possible, found {spp}")
         self._sample_count = self.round_count(int(spp))
 
     # ---- wavefronts of scripts ----------------------------------------------------------
@@ -187,7 +187,7 @@ class Sampler(Plugin):
         share = int(samples_per_wavefront)
         if share < 1 or self._sample_count % share:
             raise RenderError(
-                f"{self.id}: the samples per wavefront must divide the sample count, {self._sample_count}; "
+                f"{self.id()}: the samples per wavefront must divide the sample count, {self._sample_count}; "
                 f"found {share}"
             )
         self._share = share

@@ -7,16 +7,30 @@ from djpt.scripting.array_names import ARRAYS
 __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
-    "djpt.scripting.arrays": " ".join(ARRAYS),
+    "djpt.description.files": "FileResolver file_resolver set_file_resolver",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
+    "djpt.scripting.arguments": "ArgParser",
+    "djpt.scripting.arrays": " ".join(ARRAYS),
     "djpt.scripting.bitmap": "Bitmap",
+    "djpt.scripting.constants": (
+        "DEBUG MI_AUTHORS MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION MI_ENABLE_CUDA "
+        "MI_ENABLE_EMBREE MI_ENABLE_METAL MI_FILTER_RESOLUTION MI_VERSION MI_VERSION_MAJOR MI_VERSION_MINOR "
+        "MI_VERSION_PATCH MI_YEAR"
+    ),
     "djpt.scripting.conversion": "StructConverter",
     "djpt.scripting.denoiser": "OptixDenoiser",
+    "djpt.scripting.log": (
+        "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender log_level logger set_log_level "
+        "set_logger"
+    ),
+    "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback register_medium register_phase",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
+    "djpt.scripting.run": "Timer Version",
     "djpt.scripting.structs": "Struct",
+    "djpt.scripting.thread": "Thread",
     "djpt.scripting.transforms": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
         "ProjectiveTransform4f ScalarAffineTransform3d ScalarAffineTransform3f ScalarAffineTransform4d "
@@ -31,7 +45,9 @@ EXPORTS: dict[str, str] = {
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
-SUBMODULES: dict[str, str] = {}
+SUBMODULES: dict[str, str] = {
+    "misc": "djpt.scripting.misc",
+}
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
 
 VARIANT_MODULES = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb")

@@ -51,7 +51,7 @@ class Sensor(SampledRays, Plugin):
         self._film: Film = props.child("film") or default(props, "film", "hdrfilm", **size)
         width, height = self._film.size()
         if self.one_pixel and (width, height) != (1, 1):
-            problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name}' measures one number"
+            problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name()}' measures one number"
             raise props.error("film", problem)
         self._sampler: Sampler = props.child("sampler") or default(props, "sampler", "independent")
         self.to_world = props.transform("to_world")
@@ -188,7 +188,7 @@ class Sensor(SampledRays, Plugin):
     def unreachable(self) -> RenderError:
         """The error of sensors that light can't be traced towards."""
         possible = (name for name, sensor in registered("sensor").items() if getattr(sensor, "can_be_reached", False))
-        return RenderError(f"{self.id}: light can't be traced towards this sensor; possible: {', '.join(possible)}")
+        return RenderError(f"{self.id()}: light can't be traced towards this sensor; possible: {', '.join(possible)}")
 
 
 ONE_PIXEL = {"width": 1, "height": 1}
@@ -196,4 +196,4 @@ ONE_PIXEL = {"width": 1, "height": 1}
 
 def default(props: Properties, kind: str, name: str, **entries: Any) -> Any:
     """A nested plugin that the description leaves out, with its own defaults except for `entries`."""
-    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", entries, f"{props.id}.{kind}"))
+    return lookup(kind, name)(Properties(name, f"{props.node}.{kind}", entries, f"{props.id()}.{kind}"))

@@ -78,7 +78,7 @@ class Batch(Sensor):
             self._carriers.append(None)
         self.sensors.append(plugin)
         # Mitsuba names them by their ids: for the sensor of a shape that is `sensor`.
-        name = plugin.id.rpartition(".")[2]
+        name = plugin.id().rpartition(".")[2]
         self.names.append(key if name in self.names else name)
 
     def _divide(self) -> None:
@@ -115,7 +115,7 @@ class Batch(Sensor):
     def near_share(self) -> float:
         shares = {sensor.near_share() for sensor in self.sensors}
         if len(shares) > 1:
-            raise RenderError(f"{self.id}: distances need cameras with the same 'near_clip' and 'far_clip'")
+            raise RenderError(f"{self.id()}: distances need cameras with the same 'near_clip' and 'far_clip'")
         return shares.pop()
 
     def starts(self) -> Sequence[NDArray[np.float64]]:

@@ -43,7 +43,7 @@ class IrradianceMeter(Sensor):
             raise props.error("to_world", "can't be given: move the shape that carries the irradiance meter")
         super().__init__(props)
         if self.film().filters:
-            warnings.warn(f"{self.id}: an irradiance meter needs a film with a box filter", stacklevel=2)
+            warnings.warn(f"{self.id()}: an irradiance meter needs a film with a box filter", stacklevel=2)
 
     def viewpoint(self) -> None:
         return None

@@ -63,7 +63,7 @@ class ProjectiveCamera(Sensor):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if self._near_clip >= self._far_clip:
             raise ParameterError(
-                f"{self.id}.near_clip: must be less than far_clip ({self._far_clip:g}), found {self._near_clip:g}"
+                f"{self.id()}.near_clip: must be less than far_clip ({self._far_clip:g}), found {self._near_clip:g}"
             )
         self.place()
 

@@ -94,7 +94,7 @@ class Shape(Plugin):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if dr.grad_enabled(value):
-            raise ParameterError(f"{self.id}.{name}: gradients by geometry aren't available")
+            raise ParameterError(f"{self.id()}.{name}: gradients by geometry aren't available")
         if name == "silhouette_sampling_weight":
             return non_negative(value)
         return as_transform(value) if name == "to_world" else value

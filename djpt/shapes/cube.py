@@ -97,7 +97,7 @@ class Cube(Shape):
     def _fit(self, positions: NDArray[np.float64]) -> ScalarTransform4f:
         """The affine map that takes the unit cube's corners to `positions`."""
         if positions.size != 72 or not np.isfinite(positions).all():
-            raise ParameterError(f"{self.id}.vertex_positions: a cube has 24 finite vertices (72 numbers)")
+            raise ParameterError(f"{self.id()}.vertex_positions: a cube has 24 finite vertices (72 numbers)")
         target = positions.reshape(24, 3)
         source = np.concatenate([local_vertices()[0], np.ones((24, 1))], 1)
         solution = np.linalg.lstsq(source, target, rcond=None)[0]
@@ -110,7 +110,7 @@ class Cube(Shape):
         extent = np.ptp(target, axis=0).max()
         if np.abs(source @ solution - target).max() > 1e-5 * extent or abs(np.linalg.det(matrix)) < 1e-12 * extent**3:
             raise ParameterError(
-                f"{self.id}.vertex_positions: the vertices no longer form a box (an affine image of the cube)"
+                f"{self.id()}.vertex_positions: the vertices no longer form a box (an affine image of the cube)"
             )
         return ScalarTransform4f(matrix)
 
@@ -128,7 +128,7 @@ class Cube(Shape):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name in ("faces", "vertex_normals", "vertex_texcoords"):
-            raise ParameterError(f"{self.id}.{name}: a cube's {name} follow from its vertex positions")
+            raise ParameterError(f"{self.id()}.{name}: a cube's {name} follow from its vertex positions")
         return super().check_parameter(name, value)
 
     # ---- on the host ---------------------------------------------------------------

@@ -38,7 +38,7 @@ class Cuboid(Cube):
         low, high = (np.array(corner, np.float64).ravel() for corner in (self.min, self.max))
         if not (low < high).all():
             found = f"{high.tolist()} and {low.tolist()}"
-            raise ParameterError(f"{self.id}: 'max' must be greater than 'min' in every coordinate, found {found}")
+            raise ParameterError(f"{self.id()}: 'max' must be greater than 'min' in every coordinate, found {found}")
         self.to_world = self._placed.translate((low + high) / 2).scale((high - low) / 2)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:

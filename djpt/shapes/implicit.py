@@ -100,7 +100,7 @@ class Torus(LevelSet):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         major, minor = self._radii()
         if not 0 < minor < major:
-            raise ParameterError(f"{self.id}: needs 0 < minor < major, found minor {minor:g}, major {major:g}")
+            raise ParameterError(f"{self.id()}: needs 0 < minor < major, found minor {minor:g}, major {major:g}")
 
     def place(self, pool: AxisPool) -> None:
         major, minor = self._radii()

@@ -177,9 +177,9 @@ class Mesh(Shape):
         if "faces" in changed:
             indices = self._read("faces", 3, "faces_parameter").astype(np.uint32)
         if not len(indices):
-            raise ParameterError(f"{self.id}.faces: a mesh needs at least one triangle")
+            raise ParameterError(f"{self.id()}.faces: a mesh needs at least one triangle")
         try:
-            check_indices(indices, len(positions), f"{self.id}.faces")
+            check_indices(indices, len(positions), f"{self.id()}.faces")
         except SceneError as error:
             raise ParameterError(str(error)) from None
         resized = len(positions) != len(self.positions) or len(indices) != len(self.indices)
@@ -206,7 +206,7 @@ class Mesh(Shape):
         """Read a parameter as rows on the host."""
         flat = np.array(dr.detach(getattr(self, attribute or name)))
         if flat.size % width:
-            raise ParameterError(f"{self.id}.{name}: {flat.size} numbers don't make rows of {width}")
+            raise ParameterError(f"{self.id()}.{name}: {flat.size} numbers don't make rows of {width}")
         return flat.reshape(-1, width)
 
     def _vertex_data(self, name: str, width: int, count: int, changed: set[str]) -> NDArray[np.float32] | None:
@@ -216,9 +216,9 @@ class Mesh(Shape):
             return None
         if len(value) != count:
             if name in changed:
-                raise ParameterError(f"{self.id}.{name}: must be {count} rows of {width}, found {len(value)}")
+                raise ParameterError(f"{self.id()}.{name}: must be {count} rows of {width}, found {len(value)}")
             if name != "vertex_normals":
-                warnings.warn(f"{self.id}.{name}: the mesh has another size now; set to zero", stacklevel=2)
+                warnings.warn(f"{self.id()}.{name}: the mesh has another size now; set to zero", stacklevel=2)
             value = np.zeros((count, width), np.float32)
         return value
 
@@ -291,7 +291,7 @@ def properties(name: str, props: Mapping[str, Any] | None) -> Properties:
     for key, value in values.items():
         if isinstance(value, Mapping):
             values[key] = plugin = load_dict(value)
-            plugin.id = f"{name}.{key}"
+            plugin.set_id(f"{name}.{key}")
     return Properties("mesh", name, values)
 
 

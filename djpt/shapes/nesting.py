@@ -36,13 +36,13 @@ def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
         if isinstance(plugin, Shape) and plugin.emitter is not None:
             adopt(plugin, plugin.emitter)
             if plugin.emitter in found:
-                raise SceneError(f"{plugin.id}: a shape that emits light can't stand in the scene twice")
+                raise SceneError(f"{plugin.id()}: a shape that emits light can't stand in the scene twice")
             found.append(plugin.emitter)
         elif isinstance(plugin, Emitter):
             (of_shapes if plugin.on_shape else found).append(plugin)
     for emitter in of_shapes:
         if emitter.shape is None:
-            warnings.warn(f"{emitter.id}: no shape refers to this emitter: it sends out no light", stacklevel=2)
+            warnings.warn(f"{emitter.id()}: no shape refers to this emitter: it sends out no light", stacklevel=2)
     return found
 
 
@@ -69,9 +69,11 @@ def adopt(shape: Shape, nested: Any) -> Any:
         fitting = ", ".join(
             name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False)
         )
-        raise SceneError(f"{shape.id}: the {nested.kind} '{nested.id}' can't be nested in a shape; possible: {fitting}")
+        raise SceneError(
+            f"{shape.id()}: the {nested.kind} '{nested.id()}' can't be nested in a shape; possible: {fitting}"
+        )
     if nested.shape not in (None, shape):
-        raise SceneError(f"{shape.id}: its {nested.kind} already belongs to '{nested.shape.id}'")
+        raise SceneError(f"{shape.id()}: its {nested.kind} already belongs to '{nested.shape.id()}'")
     nested.shape = shape
     return nested
 
@@ -100,7 +102,7 @@ def numbers(shapes: Iterable[Shape], emitters: Sequence[Emitter]) -> tuple[list[
 
 def default_bsdf(shape: Shape) -> BSDF:
     """The BSDF of a shape that has none: grey 0.5, black if it emits."""
-    name = f"{shape.id}.bsdf"
+    name = f"{shape.id()}.bsdf"
     return black(name) if shape.emitter is not None else Diffuse(Properties("diffuse", name, {"reflectance": 0.5}))
 
 

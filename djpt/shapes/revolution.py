@@ -55,7 +55,7 @@ class Revolution(Shape):
         if name == "to_world" and isinstance(value, ScalarTransform4f):
             problem = self._problem(value.matrix)
             if problem:
-                raise ParameterError(f"{self.id}.to_world: {problem}")
+                raise ParameterError(f"{self.id()}.to_world: {problem}")
         return value
 
     def set_frame(self, center: NDArray[np.float64], directions: NDArray[np.float64]) -> None:

@@ -73,7 +73,7 @@ class SDFGrid(LevelSet):
             try:
                 self._index(samples(self.grid))
             except DjptError as error:
-                raise ParameterError(f"{self.id}.grid: {error}") from None
+                raise ParameterError(f"{self.id()}.grid: {error}") from None
 
     # ---- on the host ---------------------------------------------------------------
 

@@ -65,7 +65,7 @@ class Sphere(Shape):
         if name == "to_world" and isinstance(value, ScalarTransform4f):
             problem = self._problem(value.matrix)
             if problem:
-                raise ParameterError(f"{self.id}.to_world: {problem}")
+                raise ParameterError(f"{self.id()}.to_world: {problem}")
         return value
 
     def place(self, pool: AxisPool) -> None:

@@ -84,7 +84,7 @@ class Bitmap(UVTexture):
         self.tents = plain and self.filter_type == "bilinear"
         weights = luminance(numbers_of(self.data)) if plain else cell_weights(self, (width, height))
         if self.distribution is None:
-            self.distribution = DiscreteDistribution2D(f"{self.id}.distribution", weights)
+            self.distribution = DiscreteDistribution2D(f"{self.id()}.distribution", weights)
         else:
             self.distribution.set(weights)
 
@@ -114,7 +114,7 @@ class Bitmap(UVTexture):
             elif self.distribution is not None and texels.shape != self.data.shape:
                 raise SceneError("must keep its size on a light while 'dr.freeze' records")
         except SceneError as error:
-            raise ParameterError(f"{self.id}.data: {error}") from None
+            raise ParameterError(f"{self.id()}.data: {error}") from None
         return texels
 
     # ---- in kernels --------------------------------------------------------------------

@@ -60,13 +60,13 @@ class MeshAttribute(Texture):
     def require_on(self, shape: Any) -> None:
         attributes = getattr(shape, "attributes", None)
         if not shape.of_triangles or attributes is None:
-            raise SceneError(f"{self.node}: '{shape.id}' isn't a mesh, and has no attribute '{self.name}'")
+            raise SceneError(f"{self.node}: '{shape.id()}' isn't a mesh, and has no attribute '{self.name}'")
         if self.name not in attributes:
             found = ", ".join(attributes) or "none"
-            raise SceneError(f"{self.node}: the mesh '{shape.id}' has no attribute '{self.name}'; found: {found}")
+            raise SceneError(f"{self.node}: the mesh '{shape.id()}' has no attribute '{self.name}'; found: {found}")
         if is_readable():
             numbers = np.asarray(attributes[self.name][0]) * np.float32(as_array(dr.detach(self.scale)))
-            self._allowed.require(numbers, f"{shape.id}: '{self.name}'")
+            self._allowed.require(numbers, f"{shape.id()}: '{self.name}'")
 
     # ---- in kernels --------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ class SpectrumTexture(ConstantTexture):
         self._pairs = self._read(value, props)
         if self._pairs is not None:
             colour = spectrum_to_rgb(*self._pairs, under_d65=True).tolist()
-            props = Properties(props.plugin_name, props.node, {"value": colour}, props.id)
+            props = Properties(props.plugin_name(), props.node, {"value": colour}, props.id())
         super().__init__(props)
 
     @staticmethod

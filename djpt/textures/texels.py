@@ -30,7 +30,7 @@ def load_texels(props: Properties, raw: bool, half: bool) -> TensorXf:
     given = [key for key in SOURCES if key in props]
     if len(given) != 1:
         found = " and ".join(f"'{key}'" for key in given) or "none"
-        raise SceneError(f"{props.node}: '{props.plugin_name}' needs one of {', '.join(SOURCES)}; found {found}")
+        raise SceneError(f"{props.node}: '{props.plugin_name()}' needs one of {', '.join(SOURCES)}; found {found}")
     key = given[0]
     value = props.raw(key)
     try:

@@ -57,7 +57,7 @@ class UVTexture(Texture):
         try:
             return as_uv_transform(value)
         except SceneError as error:
-            raise ParameterError(f"{self.id}.to_uv: {error}") from None
+            raise ParameterError(f"{self.id()}.to_uv: {error}") from None
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "to_uv" in keys:

@@ -379,7 +379,7 @@ def test_queries_from_a_script() -> None:
     assert not np.array(has_flag(si.emitter(scene).flags(), 8)).any()
     lamp = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 0), Vector3f(0, 1, 0), Float(dr.inf)))
     np.testing.assert_allclose(np.array(lamp.emitter(scene).eval(lamp)).ravel(), [18.387, 13.9873, 6.75357], rtol=1e-6)
-    assert [shape.id for shape in scene.shapes()][:2] == ["light", "floor"]
+    assert [shape.id() for shape in scene.shapes()][:2] == ["light", "floor"]
     assert len(scene.sensors()) == len(scene.emitters()) == 1
     low, high = scene.bbox()
     np.testing.assert_allclose([low, high], [[-1, -1.01, -1], [1, 1, 1]], atol=1e-6)

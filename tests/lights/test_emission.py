@@ -250,9 +250,9 @@ def test_each_lane_asks_its_own_emitter() -> None:
         assert mine.any()
         for field in ("weight", "n", "uv", "cos", "pdf_position", "pdf_direction", "finite", "delta"):
             a, b = (wide(getattr(x, field))[..., mine] for x in (es, alone))
-            np.testing.assert_allclose(a, b, rtol=2e-5, atol=1e-6, err_msg=f"{emitter.id}: {field}")
+            np.testing.assert_allclose(a, b, rtol=2e-5, atol=1e-6, err_msg=f"{emitter.id()}: {field}")
         for found, one in zip((position, direction), emitter.pdf_emission(es.ray.d, es.n, es.uv), strict=True):
-            np.testing.assert_allclose(wide(found)[mine], wide(one)[mine], rtol=2e-5, atol=1e-6, err_msg=emitter.id)
+            np.testing.assert_allclose(wide(found)[mine], wide(one)[mine], rtol=2e-5, atol=1e-6, err_msg=emitter.id())
 
 
 def test_no_emitter_sends_nothing() -> None:

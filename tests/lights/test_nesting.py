@@ -65,7 +65,7 @@ def test_emitters_are_numbered_as_in_mitsuba(name: str) -> None:
     description = scene(**nodes)
     mine = djpt.load_dict(description)
     reference = mi.load_dict(djpt.validation.to_mitsuba(description), optimize=False)
-    assert [e.id for e in mine.emitters()] == [e.id() for e in reference.emitters()] == order
+    assert [e.id() for e in mine.emitters()] == [e.id() for e in reference.emitters()] == order
     light = [key for key in djpt.traverse(mine) if "radiance" in key or "intensity" in key]
     assert light == [key for key in mi.traverse(reference).keys() if "radiance" in key or "intensity" in key]  # noqa: SIM118
     image, expected = ours(description, 16), theirs(description, 16)
@@ -121,7 +121,7 @@ def test_sensors_are_numbered_as_in_mitsuba(first: bool) -> None:
     description = scene(**nodes)
     mine = djpt.load_dict(description)
     reference = mi.load_dict(djpt.validation.to_mitsuba(description), optimize=False)
-    assert [s.id for s in mine.sensors()] == [s.id() for s in reference.sensors()] == ["sensor", "meter", "meter"]
+    assert [s.id() for s in mine.sensors()] == [s.id() for s in reference.sensors()] == ["sensor", "meter", "meter"]
     for number in (1, 2):
         expected = np.array(mi.render(reference, sensor=number, spp=16, seed=1))
         assert expected.mean() > 2

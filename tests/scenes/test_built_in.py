@@ -56,7 +56,7 @@ def test_boxfilter_differs_in_the_filter_only() -> None:
 
 
 def test_spheres_stand_on_the_floor_inside_the_room() -> None:
-    spheres = [shape for shape in djpt.load_dict(cornell_box_spheres()).shapes() if shape.id.endswith("sphere")]
+    spheres = [shape for shape in djpt.load_dict(cornell_box_spheres()).shapes() if shape.id().endswith("sphere")]
     assert len(spheres) == 2
     for sphere in spheres:
         center, radius = sphere.to_world.translation(), np.linalg.norm(sphere.to_world.matrix[:3, 0])

@@ -40,12 +40,12 @@ def test_names_and_references() -> None:
             by_deep_id={"type": "cube", "b": {"type": "ref", "id": "deep"}},
         )
     )
-    shapes = {shape.id: shape for shape in loaded.shapes()}
+    shapes = {shape.id(): shape for shape in loaded.shapes()}
     assert list(shapes) == ["early", "nested", "by_key", "by_id", "by_path", "by_deep_id"]
-    assert shapes["early"].bsdf is shapes["by_id"].bsdf and shapes["early"].bsdf.id == "renamed"
-    assert shapes["by_path"].bsdf is shapes["nested"].bsdf and shapes["nested"].bsdf.id == "nested.own"
+    assert shapes["early"].bsdf is shapes["by_id"].bsdf and shapes["early"].bsdf.id() == "renamed"
+    assert shapes["by_path"].bsdf is shapes["nested"].bsdf and shapes["nested"].bsdf.id() == "nested.own"
     assert shapes["by_deep_id"].bsdf is shapes["nested"].bsdf.front
-    assert shapes["by_key"].bsdf.id == "white"
+    assert shapes["by_key"].bsdf.id() == "white"
 
 
 def test_one_dict_object_in_two_places_makes_two_plugins() -> None:
@@ -98,7 +98,7 @@ def test_any_plugin_can_be_the_root(kind: str) -> None:
         if name in ("obj", "ply", "serialized", "sdfgrid"):
             continue  # These need files: see tests/geometry.
         plugin = djpt.load_dict({"type": name, **required.get(name, {})})
-        assert plugin.kind == kind and plugin.id == name
+        assert plugin.kind == kind and plugin.id() == name
 
 
 @pytest.mark.parametrize(

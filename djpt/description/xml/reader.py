@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from djpt.description.files import FileResolver
+from djpt.description.files import FileResolver, file_resolver
 from djpt.description.xml import source
 from djpt.description.xml.nodes import Node, Reference
 from djpt.description.xml.parameters import Parameters
@@ -59,7 +59,7 @@ class _File:
     def resolve(self, name: str, element: Element) -> Path:
         """Find a file that is named in this one."""
         try:
-            return self.resolver.resolve(name)
+            return self.resolver.find(name)
         except FileError as error:
             raise element.error(str(error)) from None
 
@@ -80,13 +80,13 @@ class Reader:
         self._files += 1
         real = os.path.realpath(path)
         stack = (*outer.real, real) if outer else (real,)
-        inherited = outer.resolver.directories if outer else ()
+        inherited = outer.resolver if outer else file_resolver()
         resolver = FileResolver((path.parent, *inherited))
         return self._read(source.parse_file(path), str(path), resolver, stack)
 
     def read_string(self, text: str | bytes) -> Node:
         """Read the root object of a text."""
-        return self._read(source.parse(text, "<string>"), "<string>", FileResolver(), ())
+        return self._read(source.parse(text, "<string>"), "<string>", FileResolver(file_resolver()), ())
 
     def _read(self, root: Element, name: str, resolver: FileResolver, stack: tuple[str, ...]) -> Node:
         if root.tag not in OBJECTS:
@@ -102,7 +102,7 @@ class Reader:
         self._substitute(root)
         node = self._object(root, file, None)
         if len(stack) <= 1:
-            self.directories = file.resolver.directories
+            self.directories = tuple(file.resolver)
         return node
 
     # ---- elements --------------------------------------------------------------------------
@@ -234,4 +234,4 @@ class Reader:
         if not is_root:
             raise element.error("can only stand directly in the file's outermost object")
         folder = file.resolve(element.attributes["value"], element)
-        file.resolver = FileResolver((folder, *file.resolver.directories))
+        file.resolver = FileResolver((folder, *file.resolver))

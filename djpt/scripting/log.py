@@ -1,0 +1,258 @@
+"""The log that scripts write to: levels, what is shown and where, as in Mitsuba.
+
+djpt itself reports through Python's `warnings`, which this log doesn't filter.
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import sys
+import time
+from pathlib import Path
+
+from djpt.errors import DjptError
+
+__all__ = [
+    "Appender",
+    "DefaultFormatter",
+    "Formatter",
+    "Log",
+    "LogLevel",
+    "Logger",
+    "StreamAppender",
+    "log_level",
+    "logger",
+    "set_log_level",
+    "set_logger",
+]
+
+
+class LogLevel(enum.IntEnum):
+    """How much a message matters; the numbers are Mitsuba's."""
+
+    Trace = 0
+    Debug = 100
+    Info = 200
+    Warn = 300
+    Error = 400
+
+
+class Formatter:
+    """Makes the line of a message; scripts override `format`."""
+
+    def format(self, level: LogLevel, cname: str | None, fname: str, line: int, msg: str) -> str:
+        """The text of a message.
+
+        Args:
+            level: how much it matters.
+            cname: the class that it comes from, if any.
+            fname: the file that it comes from.
+            line: the line of that file.
+            msg: the message.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.format")
+
+
+class DefaultFormatter(Formatter):
+    """The time, the level, the place and the message."""
+
+    def __init__(self) -> None:
+        self._parts = {"date": True, "thread": True, "log_level": True, "class": True}
+
+    def has_date(self) -> bool:
+        """Whether a line begins with date and time."""
+        return self._parts["date"]
+
+    def set_has_date(self, value: bool, /) -> None:
+        """Let lines begin with date and time, or not."""
+        self._parts["date"] = value
+
+    def has_thread(self) -> bool:
+        """Accepted from scripts, no effect."""
+        return self._parts["thread"]
+
+    def set_has_thread(self, value: bool, /) -> None:
+        """Accepted from scripts, no effect."""
+        self._parts["thread"] = value
+
+    def has_log_level(self) -> bool:
+        """Whether lines name the level."""
+        return self._parts["log_level"]
+
+    def set_has_log_level(self, value: bool, /) -> None:
+        """Let lines name the level, or not."""
+        self._parts["log_level"] = value
+
+    def has_class(self) -> bool:
+        """Whether lines name the class, or the file without one."""
+        return self._parts["class"]
+
+    def set_has_class(self, value: bool, /) -> None:
+        """Let lines name the class, or not."""
+        self._parts["class"] = value
+
+    def format(self, level: LogLevel, cname: str | None, fname: str, line: int, msg: str) -> str:
+        date = time.strftime("%Y-%m-%d %H:%M:%S") if self.has_date() else ""
+        name = f"{LogLevel(level).name.upper():5}" if self.has_log_level() else ""
+        place = f"[{cname or f'{Path(fname).name}:{line}'}]" if self.has_class() else ""
+        return " ".join(part for part in (date, name, place, msg) if part)
+
+
+class Appender:
+    """Where messages go; scripts override `append`."""
+
+    def append(self, level: LogLevel, text: str) -> None:
+        """Take a message."""
+        raise NotImplementedError(f"{type(self).__name__}.append")
+
+    def log_progress(self, progress: float, name: str, formatted: str, eta: str, ptr: object = None) -> None:
+        """Take the progress of `name`, a share of 1; does nothing unless overridden."""
+
+
+class StreamAppender(Appender):
+    """Messages go to a file, or to stderr if there is no name.
+
+    Raises:
+        OSError: the file can't be written.
+    """
+
+    def __init__(self, filename: str = "", /) -> None:
+        self._file = Path(filename) if filename else None
+        if self._file is not None:
+            self._file.write_text("")
+
+    def logs_to_file(self) -> bool:
+        """Whether messages go to a file."""
+        return self._file is not None
+
+    def read_log(self) -> str:
+        """What the file holds.
+
+        Raises:
+            DjptError: messages go to stderr.
+        """
+        if self._file is None:
+            raise DjptError("StreamAppender.read_log: these messages aren't kept: they go to stderr")
+        return self._file.read_text()
+
+    def append(self, level: LogLevel, text: str) -> None:
+        if self._file is None:
+            print(text, file=sys.stderr)
+        else:
+            with self._file.open("a") as file:
+                file.write(text + "\n")
+
+
+class Logger:
+    """Hands messages of at least its level to its appenders; those of its error level become errors."""
+
+    def __init__(self, level: LogLevel = LogLevel.Warn, /) -> None:
+        self._level, self._error_level = level, LogLevel.Error
+        self._formatter: Formatter = DefaultFormatter()
+        self._appenders: list[Appender] = []
+
+    def log_level(self) -> LogLevel:
+        """The least level that is shown."""
+        return self._level
+
+    def set_log_level(self, level: LogLevel, /) -> None:
+        """Show messages from `level` on."""
+        self._level = LogLevel(level)
+
+    def error_level(self) -> LogLevel:
+        """The level from which messages are raised as errors."""
+        return self._error_level
+
+    def set_error_level(self, level: LogLevel, /) -> None:
+        """Raise messages from `level` on as errors."""
+        self._error_level = LogLevel(level)
+
+    def formatter(self) -> Formatter:
+        """What makes the lines."""
+        return self._formatter
+
+    def set_formatter(self, formatter: Formatter, /) -> None:
+        """Make lines in another way."""
+        self._formatter = formatter
+
+    def add_appender(self, appender: Appender, /) -> None:
+        """Send messages to one more place."""
+        self._appenders.append(appender)
+
+    def remove_appender(self, appender: Appender, /) -> None:
+        """Send no more messages to a place."""
+        self._appenders.remove(appender)
+
+    def clear_appenders(self) -> None:
+        """Send messages nowhere."""
+        self._appenders.clear()
+
+    def appender_count(self) -> int:
+        """To how many places messages go."""
+        return len(self._appenders)
+
+    def appender(self, index: int, /) -> Appender:
+        """One of the places."""
+        return self._appenders[index]
+
+    def log_progress(self, progress: float, name: str, formatted: str, eta: str, ptr: object = None) -> None:
+        """Tell all appenders the progress of `name`."""
+        for appender in self._appenders:
+            appender.log_progress(progress, name, formatted, eta, ptr)
+
+    def read_log(self) -> str:
+        """What the first appender with a file has written.
+
+        Raises:
+            DjptError: there is none.
+        """
+        for appender in self._appenders:
+            if isinstance(appender, StreamAppender) and appender.logs_to_file():
+                return appender.read_log()
+        raise DjptError("Logger.read_log: no appender writes to a file")
+
+    def log(self, level: LogLevel, msg: str, cname: str | None = None, fname: str = "", line: int = 0) -> None:
+        """Take a message: see `Log`."""
+        if level >= self._error_level:
+            raise DjptError(f"[{Path(fname).name}:{line}] {msg}")
+        if level >= self._level:
+            text = self._formatter.format(level, cname, fname, line, msg)
+            for appender in list(self._appenders):
+                appender.append(level, text)
+
+
+_logger = Logger()
+_logger.add_appender(StreamAppender())
+
+
+def logger() -> Logger:
+    """The logger of this process."""
+    return _logger
+
+
+def set_logger(logger: Logger) -> None:
+    """Let another logger take the messages of this process."""
+    global _logger
+    _logger = logger
+
+
+def log_level() -> LogLevel:
+    """The least level that is shown."""
+    return _logger.log_level()
+
+
+def set_log_level(level: LogLevel, /) -> None:
+    """Show messages from `level` on."""
+    _logger.set_log_level(level)
+
+
+def Log(level: LogLevel, msg: str) -> None:
+    """Write a message to the log, with the function that calls.
+
+    Raises:
+        DjptError: the level is `LogLevel.Error`.
+    """
+    caller = inspect.stack()[1]
+    name = caller.function if caller.function.startswith("<") else f"{caller.function}()"
+    _logger.log(level, f"{name}: {msg}", None, caller.filename, caller.lineno)

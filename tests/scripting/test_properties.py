@@ -1,0 +1,126 @@
+"""`Properties` as scripts make and read them, and the objects made from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import DjptError, SceneError
+
+Type = djpt.Properties.Type
+
+KNOWN = "diffuse path area perspective independent sphere bitmap hdrfilm box scene"
+LACKING = "hg constvolume homogeneous nothing"
+
+
+def filled() -> djpt.Properties:
+    props = djpt.Properties("plastic")
+    for key, value in {"count": 2, "name": "a", "on": True, "size": 1.5, "up": [0, 1, 0], "at": np.float32(2)}.items():
+        props[key] = value
+    return props
+
+
+def test_entries_keep_their_type_and_order() -> None:
+    props = filled()
+    assert props.keys() == list(props) == ["count", "name", "on", "size", "up", "at"]
+    kinds = [Type.Integer, Type.String, Type.Bool, Type.Float, Type.Vector, Type.Float]
+    assert [props.type(key) for key in props] == kinds
+    props["tint"] = djpt.Color3f(1)
+    props["T"] = djpt.ScalarTransform4f()
+    props["child"] = djpt.load_dict({"type": "diffuse"})
+    assert [props.type(key) for key in ("tint", "T", "child")] == [Type.Color, Type.Transform, Type.Object]
+    assert [props.as_string(key) for key in ("count", "name", "on")] == ["2", "a", "true"]
+    assert dict(props.items())["at"] == 2.0 and len(props) == 9
+
+
+def test_a_new_value_comes_last_and_a_deleted_one_is_gone() -> None:
+    props = filled()
+    del props["name"]
+    props["name"] = "b"
+    assert props.keys()[-1] == "name" and "none" not in props
+    with pytest.raises(KeyError, match="did you mean 'count'"):
+        del props["cuont"]
+
+
+def test_what_was_asked_for() -> None:
+    props = filled()
+    assert props["count"] == 2 and props.get("name") == "a" and props.get("absent", 3) == 3
+    assert props.was_queried("count") and not props.was_queried("on")
+    assert props.unqueried() == ["on", "size", "up", "at"]
+    assert props.mark_queried("on") and not props.mark_queried("absent")
+    assert props.unqueried() == ["size", "up", "at"]
+    with pytest.raises(SceneError, match="there is no entry 'absent'"):
+        props.was_queried("absent")
+
+
+def test_copies_and_merges() -> None:
+    props, other = filled(), djpt.Properties()
+    other["name"] = 4
+    copied = djpt.Properties(props)
+    assert copied == props and copied.plugin_name() == "plastic"
+    copied.merge(other)
+    assert copied["name"] == 4 and props["name"] == "a" and copied != props
+    props.set_id("x")
+    assert djpt.Properties(props).id() == "x"
+    assert repr(other) == 'Properties[\n  plugin_name = "",\n  id = "",\n  elements = {\n    "name" -> 4\n  }\n]\n'
+
+
+@pytest.mark.parametrize("value", [None, {"type": "diffuse"}, np.complex64(1)])
+def test_values_that_cant_be_stored(value: Any) -> None:
+    with pytest.raises(SceneError, match="'key' can't hold"):
+        djpt.Properties()["key"] = value
+
+
+@pytest.mark.parametrize("call", ["has_property('name')", "property_names()", "remove_property('name')"])
+def test_deprecated_forms(call: str) -> None:
+    with pytest.warns(DeprecationWarning, match=r"is deprecated: use"):
+        assert eval(f"props.{call}", {"props": filled()})
+
+
+def test_a_plugin_from_properties() -> None:
+    manager = djpt.PluginManager.instance()
+    props = djpt.Properties("path")
+    props["max_depth"] = 4
+    props.set_id("mine")
+    made = manager.create_object(props)
+    assert made.max_depth == 4 and made.id() == "mine" and isinstance(made, djpt.Object)
+    assert made.variant_name() == djpt.variant() and made.class_name() == "Path"
+    props["max_dept"] = 4
+    with pytest.raises(SceneError, match="unknown key 'max_dept'"):
+        manager.create_object(props)
+
+
+@pytest.mark.parametrize("name", [*KNOWN.split(), *LACKING.split()])
+def test_kinds_are_mitsubas(name: str) -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    theirs = mi.PluginManager.instance().plugin_type(name)
+    mine = djpt.PluginManager.instance().plugin_type(name)
+    assert (mine.name, mine.value) == (theirs.name, theirs.value)
+
+
+def test_names_of_objects() -> None:
+    thing = djpt.Object()
+    thing.set_id("thing")
+    assert thing.id() == djpt.Object(thing).id() == "thing"
+
+
+@pytest.mark.parametrize("register", [djpt.register_medium, djpt.register_phase])
+def test_media_are_refused(register: Any) -> None:
+    with pytest.raises(DjptError, match="'fog' can't be a plugin: djpt has no media that scatter light"):
+        register("fog", lambda props: None)
+
+
+def test_a_script_registers_a_material() -> None:
+    class Tinted(djpt.BSDF):
+        def __init__(self, props: djpt.Properties) -> None:
+            djpt.BSDF.__init__(self, props)
+            self.tint = props.get("tint", 0.5)
+            self.named = props.id()
+
+    djpt.register_bsdf("tinted_by_script", lambda props: Tinted(props))
+    made = djpt.load_dict({"type": "tinted_by_script", "tint": 0.25, "id": "name"})
+    assert made.tint == 0.25 and made.named == made.id() == "name"
