@@ -22,6 +22,7 @@ from djpt.geometry.axes import ProjectedRay
 from djpt.geometry.recentre import recentre
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from tests.kit.axes import unit
 from tests.kit.double_precision import GRID, ORACLES, closest
 
 pytestmark = pytest.mark.narrow
@@ -31,7 +32,7 @@ ULP = 2.0**-23
 LIMIT = 1e-5
 """Share of wrong hits."""
 
-TURNED = T().rotate([1, 2, 3], 50)
+TURNED = T().rotate(unit(1, 2, 3), 50)
 POSES = {"straight": T(), "turned": TURNED}
 SHAPES: dict[str, dict[str, Any]] = {
     "rectangle": {},
