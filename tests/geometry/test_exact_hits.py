@@ -103,7 +103,7 @@ def case(name: str, pose: T, kind: str, count: int, seed: int) -> Case:
 def found(scene: Any, o: Array, d: Array) -> Array:
     """The engine's distances; infinity for a miss."""
     ray = djpt.Ray3f(Point3f(o.T.astype(np.float32)), Vector3f(d.T.astype(np.float32)), Float(np.inf))
-    low, high = (Point3f(*corner.tolist()) for corner in scene.bbox())
+    low, high = (Point3f(corner) for corner in scene.bbox())
     near, t0 = recentre(ray, low, high)
     t = scene.ray_intersect_preliminary(near).t + t0
     return np.broadcast_to(np.array(t, np.float64), len(o))

@@ -349,7 +349,7 @@ def test_a_thousand_instances(folder: Path) -> None:
         },
     }
     for i in range(1000):
-        place = T().translate(rng.uniform(-4, 4, 3).tolist()).rotate(rng.normal(size=3).tolist(), 90.0).scale(0.2)
+        place = T().translate(rng.uniform(-4, 4, 3).tolist()).rotate(unit(*rng.normal(size=3)), 90.0).scale(0.2)
         scene[f"i{i}"] = {"type": "instance", "to_world": place, "r": {"type": "ref", "id": "g"}}
     djpt.load_dict({**scene, "i0": scene["i1"]})
     start = time.process_time()
