@@ -78,9 +78,10 @@ def instances(module: Any, file: Path) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     scene = stage(module, [0, 4, 12], -0.8, 9, 8)
     scene["group"] = {"type": "shapegroup", "ball": bumpy_sphere(file, True)}
+    axis = [float(x) for x in np.array([0, 1, 0.3]) / np.linalg.norm([0, 1, 0.3])]
     for i in range(1000):
         place = [float(x) for x in rng.uniform(-1, 1, 3) * [6, 1, 6]]
-        turned = module.ScalarTransform4f().translate(place).rotate([0, 1, 0.3], float(rng.uniform(0, 360)))
+        turned = module.ScalarTransform4f().translate(place).rotate(axis, float(rng.uniform(0, 360)))
         scene[f"copy_{i}"] = {
             "type": "instance",
             "group": {"type": "ref", "id": "group"},

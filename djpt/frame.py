@@ -7,6 +7,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.description.numeric import as_type
 from djpt.errors import SceneError
 from djpt.types import Float, Normal3f, Vector3f
 
@@ -33,7 +34,7 @@ def coordinate_system(n: Vector3f) -> tuple[Vector3f, Vector3f]:
 
 def as_vector(v: Any) -> Vector3f:
     """`v` itself if it has lanes, else three numbers in any form as an array."""
-    return v if dr.is_jit_v(v) else Vector3f(v)
+    return v if dr.is_jit_v(v) else as_type(Vector3f, v)
 
 
 @dataclass(init=False, eq=False)

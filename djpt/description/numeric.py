@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 
-__all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "describe", "is_readable", "non_negative"]
+__all__ = [
+    "LARGEST",
+    "as_array",
+    "as_integer",
+    "as_number",
+    "as_type",
+    "as_vector",
+    "describe",
+    "is_readable",
+    "non_negative",
+]
 
 LARGEST = float(np.finfo(np.float32).max)
 """The largest number of float32, in which kernels compute."""
@@ -121,6 +131,27 @@ def as_vector(value: Any) -> NDArray[np.float64]:
     if array.shape != (3,):
         raise SceneError(f"must be three numbers, found {describe(value)}")
     return array
+
+
+def as_type(kind: Any, value: Any) -> Any:
+    """Convert numbers in any form, one per lane or a single one, to a type of Dr.Jit's or Python's.
+
+    Raises:
+        SceneError: they can't be converted.
+    """
+    try:
+        return kind(_plain(value))
+    except Exception:
+        count = dr.size_v(kind) if dr.is_array_v(kind) and dr.depth_v(kind) > dr.is_jit_v(kind) else 1
+        wanted = {1: "a number", 2: "two numbers", 3: "three numbers"}.get(count, f"{count} numbers")
+        raise SceneError(f"must be {wanted}, found {describe(value)}") from None
+
+
+def _plain(value: Any) -> Any:
+    """`value` with Python's numbers in place of single numbers of NumPy, which Dr.Jit's vectors don't take."""
+    if isinstance(value, (list, tuple)):
+        return [_plain(x) for x in value]
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def non_negative(value: Any) -> float:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import drjit.scalar as scalar
 
+from djpt.description.numeric import as_type
 from djpt.geometry.bounding_sphere import BoundingSphere3f, ScalarBoundingSphere3f, as_point
 from djpt.types import Bool, Float, Point2f, Point3f
 
@@ -37,8 +38,8 @@ class BoundingBox:
             min, max = dr.inf, -dr.inf
         elif isinstance(min, BoundingBox):
             min, max = min
-        self.min = self.Point(min)
-        self.max = self.Point(min if max is None else max)
+        self.min = as_type(self.Point, min)
+        self.max = as_type(self.Point, min if max is None else max)
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.min, self.max))

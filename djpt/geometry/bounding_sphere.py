@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import drjit.scalar as scalar
 
+from djpt.description.numeric import as_type
 from djpt.types import Bool, Float, Point3f
 
 __all__ = ["BoundingSphere3f", "ScalarBoundingSphere3f"]
@@ -29,8 +30,8 @@ class BoundingSphere3f:
     def __init__(self, center: Any = 0, radius: Any = 0) -> None:
         if isinstance(center, BoundingSphere3f):
             center, radius = tuple(center)
-        self.center: Any = self.Point(center)
-        self.radius: Any = self.Number(radius)
+        self.center: Any = as_type(self.Point, center)
+        self.radius: Any = as_type(self.Number, radius)
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.center, self.radius))
@@ -72,7 +73,8 @@ class BoundingSphere3f:
         name = type(self).__name__.removeprefix("Scalar")
         if dr.all(self.empty(), axis=None):
             return f"{name}[empty]"
-        return f"{name}[\n  center = {self.center},\n  radius = {self.radius}\n]"
+        radius = f"{self.radius:g}" if isinstance(self.radius, float) else self.radius
+        return f"{name}[\n  center = {self.center},\n  radius = {radius}\n]"
 
 
 class ScalarBoundingSphere3f(BoundingSphere3f):
@@ -85,4 +87,4 @@ class ScalarBoundingSphere3f(BoundingSphere3f):
 
 def as_point(kind: Any, p: Any) -> Any:
     """`p` as an array of `kind`; Dr.Jit's arrays stay what they are, with their lanes."""
-    return p if dr.is_array_v(p) and not dr.is_tensor_v(p) else kind(p)
+    return p if dr.is_array_v(p) and not dr.is_tensor_v(p) else as_type(kind, p)

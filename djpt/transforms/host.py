@@ -7,6 +7,7 @@ import warnings
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
+import drjit.scalar as scalar
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 __all__ = [
-    "COUNTS",
     "HostTransform",
     "ScalarTransform3f",
     "ScalarTransform4f",
@@ -124,14 +124,19 @@ class HostTransform(Transform):
         return cls(left._matrix @ right._matrix)
 
     def transform_point(self, p: Any) -> Any:
-        """Apply to points: a Dr.Jit array (the result is one, too), or numbers of shape (.., size - 1), as float64."""
+        """Apply to points.
+
+        The result has the form of `p`: a Dr.Jit array; of three (or two) numbers in a list or tuple, an array of
+        `drjit.scalar`; of NumPy and nested lists of shape (.., 3), NumPy in float64.
+        """
         if not self.projective:
             return self._apply(self._matrix[:-1], p, 1.0)
         if dr.is_array_v(p):
             *head, last = self._rows(self._matrix, p, 1.0)
             return float_type(p)(*head) / last
-        moved = self._apply(self._matrix, p, 1.0)
-        return moved[..., :-1] / moved[..., -1:]
+        moved = self._apply(self._matrix, np.asarray(p), 1.0)
+        found = moved[..., :-1] / moved[..., -1:]
+        return ARRAYS[self.size - 1](found) if isinstance(p, (list, tuple)) and found.ndim == 1 else found
 
     def transform_vector(self, v: Any) -> Any:
         """Apply to vectors, which a translation doesn't change; takes the same forms as `transform_point`."""
@@ -148,7 +153,8 @@ class HostTransform(Transform):
         points = as_array(value)
         if points.shape[-1:] != (n,):
             raise SceneError(f"points have {COUNTS[n]} coordinates, found {describe(value)} of shape {points.shape}")
-        return points @ rows[:, :-1].T + w * rows[:, -1]
+        moved = points @ rows[:, :-1].T + w * rows[:, -1]
+        return ARRAYS[len(rows)](moved) if isinstance(value, (list, tuple)) and points.ndim == 1 else moved
 
     @staticmethod
     def _rows(rows: Matrix, value: Any, w: float) -> list[Any]:
@@ -223,6 +229,7 @@ class HostTransform(Transform):
 
 
 COUNTS = {2: "two", 3: "three"}
+ARRAYS = {2: scalar.Array2f, 3: scalar.Array3f}
 
 
 def float_type(value: Any) -> Any:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import describe
+from djpt.description.numeric import as_type, describe
 from djpt.errors import SceneError
 from djpt.transforms.base import Chained, Transform, matrix_of
 from djpt.transforms.host import (
-    COUNTS,
     HostTransform,
     ScalarTransform3f,
     ScalarTransform4f,
@@ -60,15 +59,15 @@ class LaneTransform(Transform):
     def __init__(self, matrix: Any = None, inverse_transpose: Any = None) -> None:
         kind = type(self)
         if isinstance(matrix, LaneTransform):
-            self._matrix, self.inverse_transpose = kind._converted(matrix), kind.Matrix(matrix.inverse_transpose)
+            self._matrix, self._inverse_transpose = kind._converted(matrix), kind.Matrix(matrix.inverse_transpose)
         else:
             self._matrix = kind.Matrix(1) if matrix is None else kind._converted(matrix)
             if matrix is None:
-                self.inverse_transpose = kind.Matrix(1)
+                self._inverse_transpose = kind.Matrix(1)
             elif inverse_transpose is None:
                 self.update()
             else:
-                self.inverse_transpose = kind.Matrix(inverse_transpose)
+                self._inverse_transpose = kind.Matrix(inverse_transpose)
         self._alike = matrix is None or (
             matrix._treats_alike() if isinstance(matrix, Transform) else self._is_seen_to_treat_alike()
         )
@@ -81,7 +80,8 @@ class LaneTransform(Transform):
             # Dr.Jit pads a smaller matrix.
             if dr.is_array_v(found) and dr.is_matrix_v(found) and dr.size_v(found) != cls.size:
                 raise TypeError
-            return cls.Matrix(found.tolist() if isinstance(value, HostTransform) else found)
+            # Numbers of NumPy become constants that Python knows, unless there is one matrix per lane.
+            return cls.Matrix(found.tolist() if isinstance(found, np.ndarray) and found.ndim == 2 else found)
         except Exception:
             raise SceneError(f"must be a {cls.size}x{cls.size} matrix, found {describe(value)}") from None
 
@@ -96,30 +96,41 @@ class LaneTransform(Transform):
         # Nothing is known of a matrix that Dr.Jit or a script puts in place.
         self._alike = False
 
+    @property
+    def inverse_transpose(self) -> Any:
+        """The transposed inverse of the matrix, which normals are transformed by."""
+        return self._inverse_transpose
+
+    @inverse_transpose.setter
+    def inverse_transpose(self, value: Any) -> None:
+        self._inverse_transpose = type(self).Matrix(value)
+        self._alike = False
+
     def update(self) -> Self:
         """Compute `inverse_transpose` from the matrix."""
         if self.projective:
-            self.inverse_transpose = dr.rcp(self._matrix).T
+            self._inverse_transpose = dr.rcp(self._matrix).T
             return self
         n = self.size - 1
         linear = SMALLER[self.Matrix]([[self._matrix[i, j] for j in range(n)] for i in range(n)])
         inverse = dr.rcp(linear)
         moved = [-sum(inverse[i, j] * self._matrix[j, n] for j in range(n)) for i in range(n)]
         rows = [[inverse[j, i] for j in range(n)] + [0] for i in range(n)]
-        self.inverse_transpose = self.Matrix([*rows, [*moved, 1]])
+        self._inverse_transpose = self.Matrix([*rows, [*moved, 1]])
         return self
 
     def assign(self, other: Any) -> None:
         """Become equal to another transform of the same size."""
         copied = type(self)(other)
-        self._matrix, self.inverse_transpose, self._alike = copied._matrix, copied.inverse_transpose, copied._alike
+        self._matrix, self._inverse_transpose = copied._matrix, copied._inverse_transpose
+        self._alike = copied._alike
 
     def __setitem__(self, mask: Any, value: Any) -> None:
         """Become equal to another transform on the lanes where `mask` is true."""
         other = self._of(value)
         self._alike = self._alike and other._alike
         self._matrix = dr.select(mask, other._matrix, self._matrix)
-        self.inverse_transpose = dr.select(mask, other.inverse_transpose, self.inverse_transpose)
+        self._inverse_transpose = dr.select(mask, other._inverse_transpose, self._inverse_transpose)
 
     # ---- building, from the right ----------------------------------------------------
 
@@ -133,18 +144,12 @@ class LaneTransform(Transform):
     @classmethod
     def _vector(cls, value: Any) -> Any:
         """One Dr.Jit number per axis."""
-        try:
-            return cls.Vector(value)
-        except Exception:
-            raise SceneError(f"must be {COUNTS[cls.size - 1]} numbers, found {describe(value)}") from None
+        return as_type(cls.Vector, value)
 
     @classmethod
     def _number(cls, value: Any) -> Any:
         """A Dr.Jit number."""
-        try:
-            return dr.value_t(cls.Vector)(value)
-        except Exception:
-            raise SceneError(f"must be a number, found {describe(value)}") from None
+        return as_type(dr.value_t(cls.Vector), value)
 
     @Chained
     def translate(kind: Any, v: Any) -> Any:

@@ -12,9 +12,10 @@ import djpt
 from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from tests.kit.axes import unit
 from tests.kit.chi_squared import uniform
 
-POSE = T().translate([0.2, 0.1, -0.3]).rotate([1, 2, 3], 50)
+POSE = T().translate([0.2, 0.1, -0.3]).rotate(unit(1, 2, 3), 50)
 LUMP = (np.linalg.norm(np.indices((9, 9, 9)) - 4.2, axis=0)[..., None] - 3).astype(np.float32)
 SHAPES: dict[str, dict[str, Any]] = {
     "rectangle": {"type": "rectangle"},

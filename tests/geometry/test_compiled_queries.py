@@ -21,6 +21,7 @@ from djpt.llvm.calls import CallError
 from djpt.records import Ray3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+from tests.kit.axes import unit
 from tests.kit.triangle_soups import SOUPS, sphere
 
 pytestmark = [
@@ -75,14 +76,14 @@ def village(ways: str) -> djpt.Scene:
     kinds = ("sphere", "cube", "cylinder", "disk", "rectangle")
     shapes: list[Any] = [mesh(sphere(2000)), mesh(sphere(500) * np.float32(0.4) + np.float32([2, 0, 0]))]
     for i in range(40):
-        place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(rng.normal(size=3).tolist(), 50.0).scale(0.2)
+        place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(unit(*rng.normal(size=3)), 50.0).scale(0.2)
         shapes.append({"type": kinds[i % 5], "to_world": place})
         if i % 4 == 0:
             shapes[-1]["emitter"] = {"type": "area"}
     group = {"type": "shapegroup", "a": mesh(sphere(800)), "b": mesh(sphere(60) + np.float32(1))}
     copies = {}
     for i in range(30):
-        place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(rng.normal(size=3).tolist(), 70.0)
+        place = T().translate(rng.uniform(-3, 3, 3).tolist()).rotate(unit(*rng.normal(size=3)), 70.0)
         copies[f"i{i}"] = {
             "type": "instance",
             "to_world": place.scale([0.2, 0.3, 0.1]),

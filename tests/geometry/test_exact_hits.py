@@ -22,6 +22,7 @@ from djpt.geometry.axes import ProjectedRay
 from djpt.geometry.recentre import recentre
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from tests.kit.axes import unit
 from tests.kit.double_precision import GRID, ORACLES, closest
 
 pytestmark = pytest.mark.narrow
@@ -31,7 +32,7 @@ ULP = 2.0**-23
 LIMIT = 1e-5
 """Share of wrong hits."""
 
-TURNED = T().rotate([1, 2, 3], 50)
+TURNED = T().rotate(unit(1, 2, 3), 50)
 POSES = {"straight": T(), "turned": TURNED}
 SHAPES: dict[str, dict[str, Any]] = {
     "rectangle": {},
@@ -102,7 +103,7 @@ def case(name: str, pose: T, kind: str, count: int, seed: int) -> Case:
 def found(scene: Any, o: Array, d: Array) -> Array:
     """The engine's distances; infinity for a miss."""
     ray = djpt.Ray3f(Point3f(o.T.astype(np.float32)), Vector3f(d.T.astype(np.float32)), Float(np.inf))
-    low, high = (Point3f(*corner.tolist()) for corner in scene.bbox())
+    low, high = (Point3f(corner) for corner in scene.bbox())
     near, t0 = recentre(ray, low, high)
     t = scene.ray_intersect_preliminary(near).t + t0
     return np.broadcast_to(np.array(t, np.float64), len(o))

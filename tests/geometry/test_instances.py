@@ -19,24 +19,25 @@ from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Point3f, Vector3f
 from djpt.validation import agreement
 from tests.kit.arrays import in_numpy, rows
+from tests.kit.axes import unit
 from tests.kit.mesh_scenes import ball_file, diffuse, gallery, sheet_file, uv_texture
 from tests.kit.renders import pixels, theirs
 
 SHEAR = T([[1, 0.5, 0, 0], [0, 1, 0, 0], [-0.3, 0, 1, 0], [0, 0, 0, 1]])
-INNER = T().translate([0.3, 0.1, 0]).rotate([0, 1, 1], 20).scale([0.8, 0.5, -0.6])
+INNER = T().translate([0.3, 0.1, 0]).rotate(unit(0, 1, 1), 20).scale([0.8, 0.5, -0.6])
 
 SIMILAR = {
     "plain": T(),
-    "turned": T().translate([1, 2, 0]).rotate([1, 2, 3], 50),
+    "turned": T().translate([1, 2, 0]).rotate(unit(1, 2, 3), 50),
     "small": T().translate([0, 1, 0]).scale(0.3),
-    "turned and small": T().rotate([3, 0, 1], 200).scale(0.5),
+    "turned and small": T().rotate(unit(3, 0, 1), 200).scale(0.5),
 }
 AFFINE = {
     **SIMILAR,
     "mirrored": T().translate([1, 0, 0]).scale([-1, 1, 1]),
-    "stretched": T().rotate([1, 0, 1], 30).scale([2, 0.5, 1]),
-    "sheared": SHEAR @ T().rotate([1, 0, 1], 30),
-    "all of it": SHEAR @ T().translate([1, 2, 3]).scale([-2, 0.5, 1]).rotate([1, 2, 1], 33),
+    "stretched": T().rotate(unit(1, 0, 1), 30).scale([2, 0.5, 1]),
+    "sheared": SHEAR @ T().rotate(unit(1, 0, 1), 30),
+    "all of it": SHEAR @ T().translate([1, 2, 3]).scale([-2, 0.5, 1]).rotate(unit(1, 2, 1), 33),
 }
 
 
@@ -124,8 +125,11 @@ SHAPES: dict[str, dict[str, Any]] = {
     "rectangle": {"type": "rectangle", "to_world": INNER},
     "cube": {"type": "cube", "to_world": INNER},
     "sphere": {"type": "sphere", "center": [0.2, 0, 0], "radius": 0.7},
-    "turned sphere": {"type": "sphere", "to_world": T().translate([0.1, 0.2, 0.3]).rotate([1, 1, 0], 40).scale(0.6)},
-    "disk": {"type": "disk", "to_world": T().rotate([1, 1, 0], 40).scale(0.8)},
+    "turned sphere": {
+        "type": "sphere",
+        "to_world": T().translate([0.1, 0.2, 0.3]).rotate(unit(1, 1, 0), 40).scale(0.6),
+    },
+    "disk": {"type": "disk", "to_world": T().rotate(unit(1, 1, 0), 40).scale(0.8)},
     "cylinder": {"type": "cylinder", "radius": 0.5, "p0": [0, -0.5, 0], "p1": [0.2, 0.6, 0]},
 }
 SHEARABLE = ("rectangle", "cube", "disk")
@@ -210,7 +214,7 @@ def test_many_shapes_in_a_group(mi: Any, folder: Path) -> None:
 @pytest.mark.parametrize("distance", [0.0, 300.0])
 def test_a_small_instance_in_a_large_scene(folder: Path, distance: float) -> None:
     """Against a mesh that stands there outright."""
-    place = T().translate([distance, 1, -2]).rotate([1, 2, 3], 40).scale(1e-3)
+    place = T().translate([distance, 1, -2]).rotate(unit(1, 2, 3), 40).scale(1e-3)
     ball = {"type": "ply", "filename": ball_file(folder)}
     wall = {"type": "ply", "filename": sheet_file(folder), "to_world": T().translate([0, 0, -50]).scale(500)}
     group = {"type": "shapegroup", "b": ball}
@@ -240,13 +244,13 @@ def village(folder: Path, **keys: Any) -> dict[str, Any]:
         "type": "shapegroup",
         "ball": {**all_meshes["smooth"], "bsdf": diffuse(0.7, 0.5, 0.2)},
         "sheet": {**all_meshes["flipped"], "bsdf": {"type": "twosided", "inner": diffuse(0.2, 0.7, 0.5)}},
-        "cube": {"type": "cube", "to_world": T().translate([0, 1, 0]).rotate([1, 0, 1], 20).scale(0.3)},
+        "cube": {"type": "cube", "to_world": T().translate([0, 1, 0]).rotate(unit(1, 0, 1), 20).scale(0.3)},
         "sphere": {"type": "sphere", "center": [0.8, 0.8, 0], "radius": 0.3, "bsdf": diffuse(0.1, 0.2, 0.9)},
     }
     places = (
         T().translate([-1.2, -0.2, 0.2]).rotate([0, 1, 0], 40).scale(0.6),
-        T().translate([0.2, -0.3, 1.2]).rotate([1, 1, 0], 100).scale(0.3),
-        T().translate([1.1, 0.6, -0.4]).rotate([1, 1, 1], -70).scale(0.4),
+        T().translate([0.2, -0.3, 1.2]).rotate(unit(1, 1, 0), 100).scale(0.3),
+        T().translate([1.1, 0.6, -0.4]).rotate(unit(1, 1, 1), -70).scale(0.4),
     )
     for i, place in enumerate(places):
         scene[f"i{i}"] = {"type": "instance", "to_world": place, "r": {"type": "ref", "id": "group"}}
@@ -345,7 +349,7 @@ def test_a_thousand_instances(folder: Path) -> None:
         },
     }
     for i in range(1000):
-        place = T().translate(rng.uniform(-4, 4, 3).tolist()).rotate(rng.normal(size=3).tolist(), 90.0).scale(0.2)
+        place = T().translate(rng.uniform(-4, 4, 3).tolist()).rotate(unit(*rng.normal(size=3)), 90.0).scale(0.2)
         scene[f"i{i}"] = {"type": "instance", "to_world": place, "r": {"type": "ref", "id": "g"}}
     djpt.load_dict({**scene, "i0": scene["i1"]})
     start = time.process_time()

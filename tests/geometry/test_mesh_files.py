@@ -22,6 +22,7 @@ from djpt.shapes.meshes.obj_compiled import read_compiled
 from djpt.shapes.meshes.ply import read_ply
 from djpt.shapes.meshes.serialized import read_serialized
 from djpt.transforms import ScalarTransform4f as T
+from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, properties, write_binary_ply, write_obj, write_ply, write_serialized
 
 CORNERS = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
@@ -53,7 +54,7 @@ def assert_same(mi: Any, kind: str, path: Path, **keys: Any) -> djpt.Mesh:
     return mesh
 
 
-MOVED = T().translate([1, 2, 3]).rotate([1, 2, 0], 50).scale([1, 2, 0.5])
+MOVED = T().translate([1, 2, 3]).rotate(unit(1, 2, 0), 50).scale([1, 2, 0.5])
 OPTIONS: list[dict[str, Any]] = [{}, {"face_normals": True}, {"flip_tex_coords": True}, {"to_world": MOVED}]
 
 

@@ -15,6 +15,7 @@ from djpt.errors import SceneError
 from djpt.records import Ray3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point3f, Vector3f
+from tests.kit.axes import unit
 from tests.kit.mesh_scenes import ball, ball_file, gallery
 
 pytestmark = pytest.mark.cuda
@@ -43,7 +44,7 @@ def instances(folder: Path) -> Any:
     scene = gallery(folder)
     scene["g"] = {"type": "shapegroup", "m": {"type": "ply", "filename": ball_file(folder)}}
     for i in range(3):
-        place = T().translate([i - 1, 0.3 * i, 0.5]).rotate([i, 1, 0], 40 * i).scale([0.4, 0.3, -0.2])
+        place = T().translate([i - 1, 0.3 * i, 0.5]).rotate(unit(i, 1, 0), 40 * i).scale([0.4, 0.3, -0.2])
         scene[f"i{i}"] = {"type": "instance", "to_world": place, "r": {"type": "ref", "id": "g"}}
     return djpt.load_dict(scene)
 

@@ -11,11 +11,12 @@ import pytest
 
 import djpt
 from djpt.transforms import ScalarTransform4f as T
+from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 from tests.kit.renders import box, ours, pixels, theirs
 
 LAMP = T().translate([0, 0.8, 0]).rotate([1, 0, 0], 90).scale(0.3)
-LEANING = T().translate([0, -0.2, 0]).rotate([1, 0.3, 0], -60).scale(0.5)
+LEANING = T().translate([0, -0.2, 0]).rotate(unit(1, 0.3, 0), -60).scale(0.5)
 
 
 def room(path: Path, **keys: Any) -> dict[str, Any]:

@@ -15,10 +15,11 @@ from djpt.geometry.mesh_part import MeshPart
 from djpt.geometry.mesh_set import MeshSet
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point2f, UInt32
+from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 
 Array = np.ndarray
-TURNED = T().translate([1, 2, 3]).rotate([1, 2, 0], 50).scale([1, 2, 0.5])
+TURNED = T().translate([1, 2, 3]).rotate(unit(1, 2, 0), 50).scale([1, 2, 0.5])
 MIRRORED = T().translate([0, 0, 1]).scale([-1, 1, 2])
 
 

@@ -15,6 +15,7 @@ from djpt.errors import ParameterError
 from djpt.geometry.engines import ray_queries
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
+from tests.kit.axes import unit
 from tests.kit.kernels import kernels
 from tests.kit.mesh_scenes import ball, ball_file, gallery
 from tests.kit.meshes import write_binary_ply
@@ -37,10 +38,10 @@ def village(folder: Path, **keys: Any) -> dict[str, Any]:
     scene["smooth"]["filename"] = plain
     del scene["mirrored"], scene["block"]
     group = {"type": "ply", "filename": plain, "face_normals": True, "to_world": T().scale([1, 0.6, 1])}
-    cube = {"type": "cube", "to_world": T().translate([0, 1, 0]).rotate([1, 0, 1], 20).scale(0.4)}
+    cube = {"type": "cube", "to_world": T().translate([0, 1, 0]).rotate(unit(1, 0, 1), 20).scale(0.4)}
     scene["group"] = {"type": "shapegroup", "ball": group, "cube": cube}
     for i, x in enumerate((-0.4, 0.7)):
-        place = T().translate([x, -0.6, 1.1]).rotate([1, 1, i], 30 + 50 * i).scale(0.25)
+        place = T().translate([x, -0.6, 1.1]).rotate(unit(1, 1, i), 30 + 50 * i).scale(0.25)
         scene[f"i{i}"] = {"type": "instance", "to_world": place, "r": {"type": "ref", "id": "group"}}
     return scene
 
@@ -124,11 +125,11 @@ VALUES: dict[str, tuple[Any, Change]] = {
                         assign("sensor", "to_world", value=T().look_at([2, 1, 4], [0, 0, 0], [0, 1, 0]))),
     "sensor.x_fov": (30.0, assign("sensor", "fov", value=30.0)),
     "ball.to_world": (T().translate([0.5, 0.2, 0.6]).scale(0.3), None),
-    "i0.to_world": (T().translate([0, 0.4, 1]).rotate([0, 1, 2], 80).scale(0.3),
-                    assign("i0", "to_world", value=T().translate([0, 0.4, 1]).rotate([0, 1, 2], 80).scale(0.3))),
-    "i1.to_world": (T().translate([0.9, 0.3, 1]).rotate([2, 1, 2], -20).scale([0.3, -0.4, 0.2]),
+    "i0.to_world": (T().translate([0, 0.4, 1]).rotate(unit(0, 1, 2), 80).scale(0.3),
+                    assign("i0", "to_world", value=T().translate([0, 0.4, 1]).rotate(unit(0, 1, 2), 80).scale(0.3))),
+    "i1.to_world": (T().translate([0.9, 0.3, 1]).rotate(unit(2, 1, 2), -20).scale([0.3, -0.4, 0.2]),
                     assign("i1", "to_world",
-                           value=T().translate([0.9, 0.3, 1]).rotate([2, 1, 2], -20).scale([0.3, -0.4, 0.2]))),
+                           value=T().translate([0.9, 0.3, 1]).rotate(unit(2, 1, 2), -20).scale([0.3, -0.4, 0.2]))),
 }  # fmt: skip
 """Per parameter a value, and what makes a description say the same; None: a new centre and radius."""
 
@@ -150,12 +151,12 @@ def test_values_and_places(folder: Path, rfilter: str) -> None:
     assert new.pop("i0.to_world") <= 1
     assert new.pop("i1.to_world") <= 1
     assert not any(new.values()), new
-    assert watched.edit(**{"i0.to_world": T().translate([0.2, 0.3, 1]).rotate([1, 1, 0], 10).scale(0.2)}) == 0
+    assert watched.edit(**{"i0.to_world": T().translate([0.2, 0.3, 1]).rotate(unit(1, 1, 0), 10).scale(0.2)}) == 0
 
 
 MOVES = {
     "shifted": T().translate([0.3, 0.4, 0.2]),
-    "turned": T().rotate([1, 2, 0], 70),
+    "turned": T().rotate(unit(1, 2, 0), 70),
     "grown": T().scale([1.5, 1.4, 1.7]),
     "away": T().translate([0, 0, -30]),
 }
@@ -197,7 +198,7 @@ def test_vertices_of_a_group(folder: Path) -> None:
 def test_shapes_of_a_group(folder: Path) -> None:
     description = village(folder)
     watched = Watched(description)
-    place = T().translate([0, 1.3, 0]).rotate([1, 0, 1], 50).scale(0.3)
+    place = T().translate([0, 1.3, 0]).rotate(unit(1, 0, 1), 50).scale(0.3)
     corners = np.array(watched.params["group.cube.vertex_positions"], np.float64).reshape(-1, 3)
     motion = place @ description["group"]["cube"]["to_world"].inverse()
     moved = corners @ motion.matrix[:3, :3].T + motion.matrix[:3, 3]
@@ -326,9 +327,9 @@ def test_gradients_after_moves(folder: Path) -> None:
     watched = Watched(description, names)
     motion = T().translate([0.2, 0.1, 0.3])
     assert watched.move("flat", motion) == 0
-    place = T().translate([0, 0.2, 1.3]).rotate([0, 1, 2], 10).scale(0.3)
+    place = T().translate([0, 0.2, 1.3]).rotate(unit(0, 1, 2), 10).scale(0.3)
     assert watched.edit(**{"i0.to_world": place}) <= 2
-    place = T().translate([0, 0.3, 1.3]).rotate([0, 1, 2], 20).scale(0.3)
+    place = T().translate([0, 0.3, 1.3]).rotate(unit(0, 1, 2), 20).scale(0.3)
     assert watched.edit(**{"i0.to_world": place}) == 0
     edited = [np.array(dr.grad(watched.params[name])) for name in names]
     description["flat"]["to_world"] = motion @ description["flat"]["to_world"]

@@ -13,6 +13,7 @@ import djpt
 from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point3f, Vector3f
+from tests.kit.axes import unit
 
 RAYS = 20000
 Array = np.ndarray
@@ -191,8 +192,8 @@ def test_hit_points_lie_on_the_surface(name: str) -> None:
 # ---------------------------------------------------------------- the surface, against Mitsuba
 
 FIELDS = ("t", "p", "n", "uv", "dp_du", "dp_dv", "wi")
-MIRROR = T().translate([0.2, 0.1, 0]).rotate([1, 2, 0], 40).scale([-1, 0.7, 1.4])
-TURNED = T().translate([0.2, 0.1, 0]).rotate([1, 2, 3], 70).scale(0.8)
+MIRROR = T().translate([0.2, 0.1, 0]).rotate(unit(1, 2, 0), 40).scale([-1, 0.7, 1.4])
+TURNED = T().translate([0.2, 0.1, 0]).rotate(unit(1, 2, 3), 70).scale(0.8)
 POSES = {
     "turned": TURNED,
     "mirrored": MIRROR,

@@ -42,7 +42,7 @@ BUILDERS = {
 def test_matrices_are_mitsubas(mi: Any, build: Any) -> None:
     ours, theirs = build(T), build(mi.ScalarTransform4f)
     np.testing.assert_allclose(ours.matrix, np.array(theirs.matrix), atol=1e-6)
-    p = [0.3, -0.7, 1.9]
+    p = np.array([0.3, -0.7, 1.9])
     np.testing.assert_allclose(ours @ p, np.array(theirs @ mi.ScalarPoint3f(p)), atol=2e-6)
     np.testing.assert_allclose(ours.transform_point(p), np.array(theirs @ mi.ScalarPoint3f(p)), atol=2e-6)
     np.testing.assert_allclose(ours.transform_vector(p), np.array(theirs @ mi.ScalarVector3f(p)), atol=2e-6)
@@ -57,13 +57,14 @@ def test_matrices_are_mitsubas(mi: Any, build: Any) -> None:
 
 def test_points_of_every_form() -> None:
     t = T().translate([1, 2, 3]).rotate([0, 0, 1], 90)
-    np.testing.assert_allclose(t @ [1, 0, 0], [1, 3, 3])
+    np.testing.assert_allclose(np.array(t @ [1, 0, 0]), [1, 3, 3])
     np.testing.assert_allclose(t @ np.array([[1, 0, 0], [0, 1, 0]]), [[1, 3, 3], [0, 2, 3]], atol=1e-15)
     moved = t.transform_point(Point3f([1, 0], [0, 1], 0))
     np.testing.assert_allclose(np.array(moved), [[1, 0], [3, 2], [3, 3]], atol=1e-6)
     turned = t.transform_vector(Vector3f(1, 0, 0))
     np.testing.assert_allclose(np.array(turned)[:, 0], [0, 1, 0], atol=1e-6)
-    assert t.transform_affine([0, 0, 0]).tolist() == [1, 2, 3]
+    assert list(t.transform_affine([0, 0, 0])) == [1, 2, 3]
+    assert type(t @ [0, 0, 0]) is djpt.ScalarPoint3f and (t @ (0, 0, 0)).z == 3
 
 
 def test_an_array_that_may_be_a_point_or_a_vector_is_refused() -> None:
@@ -76,7 +77,7 @@ def test_an_array_that_may_be_a_point_or_a_vector_is_refused() -> None:
                     apply(x)
     for t in (T(), T().rotate(UNIT, 30).scale(2), T().scale([1, -1, 1])):
         x = djpt.ScalarVector3f(1, 2, 3)
-        np.testing.assert_allclose(np.array(t @ x), t @ [1, 2, 3], rtol=1e-6)
+        np.testing.assert_allclose(np.array(t @ x), np.array(t @ [1, 2, 3]), rtol=1e-6)
         assert type(t @ x) is type(x)
 
 
@@ -195,4 +196,4 @@ def test_rotations_and_translations_are_rigid(v: list[float], axis: list[float],
     np.testing.assert_allclose(linear @ linear.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(linear) == pytest.approx(1) and not t.has_scale()
     np.testing.assert_allclose((t.inverse() @ t).matrix, np.eye(4), atol=1e-9)
-    np.testing.assert_allclose(t.transform_vector(axis), axis, atol=1e-12)
+    np.testing.assert_allclose(t.transform_vector(np.array(axis)), axis, atol=1e-12)

@@ -17,6 +17,7 @@ import numpy as np
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
+from tests.kit.axes import unit
 from tests.kit.meshes import tetrahedron_file
 from tests.kit.parameter_sets import slow_but_first
 
@@ -87,7 +88,7 @@ SETS: dict[str, dict[str, Entry]] = {
         },
         "cube": {
             "type": "cube",
-            "to_world": T().translate([-2, 3, 2.5]).rotate([1, 2, 3], 50).scale([0.5, 0.3, 0.2]),
+            "to_world": T().translate([-2, 3, 2.5]).rotate(unit(1, 2, 3), 50).scale([0.5, 0.3, 0.2]),
             "emitter": {"type": "area", "radiance": 9.0},
         },
         "mesh": {
@@ -134,7 +135,12 @@ SETS: dict[str, dict[str, Entry]] = {
     },
     "envmap": {
         "sun": {"type": "envmap", "filename": sky_file(12, 24, sun=200)},
-        "turned": {"type": "envmap", "filename": sky_file(7, 5), "to_world": T().rotate([1, 2, 3], 70), "scale": 0.6},
+        "turned": {
+            "type": "envmap",
+            "filename": sky_file(7, 5),
+            "to_world": T().rotate(unit(1, 2, 3), 70),
+            "scale": 0.6,
+        },
         "mirrored": {"type": "envmap", "filename": sky_file(33, 64, sun=50), "to_world": T().scale([-1, 1, 1])},
     },
     "point": {

@@ -12,6 +12,7 @@ import djpt
 from djpt.textures import Texture
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Color3f
+from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 
 __all__ = ["PATH", "ball", "ball_file", "diffuse", "gallery", "sheet_file", "uv_texture"]
@@ -108,7 +109,7 @@ def gallery(
             "type": "ply",
             "filename": smooth,
             "face_normals": True,
-            "to_world": T().translate([0.9, -0.4, 0.3]).rotate([1, 1, 0], 50).scale([0.6, 0.4, 0.5]),
+            "to_world": T().translate([0.9, -0.4, 0.3]).rotate(unit(1, 1, 0), 50).scale([0.6, 0.4, 0.5]),
             "bsdf": diffuse(0.2, 0.6, 0.3),
         },
         "flipped": {

@@ -14,6 +14,7 @@ import pytest
 from djpt.description import registry
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
+from tests.kit.axes import unit
 from tests.kit.meshes import tetrahedron_file
 
 __all__ = ["EXAMPLES", "SHEARED", "examples"]
@@ -23,7 +24,7 @@ BLOB = np.linalg.norm(np.indices((8, 8, 8)) - 3.4, axis=0)[..., None] - 2.5
 EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "rectangle": [{"to_world": T().translate([0.3, 0, 1.5]).rotate([1, 0, 0], 170)},
                   {"to_world": SHEARED, "flip_normals": True}],
-    "cube": [{"to_world": T().translate([0.3, 0, 2.5]).rotate([1, 2, 3], 50).scale([1, 0.5, 0.3])},
+    "cube": [{"to_world": T().translate([0.3, 0, 2.5]).rotate(unit(1, 2, 3), 50).scale([1, 0.5, 0.3])},
              {"to_world": SHEARED}],
     "sphere": [{"center": [0.5, 0.2, 2.0]}, {"radius": 3.0, "flip_normals": True}, {"center": [0, 1, 1.2]},
                {"center": [1, 2, 300.0], "radius": 2.0}],

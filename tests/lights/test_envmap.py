@@ -17,12 +17,13 @@ from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Point2f, Point3f, TensorXf, Vector3f
 from djpt.validation import agreement
+from tests.kit.axes import unit
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.kernels import Watched
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import ours, pixels, theirs
 
-TURNED = T().rotate([1, 2, 3], 70)
+TURNED = T().rotate(unit(1, 2, 3), 70)
 
 
 def texels(rows: int, columns: int, kind: str = "plain") -> np.ndarray:

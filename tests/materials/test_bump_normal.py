@@ -18,6 +18,7 @@ from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Bool, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
 from tests.kit.arrays import floats
+from tests.kit.axes import unit
 from tests.kit.renders import ours, theirs
 
 COUNT = 4000
@@ -157,7 +158,7 @@ def scene(map_: str, nested: str) -> dict[str, Any]:
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 4},
         "sensor": {"type": "perspective", "fov": 40, "to_world": camera, "film": film},
-        "floor": {"type": "rectangle", "to_world": T().rotate([1, 2, 0.5], 25), "bsdf": bsdf},
+        "floor": {"type": "rectangle", "to_world": T().rotate(unit(1, 2, 0.5), 25), "bsdf": bsdf},
         "ball": {"type": "sphere", "radius": 0.5, "center": [0, 0, 0.9], "bsdf": described(map_, nested)},
         "lamp": {
             "type": "rectangle", "to_world": T().translate([0, 0, 4]).rotate([1, 0, 0], 180),

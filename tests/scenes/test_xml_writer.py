@@ -15,6 +15,7 @@ import djpt
 from djpt.scenes import SCENES
 from djpt.transforms import ScalarTransform4f as T
 from djpt.xml import dict_to_xml, read_file, read_string
+from tests.kit.axes import unit
 
 
 def plain(value: Any) -> Any:
@@ -56,7 +57,7 @@ def entries() -> dict[str, Any]:
         "empty": "",
         "p": [0.1, 2.0, -3.5],
         "n": np.float32(0.1),
-        "m": T().rotate([1, 2, 3], 40).translate([1, 2, 3]).scale([1, 2, 3]),
+        "m": T().rotate(unit(1, 2, 3), 40).translate([1, 2, 3]).scale([1, 2, 3]),
         "identity": T(),
         "scaled": T().scale([1, -2, 3]),
         "moved": T().translate([0, 1 / 3, 0]),

@@ -16,6 +16,7 @@ import djpt
 from djpt.schedules import passes
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
+from tests.kit.axes import unit
 from tests.kit.kernels import Watched
 from tests.kit.renders import box, lights, ours, pixels, spheres
 
@@ -239,7 +240,7 @@ def test_moved_in_place_or_from_the_start(name: str) -> None:
 
 
 ENDS_ALIGNMENT = {
-    "box tumbled": ("small-box", T().rotate([1, 2, 3], 40), T().rotate([3, 1, 2], 10)),
+    "box tumbled": ("small-box", T().rotate(unit(1, 2, 3), 40), T().rotate(unit(3, 1, 2), 10)),
     "box sheared": ("small-box", T().scale([0.7, 1.2, 0.9]), T().scale([0.9, 1.2, 0.7])),
     "wall turned": ("back", T().rotate([0, 1, 0], 3), T().rotate([0, 1, 0], 2)),
 }

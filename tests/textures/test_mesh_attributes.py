@@ -12,6 +12,7 @@ import djpt
 from djpt.errors import SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float
+from tests.kit.axes import unit
 from tests.kit.mesh_scenes import ball
 from tests.kit.renders import ours, theirs
 from tests.kit.textured_room import close, room
@@ -52,7 +53,7 @@ def test_attributes_of_meshes_are_mitsubas(painted: str, texture: dict[str, Any]
 
 @pytest.mark.parametrize("texture", [COLOR, HEAT], ids=["vertex", "face"])
 def test_instances_show_the_attributes_of_their_mesh(painted: str, texture: dict[str, Any]) -> None:
-    place = T().translate([0.2, 0, 1]).rotate([1, 2, 3], 40).scale([0.6, 0.4, 0.5])
+    place = T().translate([0.2, 0, 1]).rotate(unit(1, 2, 3), 40).scale([0.6, 0.4, 0.5])
     bsdf = {"type": "diffuse", "reflectance": texture}
     mesh = {"type": "ply", "filename": painted, "bsdf": bsdf}
     direct = room(0.5, mesh={**mesh, "to_world": place})
