@@ -50,6 +50,7 @@ __all__ = [
     "UInt64",
     "Vector2f",
     "Vector3f",
+    "backend",
     "converting",
 ]
 

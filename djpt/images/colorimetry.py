@@ -7,7 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LONGEST", "SHORTEST", "XYZ_TO_RGB", "black_body_xyz", "spectrum_to_rgb", "spectrum_to_xyz"]
+__all__ = [
+    "DAYLIGHT",
+    "LONGEST",
+    "MATCHING",
+    "SHORTEST",
+    "XYZ_TO_RGB",
+    "black_body_xyz",
+    "spectrum_to_rgb",
+    "spectrum_to_xyz",
+]
 
 SHORTEST, LONGEST = 360.0, 830.0
 """The visible range in nm, in which spectra are integrated."""
@@ -45,11 +54,10 @@ def spectrum_to_xyz(wavelengths: Sequence[float], values: Sequence[float], under
             what emits.
     """
     grid = np.linspace(SHORTEST, LONGEST, _STEPS)
-    table = np.array([float(number) for number in _TABLE.split()]).reshape(-1, 5).T
-    matching = np.stack([np.interp(grid, table[0], table[row]) for row in (1, 2, 3)])
+    matching = np.stack([np.interp(grid, WAVELENGTHS, row) for row in MATCHING])
     spectrum = np.interp(grid, wavelengths, values, left=0, right=0)
     if under_d65:
-        spectrum = spectrum * np.interp(grid, table[0], table[4]) * _D65_SCALE
+        spectrum = spectrum * np.interp(grid, WAVELENGTHS, DAYLIGHT) * _D65_SCALE
     xyz: NDArray[np.float64] = (matching * spectrum).sum(axis=1) / matching[1].sum()
     return xyz
 
@@ -168,3 +176,7 @@ _TABLE = """
 
 Source: CIE 015 and CIE S 014-2, every 5 nm.
 """
+
+WAVELENGTHS, *_MATCHING, DAYLIGHT = np.array([float(number) for number in _TABLE.split()]).reshape(-1, 5).T
+MATCHING = np.stack(_MATCHING)
+"""The functions x, y and z of the standard observer, (3, n), at n equidistant wavelengths of the visible range."""

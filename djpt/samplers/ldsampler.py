@@ -61,14 +61,14 @@ class LDSampler(PointSets):
         return LDStream(samples.key, UInt32(0), samples.k, UInt32(index.spp))
 
 
-def permute(index: UInt32, count: UInt32, seed: UInt32) -> UInt32:
+def permute(index: UInt32, count: UInt32, seed: UInt32, rounds: int = 2) -> UInt32:
     """The image of `index` under the permutation number `seed` of [0, count), a power of two; Mitsuba's `permute`.
 
-    A network of log2(count) layers of random swaps.
+    A network of log2(count) layers of random swaps, each decided by `rounds` rounds of `sample_tea_32`.
     """
 
     def swap(bit: UInt32, index: UInt32) -> tuple[UInt32, UInt32]:
-        random, _ = sample_tea_32(index | bit, seed, 2)
+        random, _ = sample_tea_32(index | bit, seed, rounds)
         return bit << 1, index ^ (random & bit)
 
     # Lane-wide from the start, as loops ask for.
