@@ -23,11 +23,11 @@ LEAST_FREQUENCY = 5
 
 
 class Rectangle:
-    """An axis-aligned rectangle, (2,) float64 each: a bounding box of coordinates."""
+    """A bounding box of coordinates."""
 
     def __init__(self, min: Any, max: Any) -> None:
-        self.min = np.broadcast_to(np.asarray(min, np.float64), (2,))
-        self.max = np.broadcast_to(np.asarray(max, np.float64), (2,))
+        self.min = dr.scalar.Array2f64(min)
+        self.max = dr.scalar.Array2f64(max)
 
     def extents(self) -> Any:
         """The width and the height."""
@@ -166,7 +166,7 @@ class ChiSquareTest:
         self.sample_dim = sample_dim
         self.sample_count = sample_count
         aspect = domain.aspect()
-        self.res = (res, 1) if aspect is None else (max(int(res / aspect), 1), res)
+        self.res = dr.scalar.Array2u(*((res, 1) if aspect is None else (max(int(res / aspect), 1), res)))
         self.ires = ires
         self.seed = seed
         self.bounds = domain.bounds()
@@ -183,8 +183,8 @@ class ChiSquareTest:
         found = self.sample_func(self._uniform())
         values, weights = found if isinstance(found, tuple) else (found, Float(1))
         place = self.domain.map_backward(values)
-        low, extents = (np.asarray(v, np.float64) for v in (self.bounds.min, self.bounds.extents()))
-        shares = [(x - float(a)) / float(b) for x, a, b in zip(place, low, extents, strict=True)]
+        low, extents = self._range()
+        shares = [(x - a) / b for x, a, b in zip(place, low, extents, strict=True)]
         if not dr.all(inside(shares[0]) & inside(shares[1])):
             self._reject("samples lie outside of the domain")
         column, row = (UInt32(dr.clip(s * n, 0, n - 1)) for s, n in zip(shares, self.res, strict=True))
@@ -192,6 +192,10 @@ class ChiSquareTest:
         dr.scatter_add(self.histogram, Float(weights), row * self.res[0] + column)
         self.histogram_sum = float(np.sum(self.histogram.numpy(), dtype=np.float64)) / self.sample_count
         self._check("histogram", self.histogram, self.histogram_sum)
+
+    def _range(self) -> tuple[list[float], list[float]]:
+        """The first coordinates, and the extents."""
+        return [float(x) for x in self.bounds.min], [float(x) for x in self.bounds.extents()]
 
     def _uniform(self) -> Any:
         """The uniform numbers, a vector of `sample_dim` components."""
@@ -208,16 +212,16 @@ class ChiSquareTest:
         points = self.ires**2
         index = dr.arange(UInt32, self.res[0] * self.res[1] * points)
         cell, point = index // points, index % points
-        low, extents = (np.asarray(v, np.float64) for v in (self.bounds.min, self.bounds.extents()))
-        size = extents / self.res
-        spacing = size / (self.ires - 1)
-        coordinates, weight = [], Float(float(np.prod(spacing)) * self.sample_count)
+        low, extents = self._range()
+        size = [extent / n for extent, n in zip(extents, self.res, strict=True)]
+        spacing = [width / (self.ires - 1) for width in size]
+        coordinates, weight = [], Float(spacing[0] * spacing[1] * self.sample_count)
         for axis in range(2):
             k = point % self.ires if axis == 0 else point // self.ires
             number = cell % self.res[0] if axis == 0 else cell // self.res[0]
             # Just inside of the cell, so that a density that ends at its edge ends there.
-            along = (Float(k) + 1e-4) * (1 - 2e-4) * float(spacing[axis])
-            coordinates.append(float(low[axis]) + Float(number) * float(size[axis]) + along)
+            along = (Float(k) + 1e-4) * (1 - 2e-4) * spacing[axis]
+            coordinates.append(low[axis] + Float(number) * size[axis] + along)
             weight = weight * dr.select((k == 0) | (k == self.ires - 1), Float(0.5), 1)
         density = self.pdf_func(self.domain.map_forward(Point2f(*coordinates)))
         self.pdf = dr.block_sum(Float(density) * weight, points)

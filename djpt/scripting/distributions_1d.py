@@ -11,6 +11,7 @@ import drjit as dr
 
 from djpt.errors import ArgumentError
 from djpt.scripting.forms import forms
+from djpt.scripting.mathematics import first_without
 from djpt.types import Bool, Float, UInt32, converting
 
 __all__ = ["ContinuousDistribution", "DiscreteDistribution", "IrregularContinuousDistribution"]
@@ -23,7 +24,7 @@ def search(cdf: Float, total: Float, wanted: Float, active: Bool | bool) -> UInt
         value = dr.gather(Float, cdf, index, active)
         return ((value < wanted) | (value == 0)) & (value != total)
 
-    return dr.binary_search(UInt32(0), UInt32(len(cdf) - 1), before)
+    return first_without(0, len(cdf) - 1, before)
 
 
 def previous(cdf: Float, index: UInt32, active: Bool | bool) -> Float:
@@ -359,9 +360,7 @@ class IrregularContinuousDistribution(Interpolant):
         return float(dr.min(self._widths())[0])
 
     def _place(self, x: Float, active: Bool | bool) -> UInt32:
-        found = dr.binary_search(
-            UInt32(0), UInt32(len(self._nodes)), lambda i: dr.gather(Float, self._nodes, i, active) < x
-        )
+        found = first_without(0, len(self._nodes), lambda i: dr.gather(Float, self._nodes, i, active) < x)
         return dr.clip(found, 1, len(self._nodes) - 1) - 1
 
     def _node(self, index: UInt32, active: Bool | bool = True) -> Float:

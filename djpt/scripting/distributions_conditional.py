@@ -15,6 +15,7 @@ import drjit as dr
 from djpt.errors import ArgumentError
 from djpt.scripting.distributions_1d import invert_line
 from djpt.scripting.forms import forms
+from djpt.scripting.mathematics import first_without
 from djpt.types import Bool, Float, TensorXf, UInt32
 
 __all__ = ["ConditionalIrregular1D", "ConditionalRegular1D"]
@@ -189,7 +190,7 @@ class Conditional:
         def sum_to(index: UInt32, active: Bool | bool) -> Float:
             return self._mean(self._cdf, corners, count - 1, index, active)
 
-        index = dr.binary_search(UInt32(0), UInt32(count - 2), lambda i: sum_to(i, active) < wanted)
+        index = first_without(0, count - 2, lambda i: sum_to(i, active) < wanted)
         x0 = self._node(index, active)
         width = self._node(index + 1, active) - x0
         y0, y1 = (self._mean(self._pdf.array, corners, count, index + k, active) for k in (0, 1))
@@ -251,7 +252,7 @@ class ConditionalIrregular1D(Conditional):
 
     def _search(self, nodes: Float, x: Float, active: Bool | bool) -> tuple[UInt32, Bool]:
         last = len(nodes) - 1
-        found = dr.binary_search(UInt32(0), UInt32(last + 1), lambda i: dr.gather(Float, nodes, i, active) < x)
+        found = first_without(0, last + 1, lambda i: dr.gather(Float, nodes, i, active) < x)
         inside = (x >= dr.gather(Float, nodes, UInt32(0))) & (x <= dr.gather(Float, nodes, UInt32(last)))
         return dr.clip(found, 1, last) - 1, inside
 

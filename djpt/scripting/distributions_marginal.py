@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.scripting.distributions_2d import Interpolated2D, Numbers, Slices, table_of
+from djpt.scripting.mathematics import first_without
 from djpt.types import Bool, Float, Point2f, UInt32, converting
 from djpt.warp import bilinear_to_square, square_to_bilinear
 
@@ -58,7 +59,7 @@ class Marginal2D(Interpolated2D):
 
     def _choose(self, sums: Sums, count: int, wanted: Float, active: Bool | bool) -> tuple[UInt32, Float, Float]:
         """The first entry of running sums that isn't below `wanted`; the sum before it, and itself."""
-        index = dr.binary_search(UInt32(0), UInt32(count - 1), lambda i: sums(i, active) < wanted)
+        index = first_without(0, count - 1, lambda i: sums(i, active) < wanted)
         return index, sums(index - 1, (index > 0) & active), sums(index, active)
 
 

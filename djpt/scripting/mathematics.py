@@ -116,7 +116,12 @@ def solve_quadratic(a: Float, b: Float, c: Float) -> tuple[Bool, Float, Float]:
 
 def find_interval(size: int, pred: Callable[[UInt32], Bool]) -> UInt32:
     """The last index i in [0, size - 2] with `pred(i)`, or 0, if `pred` is first true and then false."""
-    return dr.binary_search(UInt32(1), UInt32(size - 1), pred) - 1
+    return first_without(1, size - 1, pred) - 1
+
+
+def first_without(start: int, end: int, pred: Callable[[UInt32], Bool]) -> UInt32:
+    """The first index from `start` on without `pred(i)`, or `end`; `pred` is first true and then false."""
+    return UInt32(dr.binary_search(start, end, lambda i: pred(UInt32(i))))
 
 
 # ---- integers --------------------------------------------------------------------------------
@@ -198,13 +203,15 @@ def gathered(x: UInt32, gap: int) -> UInt32:
 
 
 def linear_to_srgb(arg: Any, /) -> Any:
-    """The encoding of sRGB: of a number, of three numbers (a `drjit.scalar.Array3f`) or of an array."""
-    return dr.linear_to_srgb(plain(arg))
+    """The encoding of sRGB, not clipped: of a number, of three numbers (a `drjit.scalar.Array3f`) or of an array."""
+    x = plain(arg)
+    return dr.select(x <= 0.0031308, 12.92 * x, 1.055 * dr.power(dr.maximum(x, 0.0031308), 1 / 2.4) - 0.055)
 
 
 def srgb_to_linear(arg: Any, /) -> Any:
     """The inverse of `linear_to_srgb`."""
-    return dr.srgb_to_linear(plain(arg))
+    x = plain(arg)
+    return dr.select(x <= 0.04045, x / 12.92, dr.power((dr.maximum(x, 0.04045) + 0.055) / 1.055, 2.4))
 
 
 def plain(value: Any) -> Any:

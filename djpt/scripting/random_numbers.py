@@ -73,7 +73,10 @@ def permute(value: UInt32, size: int, seed: UInt32, rounds: int = 4) -> UInt32:
     """
     if size < 1 or size & (size - 1):
         raise ArgumentError(f"permute(): 'size' must be a power of two, found {size}")
-    return ldsampler.permute(value, UInt32(size), seed, rounds)
+    # Not `ldsampler.permute`, which is a loop: the size is known here.
+    for layer in range(size.bit_length() - 1):
+        value = ldsampler.swap(1 << layer, value, seed, rounds)
+    return value
 
 
 @converting

@@ -141,14 +141,14 @@ def eval_1d(*, min: Any = 0, max: Any = 1, nodes: Any = None, values: Any, x: An
 
 
 @forms("min max values", "nodes values")
-def integrate_1d(*, min: Any = 0, max: Any = 1, nodes: Any = None, values: Any) -> Float:
-    """The integrals of the spline from the first node to each node."""
+def integrate_1d(*, min: Any = 0, max: Any = 1, nodes: Any = None, values: Any) -> Any:
+    """The integrals of the spline from the first node to each node, numbers on the host: a `drjit.scalar.ArrayXf`."""
     values = Float(values)
     grid = Grid(min, max, nodes, len(values))
     segment = Segment(grid, values, dr.arange(UInt32, grid.count - 1))
     f0, f1, d0, d1 = segment.cubic
     areas = ((d0 - d1) / 12 + (f0 + f1) / 2) * segment.width
-    return dr.concat((Float(0), dr.cumsum(areas)))
+    return dr.scalar.ArrayXf([0.0, *dr.cumsum(areas).numpy().tolist()])
 
 
 @forms("min max_ values y | eps", "nodes values y | eps")
