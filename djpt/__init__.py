@@ -78,11 +78,6 @@ if TYPE_CHECKING:
     from djpt.integrators import Integrator as Integrator
     from djpt.integrators.moment import variance as variance
     from djpt.materials import BSDF as BSDF
-    from djpt.materials.fresnel import fresnel as fresnel
-    from djpt.materials.fresnel import fresnel_conductor as fresnel_conductor
-    from djpt.materials.fresnel import fresnel_diffuse_reflectance as fresnel_diffuse_reflectance
-    from djpt.materials.fresnel import reflect as reflect
-    from djpt.materials.fresnel import refract as refract
     from djpt.parameters import SceneParameters as SceneParameters
     from djpt.parameters import traverse as traverse
     from djpt.records import BSDFContext as BSDFContext
@@ -153,7 +148,6 @@ _EXPORTS = {
     "djpt.integrators": "Integrator",
     "djpt.integrators.moment": "variance",
     "djpt.materials": "BSDF",
-    "djpt.materials.fresnel": "fresnel fresnel_conductor fresnel_diffuse_reflectance reflect refract",
     "djpt.parameters": "SceneParameters traverse",
     "djpt.records": (
         "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags PositionSample3f "

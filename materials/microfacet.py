@@ -143,10 +143,15 @@ class MicrofacetDistribution:
         sin_phi = dr.select(tilted, stretched.y * inv_sin, 0)
         # Directions below the horizon must give numbers, too, even if they mean nothing.
         cos = dr.select(stretched.z > 1e-7, stretched.z, 1e-7)
-        sample_11 = _visible_beckmann if self.distribution == "beckmann" else _visible_ggx
-        n = sample_11(cos, sample)
+        n = self.sample_11(cos, sample)
         x, y = dr.fma(cos_phi, n.x, -sin_phi * n.y), dr.fma(sin_phi, n.x, cos_phi * n.y)
         return dr.normalize(Normal3f(self.alpha_u * x, self.alpha_v * y, n.z))
+
+    def sample_11(self, cos: Float, sample: Point2f) -> Vector3f:
+        """A normal of roughness 1 visible from the direction (sin, 0, cos), of any length."""
+        if self.distribution == "beckmann":
+            return _visible_beckmann(cos, sample)
+        return _visible_ggx(cos, sample)
 
     def _sample_all(self, sample: Point2f) -> Normal3f:
         """A normal of all, seen or not: the length of its slope by inversion, scaled by the roughnesses."""

@@ -8,7 +8,16 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LONGEST", "SHORTEST", "XYZ_TO_RGB", "black_body_xyz", "spectrum_to_rgb", "spectrum_to_xyz"]
+__all__ = [
+    "DAYLIGHT",
+    "LONGEST",
+    "MATCHING",
+    "SHORTEST",
+    "XYZ_TO_RGB",
+    "black_body_xyz",
+    "spectrum_to_rgb",
+    "spectrum_to_xyz",
+]
 
 SHORTEST, LONGEST = 360.0, 830.0
 """The visible range in nm, in which spectra are integrated."""
@@ -57,9 +66,8 @@ def spectrum_to_xyz(wavelengths: Sequence[float], values: Sequence[float], under
 def _observer() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """The wavelengths of sums, (N,), with the three matching functions, (3, N), and D65, (N,)."""
     grid = np.linspace(SHORTEST, LONGEST, _STEPS)
-    table = np.array([float(number) for number in _TABLE.split()]).reshape(-1, 5).T
-    matching = np.stack([np.interp(grid, table[0], table[row]) for row in (1, 2, 3)])
-    return grid, matching, np.interp(grid, table[0], table[4])
+    matching = np.stack([np.interp(grid, WAVELENGTHS, row) for row in MATCHING])
+    return grid, matching, np.interp(grid, WAVELENGTHS, DAYLIGHT)
 
 
 def black_body_xyz(kelvin: float) -> NDArray[np.float64]:
@@ -176,3 +184,7 @@ _TABLE = """
 
 Source: CIE 015 and CIE S 014-2, every 5 nm.
 """
+
+WAVELENGTHS, *_MATCHING, DAYLIGHT = np.array([float(number) for number in _TABLE.split()]).reshape(-1, 5).T
+MATCHING = np.stack(_MATCHING)
+"""The functions x, y and z of the standard observer, (3, n), at n equidistant wavelengths of the visible range."""

@@ -67,17 +67,22 @@ class LDSampler(PointSets):
 def permute(index: UInt32, count: UInt32, seed: UInt32) -> UInt32:
     """The image of `index` under the permutation number `seed` of [0, count), a power of two; Mitsuba's `permute`.
 
-    A network of log2(count) layers of random swaps.
+    A network of log2(count) layers of random swaps, each decided by two rounds of `sample_tea_32`.
     """
 
-    def swap(bit: UInt32, index: UInt32) -> tuple[UInt32, UInt32]:
-        random, _ = sample_tea_32(index | bit, seed, 2)
-        return bit << 1, index ^ (random & bit)
+    def layer(bit: UInt32, index: UInt32) -> tuple[UInt32, UInt32]:
+        return bit << 1, swap(bit, index, seed, 2)
 
     # Lane-wide from the start, as loops ask for.
     bit = UInt32(1) | (index & 0) | (seed & 0)
-    _, index = dr.while_loop((bit, index | (bit & 0)), lambda bit, index: bit < count, swap, label="shuffle")
+    _, index = dr.while_loop((bit, index | (bit & 0)), lambda bit, index: bit < count, layer, label="shuffle")
     return index
+
+
+def swap(bit: UInt32 | int, index: UInt32, seed: UInt32, rounds: int) -> UInt32:
+    """Exchange indices that differ in one bit, or don't: the same decision for each such pair."""
+    random, _ = sample_tea_32(index | bit, seed, rounds)
+    return index ^ (random & bit)
 
 
 def radical_inverse(index: UInt32, scramble: UInt32) -> Float:

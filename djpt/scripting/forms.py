@@ -1,0 +1,46 @@
+"""Functions that are called with one of several lists of arguments."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from djpt.errors import ArgumentError
+
+__all__ = ["forms"]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def forms(*lists: str) -> Callable[[Function], Function]:
+    """Let a function or method that takes keywords be called by position in each of these forms.
+
+    A form is a list of parameters, "nodes values x"; those after a bar may be left out, "nodes values | eps". The form
+    that is meant is the first one that has room for the arguments and all keywords of the call.
+
+    Raises:
+        ArgumentError: by the function, if no form fits.
+    """
+    known = [tuple(part.split() for part in f"{text}|".split("|")[:2]) for text in lists]
+
+    def decorate(function: Function) -> Function:
+        method = function.__code__.co_varnames[:1] == ("self",)
+
+        @functools.wraps(function)
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            bound, given = arguments[: int(method)], arguments[int(method) :]
+            for needed, optional in known:
+                names = [*needed, *optional]
+                by_name = dict(zip(names, given, strict=False))
+                if len(given) > len(names) or by_name.keys() & keywords.keys():
+                    continue
+                every = by_name | keywords
+                if set(needed) <= every.keys() <= set(names):
+                    return function(*bound, **every)
+            calls = " or ".join(f"({', '.join(needed + optional)})" for needed, optional in known)
+            raise ArgumentError(f"{function.__qualname__}() takes {calls}; found {len(given)} arguments {[*keywords]}")
+
+        return call  # type: ignore[return-value]
+
+    return decorate
