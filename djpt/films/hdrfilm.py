@@ -98,7 +98,7 @@ class HDRFilm(Plugin):
         """The number of pixels per axis that one sample can reach."""
         if not self.filters:
             return 1
-        reach = self.rfilter.extent - 0.5
+        reach = self.rfilter.reach - 0.5
         return 2 * max(0, -int(-reach // 1)) + 1
 
     def channel_names(self) -> tuple[str, ...]:
