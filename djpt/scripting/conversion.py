@@ -24,12 +24,17 @@ class StructConverter:
         source: What is given.
         target: What is wanted.
         dither: Must be False, unlike Mitsuba's: whole numbers are rounded to nearest.
+
+    Raises:
+        SceneError: names occur twice, flags don't fit the types, or `dither`.
     """
 
     def __init__(self, source: Struct, target: Struct, dither: bool = False) -> None:
         if dither:
             raise SceneError("records are converted without dithering, so that equal images give equal bytes")
         self._source, self._target = Struct(source), Struct(target)
+        self._source.validate()
+        self._target.validate()
 
     def source(self) -> Struct:
         """What is given."""
