@@ -82,7 +82,7 @@ class EnvironmentMap(OrientedEmitter):
         self.mis_compensation = props.boolean("mis_compensation", False)
         self.scale: Any = Float(props.float("scale", 1.0, low=0.0))
         # In kernels a `djpt.dispatch.tables.Table` stands in its place.
-        self.data: Any = with_halo(load_texels(props, raw=False, half=False))
+        self.data: Any = with_halo(load_texels(props, raw=False))
         self.distribution = Hierarchical2D()
         if self.mis_compensation:
             self.ray_distribution = Hierarchical2D()

@@ -65,6 +65,8 @@ def write_layers(
     header = {**attributes, "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if quality > 0:
         header |= {"compression": OpenEXR.DWAB_COMPRESSION, "dwaCompressionLevel": float(quality)}
+    if tuple(names[:3]) == ("X", "Y", "Z"):
+        header["chromaticities"] = OF_XYZ
     planes = {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
     OpenEXR.File(header, planes).write(str(path))
 

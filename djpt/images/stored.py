@@ -206,6 +206,8 @@ def encode(path: Path, image: Stored, suffix: str, quality: int) -> None:
 
 def exr_attribute(value: Any) -> Any:
     """A value of metadata as the library takes it: numbers with a fraction in double precision, arrays in single."""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, float):
         return np.array([value])
     return np.asarray(value, np.float32) if isinstance(value, np.ndarray) else value

@@ -12,10 +12,6 @@ from djpt.types import Bool, Float
 __all__ = ["ReconstructionFilter", "tap_centers"]
 
 
-EDGE = 2.0**-10
-"""The part of a pixel that a kernel may reach into without counting it."""
-
-
 class ReconstructionFilter(Plugin):
     """A separable, symmetric kernel w(x, y) = eval(x) eval(y) that spreads samples over pixels.
 
@@ -26,20 +22,20 @@ class ReconstructionFilter(Plugin):
 
     kind: ClassVar[str] = "rfilter"
 
-    extent: float
+    reach: float
     """The distance, in pixels, beyond which `eval` is 0."""
 
     def radius(self) -> float:
         """The distance, in pixels, beyond which `eval` is 0."""
-        return self.extent
+        return self.reach
 
     def border_size(self) -> int:
-        """The number of pixels beyond its own, to one side, that a sample can reach."""
-        return max(0, math.ceil(self.extent - 0.5 - EDGE))
+        """The number of pixels, along an axis and to one side, that a sample reaches besides its own."""
+        return max(0, math.ceil(self.reach - 0.5))
 
     def is_box_filter(self) -> bool:
-        """Whether a sample counts for its own pixel only."""
-        return self.extent == 0.5
+        """Whether the filter is as wide as a pixel, as only the box is."""
+        return self.reach == 0.5
 
     def eval(self, x: Float, active: Bool | bool = True) -> Float:
         """The kernel at distance `x`, which may be negative: by `formula`, unless a filter has none."""
@@ -47,7 +43,7 @@ class ReconstructionFilter(Plugin):
         return result
 
     def eval_discretized(self, x: Float, active: Bool | bool = True) -> Float:
-        """`eval`: there are no tables of filters."""
+        """The same as `eval`: kernels are exact here, where Mitsuba reads a table."""
         return self.eval(x, active)
 
     def formula(self, m: Arithmetic, x: Any) -> Any:

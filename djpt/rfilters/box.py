@@ -18,13 +18,13 @@ class Box(ReconstructionFilter):
     Films treat it specially (no sample reaches a neighbour), so it is also the fastest.
     """
 
-    extent = 0.5
+    reach = 0.5
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
 
     def eval(self, x: Float, active: Bool | bool = True) -> Float:
-        return dr.select(dr.abs(x) <= 0.5, Float(1), 0)
+        return dr.select((x >= -0.5) & (x < 0.5), Float(1), 0)
 
 
 register_rfilter("box", Box)

@@ -21,7 +21,7 @@ class Mitchell(ReconstructionFilter):
     Parameters: `B` (default 1/3), `C` (default 1/3). Has negative lobes, so pixels may overshoot.
     """
 
-    extent = 2.0
+    reach = 2.0
     statics = ("b", "c")
 
     def __init__(self, props: Properties) -> None:

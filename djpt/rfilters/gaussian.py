@@ -44,7 +44,7 @@ class Gaussian(ReconstructionFilter):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.stddev = props.float("stddev", 0.5, low=0.0, low_open=True, high=4.0)
-        self.extent = 4 * self.stddev
+        self.reach = 4 * self.stddev
 
     def formula(self, m: Arithmetic, x: Any) -> Any:
         y = x * x

@@ -20,19 +20,19 @@ class Lanczos(ReconstructionFilter):
     Parameters: `lobes` (default 3).
     """
 
-    statics = ("extent",)
+    statics = ("reach",)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.extent = float(props.integer("lobes", 3, low=1, high=16))
+        self.reach = float(props.integer("lobes", 3, low=1, high=16))
 
     def eval(self, x: Float, active: Bool | bool = True) -> Float:
         x = dr.abs(x)
         a = math.pi * x
-        b = a * (1 / self.extent)
+        b = a * (1 / self.reach)
         value = dr.sin(a) * dr.sin(b) * dr.rcp(a * b)
         # At the centre the quotient is 0/0 and its limit 1.
-        return dr.select(x < 1e-4, Float(1), dr.select(x < self.extent, value, 0))
+        return dr.select(x < 1e-4, Float(1), dr.select(x < self.reach, value, 0))
 
 
 register_rfilter("lanczos", Lanczos)

@@ -18,14 +18,14 @@ class Tent(ReconstructionFilter):
     Parameters: `radius` (pixels, default 1).
     """
 
-    statics = ("extent",)
+    statics = ("reach",)
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.extent = props.float("radius", 1.0, low=0.0, low_open=True, high=16.0)
+        self.reach = props.float("radius", 1.0, low=0.0, low_open=True, high=16.0)
 
     def formula(self, m: Arithmetic, x: Any) -> Any:
-        w = 1 - m.abs(x) * (1 / self.extent)
+        w = 1 - m.abs(x) * (1 / self.reach)
         return m.select(w > 0, w, 0)
 
 

@@ -18,6 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
+import djpt
 from djpt.errors import DjptError, SceneError
 from djpt.images.formats import encode_png
 from djpt.images.resampling import lanczos, resampled, taps_between
@@ -221,7 +222,9 @@ class Bitmap(BitmapData):
         quality: int = -1,
         stream: IO[bytes] | None = None,
     ) -> None:
-        """Write a file or to a binary stream; numbers aren't converted, so the format must hold their type.
+        """Write to a file or a binary stream; numbers aren't converted, so the format must hold their type.
+
+        exr and png also get the metadata, and in `generatedBy` the version of djpt.
 
         Args:
             path: Of the file, which appears whole or not at all; or a stream.
@@ -235,15 +238,16 @@ class Bitmap(BitmapData):
         """
         place = path if stream is None else stream
         names = tuple(field.name for field in self._struct)
-        image = Stored(self._pixels, names, self._metadata.numbers(), self._srgb, self._premultiplied)
+        metadata = {"generatedBy": f"djpt {djpt.__version__}", **self._metadata.numbers()}
+        image = Stored(self._pixels, names, metadata, self._srgb, self._premultiplied)
         if isinstance(place, (str, os.PathLike)):
             save_stored(Path(place), image, format.suffix, quality)
+        elif place is None:
+            raise SceneError("'write' needs a path or a stream")
         elif format.suffix is None:
             raise SceneError("a stream has no extension: give the 'format', such as Bitmap.FileFormat.PNG")
-        elif place is not None:
-            stored_to_stream(place, image, format.suffix, quality)
         else:
-            raise SceneError("'write' needs a path or a stream")
+            stored_to_stream(place, image, format.suffix, quality)
 
     def write_async(
         self, path: str | os.PathLike[str], format: FileFormat = FileFormat.Auto, quality: int = -1

@@ -83,9 +83,10 @@ class BitmapData(BitmapKinds):
         names = image.names or CHANNELS[pixel_format_of(image.pixels.shape[2])]
         kind = next((kind for kind, usual in CHANNELS.items() if usual == names), PixelFormat.MultiChannel)
         self._fill(np.ascontiguousarray(image.pixels), kind, names, image.srgb, image.premultiplied)
-        if kind is PixelFormat.MultiChannel:
+        if image.names is not None:  # whole numbers of an exr are numbers, and any layer may have alpha
             for field in self._struct:
-                field.flags = Flags.Alpha if field.name.rpartition(".")[2] in "Aa" else Flags.PremultipliedAlpha
+                alpha = field.name.rpartition(".")[2] in ("A", "a")
+                field.flags = Flags.Alpha if alpha else Flags.PremultipliedAlpha
         self._metadata = Metadata(image.metadata)
 
     def _take(self, array: Any, pixel_format: PixelFormat | None = None, channel_names: Sequence[str] = ()) -> None:

@@ -22,8 +22,8 @@ OF_RGB = {
 OF_XYZ = {name: dict(zip("XYZ", row, strict=True)) for name, row in zip("RGB", XYZ_TO_RGB.tolist(), strict=True)}
 """Linear sRGB as sums of X, Y and Z."""
 
-OF_Y = {name: {"Y": share} for name, share in zip("RGBXZ", (1.0, 1.0, 1.0, 0.950456, 1.08875), strict=True)}
-"""Colours of a grey, which has the white of D65."""
+OF_Y = {"X": {"Y": 0.950456}, "Z": {"Y": 1.08875}}
+"""X and Z of a grey, which has the white of D65; its R, G and B are Y."""
 
 
 def described(names: Sequence[str], kind: Type, form: PixelFormat, srgb: bool, premultiplied: bool) -> Struct:
@@ -55,7 +55,9 @@ def obtainable(source: Struct, target: Struct, form: PixelFormat) -> Struct:
         layer, dot, last = field.name.rpartition(".")
         if field.name in source or field.blend:
             continue
-        if last in ("A", "W"):
+        if form in (PixelFormat.Y, PixelFormat.YA) and last in ("R", "G", "B"):
+            field.source = f"{layer}{dot}Y"
+        elif last in ("A", "W"):
             field.value = 1.0
             field.flags |= Flags.Default
         elif last in sums:

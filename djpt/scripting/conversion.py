@@ -24,12 +24,17 @@ class StructConverter:
         source: What is given.
         target: What is wanted.
         dither: Must be False, unlike Mitsuba's: whole numbers are rounded to nearest.
+
+    Raises:
+        SceneError: names occur twice, flags don't fit the types, or `dither`.
     """
 
     def __init__(self, source: Struct, target: Struct, dither: bool = False) -> None:
         if dither:
             raise SceneError("records are converted without dithering, so that equal images give equal bytes")
         self._source, self._target = Struct(source), Struct(target)
+        self._source.validate()
+        self._target.validate()
 
     def source(self) -> Struct:
         """What is given."""
@@ -66,7 +71,7 @@ def convert_fields(source: Struct, target: Struct, columns: Mapping[str, Numbers
 
     Args:
         source: What is given.
-        target: What is wanted: fields with the same names, sums (`blend`), or defaults.
+        target: What is wanted: fields with the same names or another `source`, sums (`blend`), or defaults.
         columns: The numbers of the source's fields by name, arrays of equal shapes.
 
     Raises:
@@ -89,7 +94,7 @@ def convert_fields(source: Struct, target: Struct, columns: Mapping[str, Numbers
             total = sum(np.float32(factor) * linear(source[name], columns[name]) for factor, name in field.blend)
             value = np.asarray(total if weight is None else total * weight, np.float32)
             result[field.name] = stored(field, value)
-        elif field.name in source:
+        elif (field.source or field.name) in source:
             result[field.name] = converted(source, target, field, columns, weight)
         elif field.flags & Flags.Default:
             result[field.name] = np.full(shape, stored_value(field))
@@ -102,9 +107,9 @@ def convert_fields(source: Struct, target: Struct, columns: Mapping[str, Numbers
 def converted(
     source: Struct, target: Struct, field: Field, columns: Mapping[str, Numbers], weight: Numbers | None
 ) -> Numbers:
-    """A field that has the same name in both."""
-    given = source[field.name]
-    column = columns[field.name]
+    """A field that both have."""
+    given = source[field.source or field.name]
+    column = columns[given.name]
     changed = given.flags ^ field.flags
     with_alpha = (
         not field.flags & (Flags.Weight | Flags.Alpha) and has(source, Flags.Alpha) and has(target, Flags.Alpha)

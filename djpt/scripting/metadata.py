@@ -10,7 +10,7 @@ import numpy as np
 
 from djpt.description.numeric import describe
 from djpt.errors import SceneError
-from djpt.transforms import ScalarTransform4f
+from djpt.transforms import ScalarTransform4f, matrix_of
 
 __all__ = ["Metadata"]
 
@@ -63,8 +63,7 @@ class Metadata(MutableMapping[str, Any]):
     def numbers(self) -> dict[str, Any]:
         """The values, vectors and transforms as NumPy arrays."""
         return {
-            name: np.asarray(getattr(value, "matrix", value)) if not is_plain(value) else value
-            for name, value in self._values.items()
+            name: value if is_plain(value) else np.asarray(matrix_of(value)) for name, value in self._values.items()
         }
 
 
@@ -80,7 +79,7 @@ def normal(name: str, value: Any) -> Any:
     if is_plain(value) or isinstance(value, ScalarTransform4f):
         return value
     try:
-        array = np.array(value if dr.is_array_v(value) else getattr(value, "matrix", value), np.float64)
+        array = np.array(matrix_of(value), np.float64)
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape == (3,):

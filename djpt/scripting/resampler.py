@@ -117,7 +117,8 @@ class Resampler:
         new = place.reshape(self._target, target_stride, channels).copy()
         new[:, 0] = result
         if dr.is_array_v(target):
-            target[...] = type(target)(new.ravel())
+            numbers = dr.arange(dr.uint32_array_t(type(target)), new.size)
+            dr.scatter(target, type(target)(new.ravel()), numbers)
         else:
             np.asarray(target).reshape(new.shape)[:] = new
 

@@ -87,7 +87,7 @@ class Field:
     """A number of a record.
 
     `offset`: in bytes; `value`: what `Flags.Default` and `Flags.Check` refer to; `blend`: factors and names of
-    source fields whose sum is this one.
+    source fields whose sum is this one; `source`: the name of the source field, if it has another.
     """
 
     name: str
@@ -96,6 +96,7 @@ class Field:
     flags: Flags = Flags.Empty
     value: float = 0.0
     blend: list[tuple[float, str]] = field(default_factory=list)
+    source: str = ""
 
     def __str__(self) -> str:
         words = [word for flag, word in WORDS.items() if self.flags & flag]

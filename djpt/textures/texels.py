@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -12,8 +13,10 @@ from djpt.description.files import resolve
 from djpt.description.numeric import LARGEST, describe
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
+from djpt.images.colorimetry import XYZ_TO_RGB
+from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import read_pixels
-from djpt.images.srgb import decoded, from_srgb, shares
+from djpt.images.srgb import decoded, encoded, from_srgb, shares
 from djpt.types import TensorXf
 
 __all__ = ["as_texels", "check_texels", "load_texels", "mean_texel", "numbers_of"]
@@ -22,10 +25,10 @@ Pixels = NDArray[np.float32]
 SOURCES = ("filename", "bitmap", "data")
 
 
-def load_texels(props: Properties, raw: bool, half: bool) -> TensorXf:
+def load_texels(props: Properties, raw: bool, precision: str = "variant") -> TensorXf:
     """The texels that `filename`, `bitmap` or `data` give: (H, W, 1 or 3), linear unless `raw`.
 
-    `half`: round them to half precision.
+    `precision`: 'float16' rounds them to half precision, 'uint8' to 8 bits, of sRGB if the image is that and not `raw`.
     """
     given = [key for key in SOURCES if key in props]
     if len(given) != 1:
@@ -34,13 +37,20 @@ def load_texels(props: Properties, raw: bool, half: bool) -> TensorXf:
     key = given[0]
     value = props.raw(key)
     try:
+        srgb = False
         if key == "data":
             texels = as_texels(value)
         else:
-            pixels = read_pixels(resolve(props.string(key)), raw) if key == "filename" else from_object(value, raw)
+            if key == "filename":
+                path = resolve(props.string(key))
+                pixels, srgb = read_pixels(path, raw), Path(path).suffix.lower() in DISPLAY_FORMATS
+            else:
+                pixels, srgb = from_object(value, raw), is_encoded(value)
             texels = TensorXf(np.ascontiguousarray(without_alpha(pixels)))
-        if half:
+        if precision == "float16":
             texels = TensorXf(rounded(numbers_of(texels)))
+        elif precision == "uint8":
+            texels = TensorXf(in_bytes(numbers_of(texels), srgb and not raw))
         check_texels(numbers_of(texels))
     except FileError as error:
         raise SceneError(f"{props.node}: '{key}': {error}") from None
@@ -84,24 +94,30 @@ def from_object(value: Any, raw: bool) -> Pixels:
     """
     if isinstance(value, str):
         raise SceneError(f"must be an image, found {describe(value)}; a file's name is given as 'filename'")
-    if str(getattr(value, "pixel_format", lambda: "")()).split(".")[-1].startswith("XYZ"):
-        raise SceneError("holds XYZ colours; convert the bitmap to RGB")
     pixels = as_pixels(value)
-    encoded = bool(getattr(value, "srgb_gamma", lambda: pixels.dtype == np.uint8)())
+    curved = is_encoded(value)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     if pixels.ndim != 3 or 0 in pixels.shape:
         raise SceneError(f"must have the shape (height, width, channels), found {pixels.shape}")
     if pixels.dtype in (np.uint8, np.uint16):
-        return from_srgb(pixels) if encoded and not raw else shares(pixels)
-    if pixels.dtype.kind in "iu":
-        pixels = pixels / np.iinfo(pixels.dtype).max
-    with np.errstate(over="ignore"):
-        pixels = np.array(pixels, np.float32, order="C")
-    if encoded and not raw:
-        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
-        pixels[..., :colours] = decoded(pixels[..., :colours])
+        pixels = from_srgb(pixels) if curved and not raw else shares(pixels)
+    else:
+        if pixels.dtype.kind in "iu":
+            pixels = pixels / np.iinfo(pixels.dtype).max
+        with np.errstate(over="ignore"):
+            pixels = np.array(pixels, np.float32, order="C")
+        if curved and not raw:
+            colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
+            pixels[..., :colours] = decoded(pixels[..., :colours])
+    if str(getattr(value, "pixel_format", lambda: "")()).rpartition(".")[2].startswith("XYZ"):
+        pixels[..., :3] = pixels[..., :3] @ XYZ_TO_RGB.T.astype(np.float32)
     return pixels
+
+
+def is_encoded(value: Any) -> bool:
+    """Whether the colours of a bitmap object are encoded by the curve of sRGB: as it says, otherwise if it is bytes."""
+    return bool(value.srgb_gamma()) if hasattr(value, "srgb_gamma") else as_pixels(value).dtype == np.uint8
 
 
 def as_pixels(value: Any) -> NDArray[Any]:
@@ -154,3 +170,10 @@ def rounded(pixels: Pixels) -> Pixels:
     """The pixels rounded to half precision, as float32."""
     with np.errstate(over="ignore"):
         return pixels.astype(np.float16).astype(np.float32)
+
+
+def in_bytes(pixels: Pixels, srgb: bool) -> Pixels:
+    """The pixels clipped to [0, 1] and rounded to 8 bits, as float32; `srgb`: to the bytes of sRGB."""
+    shown = np.clip(np.nan_to_num(pixels), 0, 1)
+    codes = np.rint((encoded(shown) if srgb else shown.astype(np.float64)) * 255) / 255
+    return (decoded(codes) if srgb else codes).astype(np.float32)

@@ -121,7 +121,7 @@ def test_wrong_edits(name: str, value: Any, message: str) -> None:
         ({"to_uv": [1, 2]}, "'to_uv' must be a 3x3 or 4x4 matrix"),
         ({"filter_type": "cubic"}, "'filter_type' can't be 'cubic'; possible: bilinear, nearest"),
         ({"wrap_mode": "repeated"}, "'wrap_mode' can't be 'repeated'; did you mean 'repeat'"),
-        ({"format": "fp8"}, "'format' can't be 'fp8'; possible: auto, fp16, variant"),
+        ({"format": "fp8"}, "'format' can't be 'fp8'; possible: auto, float16, fp16, uint8, variant"),
         ({"wrapmode": "repeat"}, "unknown key 'wrapmode' .* did you mean 'wrap_mode'"),
         ({"data": np.zeros((2, 2, 4))}, r"'data' must have the shape .* found \(2, 2, 4\)"),
         ({"data": np.zeros((2, 2), np.uint8)}, "'data' holds linear numbers, found bytes"),
