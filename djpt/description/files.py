@@ -33,10 +33,10 @@ class FileResolver:
         for place in self._places:
             if os.path.exists(candidate := os.path.join(place, name)):
                 return Path(candidate)
+        if os.path.exists(name):
+            return Path.cwd() / name
         if Path(name).is_absolute():
             raise FileError(f"'{name}' doesn't exist")
-        if Path(name).exists():
-            return Path.cwd() / name
         places = [*self.directories, Path.cwd()]
         raise FileError(f"'{name}' doesn't exist; searched: {', '.join(str(place) for place in places)}")
 
