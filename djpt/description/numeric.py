@@ -21,6 +21,9 @@ __all__ = ["LARGEST", "as_array", "as_integer", "as_number", "as_vector", "descr
 LARGEST = float(np.finfo(np.float32).max)
 """The largest number of float32, in which kernels compute."""
 
+FEW = 16
+"""So many numbers, those of a matrix, are checked sooner one by one than as an array."""
+
 _shorten = reprlib.Repr()
 _shorten.maxstring = _shorten.maxother = 60
 _shorten.maxlist = _shorten.maxtuple = _shorten.maxdict = 8
@@ -59,14 +62,22 @@ def as_array(value: Any) -> NDArray[np.float64]:
         found = from_device(dr.detach(value)) if jit else np.array(value)
         if found.dtype.kind not in "iuf":
             raise SceneError(f"must be numbers, found {describe(value)}")
-        array = found.astype(np.float64)
+        # Always a new array, which its owner may change.
+        array = found.astype(np.float64, copy=False)
     except SceneError:
         raise
     except Exception as error:
         raise SceneError(f"must be numbers, found {describe(value)}") from error
-    if not (np.abs(array) <= LARGEST).all():
+    if not is_finite(array):
         raise SceneError(f"must be finite in single precision, found {describe(value)}")
     return array
+
+
+def is_finite(array: NDArray[np.float64]) -> bool:
+    """Whether all numbers are finite in single precision."""
+    if array.size <= FEW:
+        return all(-LARGEST <= number <= LARGEST for number in array.ravel().tolist())
+    return bool((np.abs(array) <= LARGEST).all())
 
 
 def from_device(value: Any) -> NDArray[Any]:

@@ -15,6 +15,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
+from djpt.transforms import cross_product
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Rectangle"]
@@ -41,10 +42,10 @@ class Rectangle(Shape):
     def place(self, pool: AxisPool) -> None:
         matrix = self.to_world.matrix
         center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-        cross = np.cross(u, v)
+        cross = cross_product(u, v)
         normal = cross / np.linalg.norm(cross)
         # Duals: dual_u . (p - center) is the local x coordinate, also for sheared rectangles.
-        dual_u, dual_v = np.cross(v, cross) / cross.dot(cross), np.cross(cross, u) / cross.dot(cross)
+        dual_u, dual_v = cross_product(v, cross) / cross.dot(cross), cross_product(cross, u) / cross.dot(cross)
         # The geometric normal is dp/du x dp/dv, the shading normal lies on the side of local +z.
         mirrored = bool(normal.dot(matrix[:3, 2]) < 0)
         outward = -normal if self.flip_normals != mirrored else normal
