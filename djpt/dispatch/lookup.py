@@ -75,8 +75,10 @@ Plan = list[tuple[int, list[tuple[int, int]]]]
 """Of each group of equal rows one row, and the runs of indices; the default's group first."""
 
 
-def plan(identity: Iterable[Hashable]) -> Plan:
+def plan(identity: Sequence[Hashable]) -> Plan:
     """The order of a chain of selects; tables make it once, since kernels are traced for each image."""
+    if len(identity) == 1:
+        return [(0, [(0, 0)])]
     return [(group[0], runs(group)) for group in same_rows(identity)]
 
 

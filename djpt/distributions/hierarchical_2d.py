@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.distributions.grids import cell_masses, corner_table, halve
 from djpt.kernels import aligned_floats, as_vector, maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
@@ -20,8 +21,6 @@ HIDDEN = ParamFlags.NonDifferentiable
 LEAST = 2.0**-33
 """Stands for a sample of 0, which would lead into cells of weight 0."""
 TINY = 1e-37
-
-Numbers = NDArray[np.float64]
 
 
 class Hierarchical2D(Plugin):
@@ -60,10 +59,9 @@ class Hierarchical2D(Plugin):
     def set(self, values: NDArray[Any]) -> None:
         """Take (rows + 1, columns + 1) numbers, at the corners of rows x columns cells; not negative, not all 0."""
         values = np.asarray(values, np.float64)
-        mass = (values[:-1, :-1] + values[:-1, 1:] + values[1:, :-1] + values[1:, 1:]) / 4
-        self.at_corners = at = values / mass.mean()
-        single = at.astype(np.float32)
-        self.corners = packets([single[:-1, :-1], single[:-1, 1:], single[1:, :-1], single[1:, 1:]])
+        mass = cell_masses(values)
+        self.at_corners = values / mass.mean()
+        self.corners = TensorXf(corner_table(self.at_corners).reshape(-1, 1, 4))
         rows, columns = mass.shape
         self.columns = dr.opaque(UInt32, columns)
         self.levels = ((rows - 1).bit_length(), (columns - 1).bit_length())
@@ -79,7 +77,7 @@ class Hierarchical2D(Plugin):
             full = halve(full, nodes[end - count : end].reshape(*level, 4))
             end -= count
         self.splits = TensorXf(nodes.reshape(-1, 1, 4))
-        self.root = as_vector(nodes[0, :3])
+        self.root = as_vector(nodes[0, :3].astype(np.float64))
 
     # ---- in kernels --------------------------------------------------------------------
 
@@ -140,35 +138,6 @@ class Hierarchical2D(Plugin):
         """The density at a place of a cell, per unit of area: all cells together have the area 1."""
         f = entry(self.corners, row * self.columns + column, active)
         return lerp(lerp(f.x, f.y, place.x), lerp(f.z, f.w, place.x), place.y)
-
-
-# ---- on the host ---------------------------------------------------------------------------
-
-
-def packets(columns: Sequence[NDArray[np.float32]]) -> TensorXf:
-    """Four numbers side by side as a table."""
-    table = aligned_floats((*columns[0].shape, 4))
-    for k, column in enumerate(columns):
-        table[..., k] = column
-    return TensorXf(table.reshape(-1, 1, 4))
-
-
-def halve(mass: Numbers, nodes: NDArray[np.float32]) -> Numbers:
-    """Write the nodes over cells in twos or, where there are several rows and columns, in fours; give their masses.
-
-    A node is the share of the upper half, and of the left half of either; 0 where there is no mass: no sample arrives
-    there.
-    """
-    rows, columns = mass.shape
-    if 1 in mass.shape:
-        mass = np.pad(mass, ((0, rows % 2), (0, columns % 2)))
-    upper, lower = mass[::2], mass[1::2]
-    halves = [half[:, ::2] + half[:, 1::2] for half in (upper, lower)]
-    total = halves[0] + halves[1]
-    parts = ((halves[0], total), (upper[:, ::2], halves[0]), (lower[:, ::2], halves[1]))
-    for k, (part, whole) in enumerate(parts):
-        nodes[..., k] = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0)
-    return total
 
 
 # ---- in kernels ----------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
+from djpt.distributions.grids import luminance, side_by_side
 from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import number
@@ -24,7 +25,6 @@ from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import aligned_floats, as_float, as_vector, maximum, minimum
 from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
@@ -142,9 +142,7 @@ class EnvironmentMap(OrientedEmitter):
             if bright.any():
                 self.distribution.set(bright)
         # Radiance with the density of `distribution` at the texels: a lookup gives both.
-        table = aligned_floats((rows, columns, 4))
-        table[..., :3], table[..., 3] = texels, self.distribution.at_corners[:, :-1]
-        self.texels = TensorXf(table)
+        self.texels = TensorXf(side_by_side(texels, self.distribution.at_corners[:, :-1]))
 
     def flags(self) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)

@@ -18,7 +18,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.transforms import ScalarTransform4f
+from djpt.transforms import ScalarTransform4f, cross_product
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Cube"]
@@ -152,7 +152,9 @@ class Cube(Shape):
         self.edge_x, self.edge_y, self.edge_z = (as_vector(e) for e in edges.T)
         self.dual_x, self.dual_y, self.dual_z = (as_vector(d) for d in duals)
         pairs = ((1, 2), (2, 0), (0, 1))
-        self.areas = as_vector(np.array([4 * np.linalg.norm(np.cross(edges[:, i], edges[:, j])) for i, j in pairs]))
+        self.areas = as_vector(
+            np.array([4 * np.linalg.norm(cross_product(edges[:, i], edges[:, j])) for i, j in pairs])
+        )
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         center, edges = self._host

@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.numeric import cross_product
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
@@ -43,7 +44,7 @@ class Plane(Shape):
     def place(self, pool: AxisPool) -> None:
         matrix = self.to_world.matrix
         center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-        cross = np.cross(u, v)
+        cross = cross_product(u, v)
         normal = cross / np.linalg.norm(cross)
         mirrored = bool(normal.dot(matrix[:3, 2]) < 0)
         outward = -normal if self.flip_normals != mirrored else normal
@@ -53,8 +54,8 @@ class Plane(Shape):
         self.plane_offset = as_float(float(center.dot(self._axes[0].axis.direction)))
         self.center, self.normal = as_vector(center), as_vector(outward)
         self.edge_u, self.edge_v = as_vector(u), as_vector(v)
-        self.dual_u = as_vector(np.cross(v, cross) / cross.dot(cross))
-        self.dual_v = as_vector(np.cross(cross, u) / cross.dot(cross))
+        self.dual_u = as_vector(cross_product(v, cross) / cross.dot(cross))
+        self.dual_v = as_vector(cross_product(cross, u) / cross.dot(cross))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
         center, normal = self._host

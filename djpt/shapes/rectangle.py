@@ -8,6 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.numeric import cross_product
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
@@ -41,10 +42,10 @@ class Rectangle(Shape):
     def place(self, pool: AxisPool) -> None:
         matrix = self.to_world.matrix
         center, u, v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-        cross = np.cross(u, v)
+        cross = cross_product(u, v)
         normal = cross / np.linalg.norm(cross)
         # Duals: dual_u . (p - center) is the local x coordinate, also for sheared rectangles.
-        dual_u, dual_v = np.cross(v, cross) / cross.dot(cross), np.cross(cross, u) / cross.dot(cross)
+        dual_u, dual_v = cross_product(v, cross) / cross.dot(cross), cross_product(cross, u) / cross.dot(cross)
         # The geometric normal is dp/du x dp/dv, the shading normal lies on the side of local +z.
         mirrored = bool(normal.dot(matrix[:3, 2]) < 0)
         outward = -normal if self.flip_normals != mirrored else normal

@@ -15,10 +15,11 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.distributions import DiscreteDistribution2D
+from djpt.distributions.grids import luminance
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
 from djpt.kernels import as_float, maximum, minimum
-from djpt.textures.brightness import cell_weights, luminance
+from djpt.textures.brightness import cell_weights
 from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f

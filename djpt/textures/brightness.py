@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.images.color import LUMINANCE
 from djpt.types import Float, Point2f
 
 if TYPE_CHECKING:
     from djpt.textures.uv import UVTexture
 
-__all__ = ["cell_weights", "luminance"]
+__all__ = ["cell_weights"]
 
 MAX_CELLS = 2048
 """The largest number of cells along an axis."""
@@ -24,15 +23,6 @@ LOOKUPS = 4
 """The number of lookups per cell along an axis."""
 LEAST = 0.01
 """The least weight of a cell, relative to the mean: lookups may miss its light."""
-
-
-def luminance(texels: NDArray[Any]) -> NDArray[np.float64]:
-    """The weights of texels (H, W, 1 or 3) that are the cells themselves, as in Mitsuba; (H, W)."""
-    shares = [1.0] if texels.shape[2] == 1 else list(LUMINANCE)
-    weights: NDArray[np.float64] = np.zeros(texels.shape[:2])
-    for k, share in enumerate(shares):
-        weights += np.multiply(texels[..., k], share, dtype=np.float64)
-    return np.maximum(weights, 0, out=weights)
 
 
 def cell_weights(texture: UVTexture, resolution: tuple[int, int]) -> NDArray[np.float64]:

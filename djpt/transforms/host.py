@@ -11,7 +11,7 @@ import drjit.scalar as scalar
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_array, as_number, as_vector, describe
+from djpt.description.numeric import as_array, as_number, as_vector, cross_product, describe
 from djpt.errors import SceneError
 from djpt.transforms.base import Chained, Transform, matrix_of
 
@@ -273,13 +273,13 @@ class SpatialHostTransform(HostTransform):
         if not direction.any():
             raise SceneError(f"origin and target are the same point {eye.tolist()}")
         direction /= np.linalg.norm(direction)
-        left = np.cross(as_vector(up), direction)
+        left = cross_product(as_vector(up), direction)
         length = np.linalg.norm(left)
         if length <= 1e-9 * np.linalg.norm(as_vector(up)):
             raise SceneError(f"up = {as_vector(up).tolist()} is zero or parallel to the direction of view")
         left /= length
         matrix = np.eye(4)
-        matrix[:3] = np.stack([left, np.cross(direction, left), direction, eye], axis=1)
+        matrix[:3] = np.stack([left, cross_product(direction, left), direction, eye], axis=1)
         return matrix
 
     @Chained

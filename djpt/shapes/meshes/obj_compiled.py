@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable
 from functools import cache
 from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.llvm.compiler import CompilationError, compiled
-from djpt.llvm.ir import Module
+from djpt.llvm.host import Run, host_functions
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.obj_functions import (
     CORNERS,
@@ -29,8 +26,8 @@ __all__ = ["read_compiled"]
 SMALL, FEW = 1 << 15, 16
 """A process that reads few files, none of them with more bytes, needn't compile functions."""
 
-ARGUMENTS = {"measure": 3, "scan": 9, "merge": 8, "pick": 6, "cut": 4}
-"""The functions, and how many integers or addresses each takes."""
+PARAMETERS = {"measure": 3, "scan": 9, "merge": 8, "pick": 6, "cut": 4}
+"""The functions, and how many parameters each has."""
 
 small_files = count()
 """How many small files were met."""
@@ -79,24 +76,7 @@ def read_compiled(data: bytes) -> MeshData | None:
     return MeshData(positions, indices, normals, texcoords)
 
 
-Run = Callable[..., int]
-
-
 @cache
 def functions() -> Run | None:
-    """What calls a function by its name with arrays and integers; None where nothing can be compiled."""
-    module = Module()
-    add_obj_functions(module)
-    try:
-        addresses = compiled(module.text(), tuple(ARGUMENTS))
-    except (CompilationError, OSError, AttributeError):
-        return None
-    code = {
-        name: ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * arguments)(addresses[name])
-        for name, arguments in ARGUMENTS.items()
-    }
-
-    def run(name: str, *arguments: NDArray[np.generic] | int) -> int:
-        return int(code[name](*(a if isinstance(a, int) else a.ctypes.data for a in arguments)))
-
-    return run
+    """The functions, compiled at the first call; None without LLVM."""
+    return host_functions(add_obj_functions, PARAMETERS)
