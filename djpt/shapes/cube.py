@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.numeric import cross_product
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
@@ -18,7 +19,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.transforms import ScalarTransform4f, cross_product
+from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Cube"]
