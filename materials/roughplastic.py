@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed
 from djpt.description.numeric import as_array, is_readable
@@ -227,7 +229,7 @@ def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) ->
     # As many nodes as Mitsuba takes, whose values these are to be: total reflection needs more.
     denser = dr.detach(eta)[0] > 1 if is_readable() else transmitted
     count = 32 if denser else 128
-    x, w = np.polynomial.legendre.leggauss(count)
+    x, w = quadrature(count)
     nodes, weights = Float((x + 1) / 2), Float(w / 2)
     lane = dr.arange(UInt32, KNOTS * count**2)
     i, j, knot = lane % count, (lane // count) % count, lane // count**2
@@ -242,6 +244,13 @@ def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) ->
         wo = reflect(wi, m)
         share = dr.select(wo.z > 0, surface.smith_g1(wo, m) * f, 0)
     return dr.block_sum(share * dr.gather(Float, weights, i) * dr.gather(Float, weights, j), count**2)
+
+
+@cache
+def quadrature(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The nodes of Gauss' and Legendre's quadrature in (-1, 1), and their weights; found by solving for eigenvalues."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return nodes, weights
 
 
 register_bsdf("roughplastic", RoughPlastic)
