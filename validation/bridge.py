@@ -18,7 +18,7 @@ from djpt.description.numeric import as_array
 from djpt.description.overrides import described
 from djpt.description.plugin import Plugin
 from djpt.errors import BackendError, SceneError
-from djpt.transforms import as_transform
+from djpt.transforms import ScalarTransform3f, as_transform
 from djpt.validation.metrics import ComparisonError
 
 __all__ = ["VERSION", "Renderer", "mitsuba_renderer", "render_in_mitsuba", "to_mitsuba"]
@@ -87,6 +87,8 @@ def _value(mi: Any, value: Any, node: str) -> Any:
     if type(value).__module__ == "mitsuba" and type(value).__name__.startswith("Scalar"):
         return value
     if hasattr(value, "matrix") and not dr.is_array_v(value):
+        if np.shape(value.matrix)[:2] == (3, 3):
+            return mi.ScalarTransform3f(ScalarTransform3f(value).matrix.tolist())
         return mi.ScalarTransform4f(as_transform(value).matrix.tolist())
     try:
         array = as_array(value)

@@ -347,6 +347,12 @@ class ScalarTransform3f(HostTransform):
         """Turn counter-clockwise by `angle` degrees."""
         return rotation_of_plane(angle)
 
+    def expand(self) -> ScalarTransform4f:
+        """The transform of space that does the same to x and y, and keeps z: `extract` reversed."""
+        matrix = np.eye(4)
+        matrix[np.ix_([0, 1, 3], [0, 1, 3])] = self._matrix
+        return ScalarTransform4f(matrix)
+
 
 def rotation(axis: Any, angle: Any) -> Matrix:
     """The 4x4 matrix that turns space by `angle` degrees about `axis`; if that isn't a unit vector, Mitsuba's matrix.

@@ -320,3 +320,16 @@ def test_vertices_differentiate() -> None:
     moved = dr.ravel(djpt.Transform4f().translate([offset, 0, 0]).scale(2).transform_point(points))
     dr.backward(dr.sum(moved))
     assert offset.grad[0] == dr.width(points)
+
+
+def test_transforms_of_the_plane_in_descriptions(mi: Any) -> None:
+    """In djpt's own loader, in Mitsuba's through the bridge, in scene files and as a parameter."""
+    turned = djpt.ScalarTransform3f().translate([0.25, 0]).rotate(30).scale(3)
+    for to_uv in (turned, djpt.Transform3f(turned), turned.expand()):
+        texture = {"type": "checkerboard", "to_uv": to_uv}
+        params = djpt.traverse(djpt.load_dict(texture))
+        assert type(params["to_uv"]) is djpt.ScalarTransform3f
+        for found in (params["to_uv"], mi.traverse(mi.load_dict(djpt.validation.to_mitsuba(texture)))["to_uv"]):
+            assert_same(found.matrix, turned.matrix)
+        assert_same(djpt.traverse(djpt.load_string(djpt.to_xml(texture)))["to_uv"].matrix, turned.matrix)
+    assert turned.expand().extract() == turned

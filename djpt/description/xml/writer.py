@@ -20,7 +20,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.registry import home_of, kind_of, registered
 from djpt.description.xml.reader import OBJECTS
 from djpt.errors import FileError, SceneError, near_miss
-from djpt.transforms import ScalarTransform4f, matrix_of
+from djpt.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 
 __all__ = ["to_xml", "write_dict"]
 
@@ -196,6 +196,8 @@ class _Writer:
             raise SceneError(f"a scene file can't hold this; it {error}") from None
         if array.shape == (4, 4):
             self._transform(name, ScalarTransform4f(array), depth)
+        elif array.shape == (3, 3) and matrix_of(value) is not value:
+            self._transform(name, ScalarTransform3f(array).expand(), depth)
         elif array.shape == ():
             whole = dr.is_integral_v(value) if dr.is_array_v(value) else np.asarray(value).dtype.kind in "iu"
             text = str(int(array)) if whole else _join(array)
