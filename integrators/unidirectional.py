@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -56,10 +56,10 @@ class UnidirectionalPath(PathIntegrator):
         return [f"bounce{k}.{c}" for k in range(self.max_depth) for c in "RGB"] if self.bounces else []
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         if not self.bounces:
-            return super().sample(scene, sampler, ray, active)
+            return super().sample(scene, sampler, ray, medium, active)
         parts, valid = walk(self, scene, sampler, ray, active, bounces=self.max_depth)
         color = parts[0]
         for part in parts[1:]:

@@ -7,11 +7,13 @@ import operator
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+import drjit as dr
+
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
-from djpt.types import Bool, Color3f, Float, ScalarArray2u
+from djpt.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
 
 __all__ = ["Film", "FilmFlags"]
 
@@ -50,6 +52,8 @@ class Film(Plugin):
         self._crop_offset, self._crop_size = offset, size
         self._sample_border = props.boolean("sample_border", False)
         default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
+        self._image: TensorXf | None = None
+        self._image_names: tuple[str, ...] = ()
         self._rfilter: ReconstructionFilter = props.child("rfilter", default)
 
     def _require_crop(self, node: str, offset: Sequence[int], size: Sequence[int]) -> None:
@@ -114,6 +118,12 @@ class Film(Plugin):
     def sensor_response_function(self) -> None:
         """Nothing: films of colours have no response to single wavelengths."""
         return None
+
+    # ---- finished images --------------------------------------------------------------
+
+    def keep(self, image: TensorXf, names: Sequence[str]) -> None:
+        """Keep a finished image (H, W, C), for scripts that ask the film for it; `names` are those of its channels."""
+        self._image, self._image_names = TensorXf(dr.detach(image)), tuple(names)
 
     # ---- what is rendered ---------------------------------------------------------
 

@@ -26,9 +26,6 @@ class IndependentStream:
     def clone(self) -> IndependentStream:
         return IndependentStream(copy_of(self.rng))
 
-    def continued(self, fresh: IndependentStream) -> IndependentStream:
-        return self
-
     def next_1d(self, active: Bool | bool = True) -> Float:
         return self.rng.next_float32(Bool(active))
 
@@ -45,6 +42,9 @@ class Independent(Sampler):
 
     def stream(self, seed: UInt32, index: SampleIndex) -> IndependentStream:
         return IndependentStream(generator(seed, index.number))
+
+    def continued(self, stream: IndependentStream, fresh: IndependentStream) -> IndependentStream:
+        return stream
 
 
 def generator(seed: UInt32, number: UInt32) -> PCG32:
