@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from djpt.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["Integrator", "PathIntegrator", "PathState", "Vertex", "mis_weight"]
+__all__ = ["Integrator", "PathIntegrator", "PathState", "SamplingIntegrator", "Vertex", "mis_weight"]
 
 
 def rendering() -> Any:
@@ -153,6 +153,9 @@ class Integrator(Plugin):
         """The values of the channels `unfiltered_names` along `ray`."""
         return []
 
+
+SamplingIntegrator = Integrator
+"""Mitsuba's name: every integrator of djpt has a method `sample`."""
 
 State = TypeVar("State", bound="PathState")
 

@@ -19,7 +19,7 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["UnidirectionalPath", "roulette"]
+__all__ = ["MonteCarloIntegrator", "UnidirectionalPath", "roulette"]
 
 UNBOUNDED = 0xFFFFFFFF
 
@@ -122,6 +122,10 @@ class UnidirectionalPath(PathIntegrator):
         sky = self.covers_sky and scene.environment() is not None and not self.hide_emitters
         covered = self.covered(state, si, has_flag(bs.sampled_type, BSDFFlags.Null))
         return (covered | sky) & Bool(self.max_depth != 0)
+
+
+MonteCarloIntegrator = UnidirectionalPath
+"""Mitsuba's name."""
 
 
 def roulette(sampler: SampleStream, throughput: Color3f, eta: Float | None, begins: Bool) -> tuple[Color3f, Bool]:

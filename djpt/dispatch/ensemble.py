@@ -155,11 +155,15 @@ class Attached:
         self._overrides = overrides
         self._flats: dict[int, tuple[Leaf, Any]] = {}
 
+    def variables(self) -> list[Any]:
+        """The attached values."""
+        return list(self._overrides.values())
+
     def attaches(self, leaf: Leaf) -> bool:
         return any((id(owner), leaf.attribute) in self._overrides for owner in leaf.owners)
 
     def prepare(self, leaves: Iterable[Leaf]) -> None:
-        """Build the buffers of some leaves."""
+        """Build the buffers of some leaves, which loops that Dr.Jit records can't do."""
         for leaf in leaves:
             self._buffer(leaf)
 

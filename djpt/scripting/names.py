@@ -7,8 +7,15 @@ __all__ = ["EXPORTS", "SUBMODULES"]
 EXPORTS: dict[str, str] = {
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
+    "djpt.integrators.base": "SamplingIntegrator",
+    "djpt.integrators.unidirectional": "MonteCarloIntegrator",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
+    "djpt.scripting.ad_integrators": "ADIntegrator",
+    "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
+    "djpt.scripting.plugin_kinds": (
+        "Endpoint Medium PhaseFunction Volume register_medium register_phasefunction register_volume"
+    ),
     "djpt.sensors.base": "Sensor",
     "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.shapes.base": "Shape",
