@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import operator
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -14,6 +14,9 @@ from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
 from djpt.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
+
+if TYPE_CHECKING:
+    from djpt.films.image_block import ImageBlock
 
 __all__ = ["Film", "FilmFlags"]
 
@@ -118,6 +121,28 @@ class Film(Plugin):
     def sensor_response_function(self) -> None:
         """Nothing: films of colours have no response to single wavelengths."""
         return None
+
+    # ---- samples of scripts --------------------------------------------------------------
+
+    def prepare(self, aovs: Sequence[str] = ()) -> int:
+        """Begin an image with further channels `aovs`; returns the number of all channels."""
+        raise NotImplementedError
+
+    def create_block(self, size: Sequence[int] = (0, 0), normalize: bool = False, borders: bool = False) -> ImageBlock:
+        """An empty image block with the film's channels and filter."""
+        raise NotImplementedError
+
+    def put_block(self, block: ImageBlock) -> None:
+        """Add the sums of a block to those of the film."""
+        raise NotImplementedError
+
+    def clear(self) -> None:
+        """Set all sums to zero."""
+        raise NotImplementedError
+
+    def develop(self, raw: bool = False) -> TensorXf:
+        """The image (H, W, C); with `raw` the sums that it is made from."""
+        raise NotImplementedError
 
     # ---- finished images --------------------------------------------------------------
 

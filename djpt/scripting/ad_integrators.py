@@ -57,8 +57,8 @@ class ADIntegrator(Integrator):
 
         Called with keywords:
 
-        * `mode`: ``dr.ADMode.Primal``: estimate radiance; ``Forward``: its derivative; ``Backward``: add to the gradients
-          of parameters what follows from `δL`.
+        * `mode`: ``dr.ADMode.Primal``: estimate radiance; ``Forward``: its derivative; ``Backward``: add to the
+          gradients of parameters what follows from `δL`.
         * `scene`, `sampler`, seeded, and `ray`, a ray with differentials per lane; `active`, true.
         * `depth`, 0; `δL` and `δaovs`, the adjoints in backward mode, else None; `state_in`, the state that a call in
           primal mode returned, for `RBIntegrator` alone, else None.

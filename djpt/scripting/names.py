@@ -11,7 +11,6 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
-    "djpt.scripting.ad_integrators": "ADIntegrator",
     "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
     "djpt.scripting.plugin_kinds": (
         "Endpoint Medium PhaseFunction Volume register_medium register_phasefunction register_volume"

@@ -20,7 +20,7 @@ __all__ = [
 ]
 
 
-class Endpoint(abc.ABC):
+class Endpoint(abc.ABC):  # noqa: B024 - classes are registered, none is derived from it
     """What both ends of a path are: emitters and sensors are instances of it."""
 
 
