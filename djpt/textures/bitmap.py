@@ -20,7 +20,7 @@ from djpt.kernels import as_float, maximum, minimum
 from djpt.textures.brightness import cell_weights, luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
+from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
 from djpt.warp import square_to_tent
 
 __all__ = ["Bitmap"]
@@ -46,7 +46,7 @@ class Bitmap(UVTexture):
     for 8-bit images (Mitsuba keeps those as bytes unless told otherwise). An edit may change its size.
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "resolution": HIDDEN, "average": HIDDEN}
+    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "extent": HIDDEN, "average": HIDDEN}
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
     children = ("distribution",)
     statics = ("channels", "filter_type", "wrap_mode", "tents")
@@ -72,10 +72,17 @@ class Bitmap(UVTexture):
     def _measure(self) -> None:
         """Compute what kernels know of the texels as a whole: their resolution and average."""
         height, width, self.channels = self.data.shape
-        self.resolution = Vector2f(as_float(width), as_float(height))
+        self.extent = Vector2f(as_float(width), as_float(height))
         if is_readable():
             colour = mean_texel(numbers_of(self.data))
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
+
+    def resolution(self) -> ScalarArray2i:
+        height, width, _ = self.data.shape
+        return ScalarArray2i(width, height)
+
+    def max(self) -> float:
+        return float(numbers_of(self.data).max())
 
     def prepare_sampling(self) -> None:
         """Build the distribution: its cells are texels unless `to_uv` moves them, which Mitsuba 3.9.1 ignores."""
@@ -131,10 +138,11 @@ class Bitmap(UVTexture):
         (s, t), corners = self._corners(si, active)
         f00, f10, f01, f11 = (self._scalar(corner) for corner in corners)
         gradient = Vector2f(lerp(f10 - f00, f11 - f01, t), lerp(f01 - f00, f11 - f10, s))
-        return self.chain(gradient * self.resolution)
+        return self.chain(gradient * self.extent)
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
+        self._prepare_outside()
         if self.distribution is None:
             return super().sample_position(sample, active)
         column, row, rest = self.distribution.sample(sample, active)
@@ -143,6 +151,11 @@ class Bitmap(UVTexture):
         place = (Point2f(Float(column), Float(row)) + rest) * dr.rcp(self._cells())
         uv = Point2f(self._inside(place.x), self._inside(place.y))
         return uv, self.pdf_position(uv, active)
+
+    def _prepare_outside(self) -> None:
+        """Build the distribution for scripts that ask the texture itself, before any light has."""
+        if self.distribution is None and dr.is_tensor_v(self.data) and is_readable():
+            self.prepare_sampling()
 
     def _inside(self, u: Float) -> Float:
         """Move a coordinate into the unit square, which tents of texels at the border reach out of."""
@@ -153,6 +166,7 @@ class Bitmap(UVTexture):
         return dr.select(u < 0, -u, dr.select(u > 1, 2 - u, u))
 
     def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
+        self._prepare_outside()
         if self.distribution is None:
             return super().pdf_position(uv, active)
         if self.tents:
@@ -180,7 +194,7 @@ class Bitmap(UVTexture):
 
     def _lookup(self, si: Any, active: Bool | bool) -> Any:
         if self.filter_type == "nearest":
-            x, y = self.uv(si) * self.resolution
+            x, y = self.uv(si) * self.extent
             return self._texel(self._wrap(dr.floor(x), 0), self._wrap(dr.floor(y), 1), active)
         (s, t), (f00, f10, f01, f11) = self._corners(si, active)
         return lerp(lerp(f00, f10, s), lerp(f01, f11, s), t)
@@ -192,7 +206,7 @@ class Bitmap(UVTexture):
 
     def _around(self, uv: Point2f) -> tuple[Point2f, list[UInt32], list[UInt32]]:
         """The shares, columns and rows of the texels about `uv`, for `_corners`."""
-        place = dr.fma(uv, self.resolution, -0.5)
+        place = dr.fma(uv, self.extent, -0.5)
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
         rows = [self._wrap(first.y + k, 1) for k in range(2)]
@@ -202,7 +216,7 @@ class Bitmap(UVTexture):
 
     def _wrap(self, i: Float, axis: int) -> UInt32:
         """The number of a texel along an axis; `i` is whole, but may lie outside."""
-        count = self.resolution[axis]
+        count = self.extent[axis]
         if self.wrap_mode == "repeat":
             i = remainder(i, count)
         elif self.wrap_mode == "mirror":
@@ -212,7 +226,7 @@ class Bitmap(UVTexture):
         return UInt32(minimum(maximum(i, 0), count - 1))
 
     def _texel(self, x: UInt32, y: UInt32, active: Bool | bool) -> Any:
-        index = y * UInt32(self.resolution.x) + x
+        index = y * UInt32(self.extent.x) + x
         if dr.is_tensor_v(self.data):  # outside of kernels there is no table
             return dr.gather(Float if self.channels == 1 else Color3f, self.data.array, index, active)
         return self.data.at(index, active)

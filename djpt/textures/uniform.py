@@ -47,6 +47,9 @@ class UniformTexture(Texture):
     def mean(self) -> Float:
         return self.value
 
+    def max(self) -> float:
+        return float(as_array(dr.detach(self.value)).max())
+
     def restrict(self, allowed: Allowed, where: str) -> None:
         allowed.require(as_array(dr.detach(self.value)), where)
         self._allowed = self._allowed.within(allowed)
