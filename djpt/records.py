@@ -8,16 +8,16 @@ surface; everything else is in world space unless a field says otherwise.
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import drjit as dr
 
-from djpt.errors import RenderError
 from djpt.frame import Frame3f
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
+    "ALL_COMPONENTS",
     "BSDFContext",
     "BSDFFlags",
     "BSDFSample3f",
@@ -90,26 +90,44 @@ class TransportMode(enum.IntEnum):
     Importance = 1
 
 
+ALL_COMPONENTS = 0xFFFFFFFF
+"""The value of `BSDFContext.component` that stands for all lobes."""
+
+
 @dataclass
 class BSDFContext:
-    """The direction of a query of a BSDF: from the camera (radiance) or from the light (importance).
+    """What BSDFs are asked for: the direction of transport, and lobes.
 
-    Mitsuba can also ask for some lobes only, by `type_mask` and `component`. djpt always asks for all.
+    It is structure: kernels are traced for it.
     """
 
     mode: TransportMode = TransportMode.Radiance
+    """From the camera (radiance) or from the light (importance)."""
     type_mask: int = int(BSDFFlags.All)
-    component: int | None = None
+    """The `BSDFFlags` of the lobes that are asked for."""
+    component: int = ALL_COMPONENTS
+    """The number of the only lobe that is asked for; by default all are."""
 
     def __post_init__(self) -> None:
-        if (self.type_mask, self.component) not in ((BSDFFlags.All, None), (BSDFFlags.All, 0xFFFFFFFF)):
-            raise RenderError(
-                "BSDFContext: BSDFs are asked for all their lobes, 'type_mask' and 'component' can't be set"
-            )
+        self.mode, self.type_mask = TransportMode(int(self.mode)), int(self.type_mask)
+        self.component = ALL_COMPONENTS if self.component is None else int(self.component) & ALL_COMPONENTS
 
-    def is_enabled(self, type: BSDFFlags, component: int = 0) -> bool:
-        """Always true, since BSDFs are always asked for all lobes."""
-        return True
+    @property
+    def asks_for_all(self) -> bool:
+        """Whether no lobe is left out."""
+        return self.component == ALL_COMPONENTS and not int(BSDFFlags.All) & ~self.type_mask
+
+    def is_enabled(self, type: BSDFFlags | int, component: int = 0) -> bool:
+        """Whether the lobe number `component`, of the type `type`, is asked for."""
+        return not int(type) & ~self.type_mask and self.component in (ALL_COMPONENTS, component)
+
+    def of_part(self, first: int) -> BSDFContext:
+        """The context for a nested BSDF whose lobes are numbered from `first` on in the BSDF around it."""
+        return self if self.component == ALL_COMPONENTS else replace(self, component=self.component - first)
+
+    def reverse(self) -> None:
+        """Turn the direction of transport round."""
+        self.mode = TransportMode(1 - self.mode)
 
 
 @dataclass

@@ -20,7 +20,7 @@ from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
 from djpt.sensors import Sensor
 from djpt.types import TensorXf
 
-__all__ = ["channel_names", "render"]
+__all__ = ["channel_names", "film_image", "image_derivative", "render"]
 
 
 def render(
@@ -64,18 +64,73 @@ def render(
     """
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
+    estimator = find_integrator(scene, integrator)
+    if type(estimator).render is not Integrator.render:
+        from djpt.gradients.own_rendering import image_by_itself
+
+        camera, (seed, spp) = find_sensor(scene, sensor), (check_seed("seed", seed), check_count("spp", spp))
+        return image_by_itself(estimator, scene, params, camera, seed, spp, seed_grad, spp_grad)
+    return film_image(scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, progress)
+
+
+def film_image(
+    scene: Scene,
+    sensor: Any,
+    integrator: Integrator,
+    seed: int,
+    spp: int,
+    seed_grad: int = 0,
+    spp_grad: int = 0,
+    schedule: str = "auto",
+    pass_spp: int = 0,
+    progress: Progress | None = None,
+) -> TensorXf:
+    """The image of an integrator that djpt runs by a schedule; the film keeps it, too. Arguments as for `render`."""
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)
     if not job.channel_names():
-        return centres(job)
+        image = centres(job)
+        job.film.keep(image, channel_names(scene, sensor, integrator))
+        return image
     if parameters:
         from djpt.gradients.derivatives import differentiable
 
         image = differentiable(job, how, parameters, seed_grad, spp_grad)
     else:
         image = primal(job, how)
-    return dr.concat([image, centres(job)], axis=2) if job.integrator.unfiltered_names() else image
+    if job.integrator.unfiltered_names():
+        image = dr.concat([image, centres(job)], axis=2)
+    job.film.keep(image, channel_names(scene, sensor, integrator))
+    return image
+
+
+def image_derivative(
+    scene: Scene, integrator: Integrator, sensor: Any, seed: int, spp: int, grad: TensorXf | None
+) -> TensorXf:
+    """The derivative of an image by samples of the seed itself, for `Integrator.render_forward` and `.._backward`.
+
+    Gradients of the image, `grad`, are propagated to the scene's parameters; if it is None, gradients of these are
+    propagated to the image, whose gradient (H, W, C) is returned.
+    """
+    from djpt.gradients.derivatives import attached_image, derivative_of
+
+    begin_trace()
+    job = make_job(scene, sensor, integrator, seed, spp, 0, None)
+    width, height = job.film.crop_size()
+    shape = (height, width, job.channel_count())
+    parameters = attached_parameters(job.scene)
+    if not parameters:
+        return dr.zeros(TensorXf, shape)
+    derivative = derivative_of(job, choose("auto", job), parameters)
+    image = attached_image(parameters, lambda: dr.zeros(TensorXf, shape), derivative)
+    if grad is None:
+        dr.forward_to(image)
+        return dr.grad(image)
+    dr.set_grad(image, grad)
+    dr.enqueue(dr.ADMode.Backward, image)
+    dr.traverse(dr.ADMode.Backward)
+    return image
 
 
 def primal(job: Job, schedule: Schedule) -> TensorXf:
@@ -117,6 +172,7 @@ def make_job(
     if not scene.emitters() and integrator.needs_light:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
+    integrator.resume()
     spp = sampler.round_count(spp or sampler.sample_count())
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
@@ -165,7 +221,9 @@ def find_integrator(scene: Scene, integrator: Any) -> Integrator:
 
 
 def whole(value: Any) -> int | None:
-    """Python's or another library's integer as an int; None for anything else."""
+    """Python's or another library's integer, or a Dr.Jit array of one, as an int; None for anything else."""
+    if dr.is_array_v(value) and dr.is_integral_v(value) and dr.width(value) == 1:
+        value = value[0]
     try:
         return None if isinstance(value, bool) else operator.index(value)
     except TypeError:

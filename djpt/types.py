@@ -23,6 +23,7 @@ else:
 
     backend = load_backend()
 
+from drjit.scalar import Array2i as ScalarArray2i
 from drjit.scalar import Array2u as ScalarArray2u
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "Normal3f",
     "Point2f",
     "Point3f",
+    "ScalarArray2i",
     "ScalarArray2u",
     "Spectrum",
     "TensorXf",

@@ -26,7 +26,7 @@ class SkyLight(djpt.Integrator):
         super().__init__(props)
         self.distance = props.float("distance", 2.0, low=0.0, low_open=True)
 
-    def sample(self, scene: djpt.Scene, sampler: Any, ray: djpt.Ray3f, active: Any = True) -> Any:
+    def sample(self, scene: djpt.Scene, sampler: Any, ray: djpt.Ray3f, medium: Any = None, active: Any = True) -> Any:
         si = scene.ray_intersect(ray, active)
         hit = si.is_valid() & active
 

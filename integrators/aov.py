@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -98,7 +98,7 @@ class AOV(NestingIntegrator):
         return [f"{name}.{c}" for name, kind in self.variables for c in VARIABLES[kind][0]]
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         samples = self.samples(scene, sampler, ray, active)
         channels = [c for color, _, _ in samples[1:] for c in vector(color)]

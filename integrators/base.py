@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -14,13 +15,18 @@ from djpt.integrators.blind_spots import warn_of_blind_spots
 from djpt.integrators.walk import walk
 from djpt.records import Ray3f, Reference, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
     from djpt.sensors.base import Sensor
 
-__all__ = ["Integrator", "PathIntegrator", "PathState", "Vertex", "mis_weight"]
+__all__ = ["Integrator", "PathIntegrator", "PathState", "SamplingIntegrator", "Vertex", "mis_weight"]
+
+
+def rendering() -> Any:
+    """The module `djpt.rendering`, which imports this one."""
+    return importlib.import_module("djpt.rendering")
 
 
 class Integrator(Plugin):
@@ -57,6 +63,15 @@ class Integrator(Plugin):
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
+    from_script: ClassVar[bool] = False
+    """Whether the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
+
+    _cancelled = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.from_script = not cls.__module__.startswith("djpt.")
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
@@ -71,10 +86,60 @@ class Integrator(Plugin):
         warn_of_blind_spots(self, scene)
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
-        """Radiance along `ray`, whether it counts as covered (alpha), and one value per AOV."""
+        """Radiance along `ray`, whether it counts as covered (alpha), and one value per AOV.
+
+        `medium` is only there for the signature: a ray knows the medium that it runs through.
+        """
         raise NotImplementedError
+
+    def render(
+        self,
+        scene: Scene,
+        sensor: Any = 0,
+        seed: Any = 0,
+        spp: int = 0,
+        develop: bool = True,
+        evaluate: bool = True,
+    ) -> TensorXf:
+        """Render an image of a scene; without derivatives, which `djpt.render` adds.
+
+        A class that overrides it renders by itself, and differentiates by `render_forward` and `render_backward`.
+
+        Args:
+            scene: What `load_dict` returned.
+            sensor: Index into ``scene.sensors()``, or a sensor.
+            seed: Seed of the image.
+            spp: Samples per pixel; 0 takes the sampler's.
+            develop: Whether to return the image; else it is left to the film, see `djpt.films.HDRFilm.develop`.
+            evaluate: Whether to compute it at once; always done here.
+        """
+        with dr.suspend_grad():
+            image = rendering().film_image(scene, sensor, self, seed, spp)
+        return image if develop else TensorXf()
+
+    def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
+        """The change (H, W, C) of the image that the gradients set on the scene's parameters cause."""
+        return rendering().image_derivative(scene, self, sensor, seed, spp, None)
+
+    def render_backward(
+        self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
+    ) -> None:
+        """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
+        rendering().image_derivative(scene, self, sensor, seed, spp, grad_in)
+
+    def cancel(self) -> None:
+        """Ask a rendering to stop, from its `progress` function or another thread: it raises `RenderError`."""
+        self._cancelled = True
+
+    def should_stop(self) -> bool:
+        """Whether `cancel` was called since the rendering began."""
+        return self._cancelled
+
+    def resume(self) -> None:
+        """Forget `cancel`: a rendering begins."""
+        self._cancelled = False
 
     def aov_names(self) -> Sequence[str]:
         """Names of the extra channels that `sample` returns."""
@@ -88,6 +153,9 @@ class Integrator(Plugin):
         """The values of the channels `unfiltered_names` along `ray`."""
         return []
 
+
+SamplingIntegrator = Integrator
+"""Mitsuba's name: every integrator of djpt has a method `sample`."""
 
 State = TypeVar("State", bound="PathState")
 
@@ -208,7 +276,7 @@ class PathIntegrator(Integrator):
         return v
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         parts, valid = walk(self, scene, sampler, ray, active)
         return parts[0], valid, []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -25,7 +25,7 @@ class Depth(Integrator):
     """
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         pi = scene.closest_hit(ray, active)
         valid = pi.is_valid()

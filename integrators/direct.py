@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -46,7 +46,7 @@ class Direct(Integrator):
         self.shows_delta, self.samples_lights = self.bsdf_samples > 0, self.emitter_samples > 0
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         total = self.emitter_samples + self.bsdf_samples
         emitter_share, bsdf_share = self.emitter_samples / total, self.bsdf_samples / total

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -50,7 +50,7 @@ class Distributed(Integrator):
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         lanes = dr.width(ray, sampler)
         stack = RayStack((self.split - 1) * self.max_depth)

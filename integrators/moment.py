@@ -53,7 +53,7 @@ class Moment(NestingIntegrator):
         return first + [SECOND + name for name in first]
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         samples = self.samples(scene, sampler, ray, active)
         first: list[Float] = []

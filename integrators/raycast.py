@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -54,7 +54,7 @@ class Raycast(Integrator):
         self.shading = props.string("shading", "headlight", choices=SHADINGS)
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         si = scene.ray_intersect(ray, active)
         hit = si.is_valid() & active

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
@@ -19,7 +19,7 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["UnidirectionalPath", "roulette"]
+__all__ = ["MonteCarloIntegrator", "UnidirectionalPath", "roulette"]
 
 UNBOUNDED = 0xFFFFFFFF
 
@@ -56,10 +56,10 @@ class UnidirectionalPath(PathIntegrator):
         return [f"bounce{k}.{c}" for k in range(self.max_depth) for c in "RGB"] if self.bounces else []
 
     def sample(
-        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         if not self.bounces:
-            return super().sample(scene, sampler, ray, active)
+            return super().sample(scene, sampler, ray, medium, active)
         parts, valid = walk(self, scene, sampler, ray, active, bounces=self.max_depth)
         color = parts[0]
         for part in parts[1:]:
@@ -122,6 +122,10 @@ class UnidirectionalPath(PathIntegrator):
         sky = self.covers_sky and scene.environment() is not None and not self.hide_emitters
         covered = self.covered(state, si, has_flag(bs.sampled_type, BSDFFlags.Null))
         return (covered | sky) & Bool(self.max_depth != 0)
+
+
+MonteCarloIntegrator = UnidirectionalPath
+"""Mitsuba's name."""
 
 
 def roulette(sampler: SampleStream, throughput: Color3f, eta: Float | None, begins: Bool) -> tuple[Color3f, Bool]:

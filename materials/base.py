@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
 
 from djpt.description.plugin import Plugin
+from djpt.errors import RenderError, near_miss
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
@@ -40,7 +42,9 @@ class BSDF(Plugin):
     """Whether light is attenuated within the body that the surface encloses: see `transmittance`."""
 
     m_flags: int = int(BSDFFlags.Empty)
-    """The result of `flags` unless it is overridden; scripts written for Mitsuba set it."""
+    """Flags beside those of the lobes; scripts written for Mitsuba set them all."""
+    m_components: Sequence[int] = ()
+    """The result of `components` unless it is overridden; scripts written for Mitsuba set it."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -49,9 +53,71 @@ class BSDF(Plugin):
                 if name in vars(cls):
                     setattr(cls, name, converting(vars(cls)[name], convert))
 
-    def flags(self) -> int:
-        """The `BSDFFlags` of all lobes together."""
-        return int(self.m_flags)
+    def components(self) -> tuple[int, ...]:
+        """The `BSDFFlags` of each lobe, numbered as in `BSDFSample3f.sampled_component`."""
+        return tuple(int(flags) for flags in self.m_components)
+
+    def component_count(self, active: Bool | bool = True) -> int:
+        """The number of lobes."""
+        return len(self.components())
+
+    def flags(self, index: int | None = None, active: Bool | bool = True) -> int:
+        """The `BSDFFlags` of all lobes together, or of lobe number `index`."""
+        lobes = self.components()
+        if index is not None:
+            return lobes[index]
+        return functools.reduce(operator.or_, lobes, int(self.m_flags))
+
+    def asked(self, ctx: BSDFContext) -> tuple[bool, ...]:
+        """Whether a context asks for each lobe."""
+        lobes = self.components()
+        if ctx.asks_for_all:
+            return (True,) * len(lobes)
+        return tuple(ctx.is_enabled(flags & int(BSDFFlags.All), i) for i, flags in enumerate(lobes))
+
+    def is_asked(self, ctx: BSDFContext) -> bool:
+        """Whether a context asks for any lobe."""
+        return ctx.asks_for_all or any(self.asked(ctx))
+
+    def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
+        """Whether there is a texture or a number of that name among the parameters."""
+        return self._attribute(name) is not None
+
+    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The parameter of that name at `si`: a texture's colour, or a number.
+
+        Raises:
+            RenderError: There is none.
+        """
+        found = self._known_attribute(name)
+        return found.eval(si, active) if isinstance(found, Plugin) else Color3f(found)  # type: ignore[attr-defined]
+
+    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
+        """The parameter of that name at `si` as a number; raises as `eval_attribute` does."""
+        found = self._known_attribute(name)
+        return found.eval_1(si, active) if isinstance(found, Plugin) else Float(found)  # type: ignore[attr-defined]
+
+    def eval_attribute_3(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The same as `eval_attribute`."""
+        return self.eval_attribute(name, si, active)
+
+    def _attribute(self, name: str) -> Any:
+        """The texture or number that `traverse` reports under a name; None if there is none."""
+        listing = Attributes(self)
+        self.traverse(listing)
+        return listing.found.get(name)
+
+    def _known_attribute(self, name: str) -> Any:
+        found = self._attribute(name)
+        if found is None:
+            listing = Attributes(self)
+            self.traverse(listing)
+            raise RenderError(f"{self.id()}: there is no attribute '{name}'{near_miss(name, listing.found)}")
+        return found
+
+    def needs_differentials(self) -> bool:
+        """False: no BSDF looks at the rays of neighbouring pixels."""
+        return False
 
     def sample(
         self,
@@ -123,6 +189,20 @@ class BSDF(Plugin):
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The albedo shown by the `aov` integrator: by default pi f from `wi` to the normal, as in Mitsuba."""
         return self.eval(BSDFContext(), si, Vector3f(0, 0, 1), active) * math.pi
+
+
+class Attributes:
+    """A traversal callback that collects textures, numbers and colours by name."""
+
+    def __init__(self, plugin: Plugin) -> None:
+        self._plugin = plugin
+        self.found: dict[str, Any] = {}
+
+    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+        """Note a parameter: see `TraversalCallback.put`."""
+        held = value if isinstance(value, Plugin) else getattr(self._plugin, attribute or name, value)
+        if getattr(held, "kind", None) == "texture" or (dr.is_array_v(held) and dr.is_float_v(held)):
+            self.found[name] = held
 
 
 # ---- results of scripts: Python's numbers become Dr.Jit arrays ----------------------------

@@ -12,7 +12,7 @@ from djpt.errors import SceneError
 from djpt.materials.base import BSDF
 from djpt.materials.delta import derivative_of_choice
 from djpt.materials.mask import rescaled, unit_interval
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
+from djpt.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BlendBSDF"]
@@ -49,11 +49,22 @@ class BlendBSDF(BSDF):
         self.bsdf_0, self.bsdf_1 = nested
         self.absorbs = self.bsdf_0.absorbs or self.bsdf_1.absorbs
 
-    def flags(self) -> int:
-        return self.bsdf_0.flags() | self.bsdf_1.flags()
+    def components(self) -> tuple[int, ...]:
+        return self.bsdf_0.components() + self.bsdf_1.components()
 
     def _weight(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
         return unit_interval(self.weight.eval_1(si, active))
+
+    def _only(
+        self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool
+    ) -> tuple[BSDF, BSDFContext, Float] | None:
+        """The nested BSDF that has the only lobe asked for, its context and its share; None if lobes of both are."""
+        if ctx.component == ALL_COMPONENTS:
+            return None
+        weight, first = self._weight(si, active), self.bsdf_0.component_count()
+        if ctx.component < first:
+            return self.bsdf_0, ctx, 1 - weight
+        return self.bsdf_1, ctx.of_part(first), weight
 
     def _choose(
         self,
@@ -89,6 +100,11 @@ class BlendBSDF(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> Sampled:
+        only = self._only(ctx, si, active)
+        if only is not None:
+            bsdf, ctx, share = only
+            bs, value = bsdf.sample(ctx, si, sample1, sample2, active)
+            return bs, value * share
         weight = self._weight(si, active)
         first = self.bsdf_0.sample(ctx, si, rescaled(sample1 - weight, 1 - weight), sample2, active)
         second = self.bsdf_1.sample(ctx, si, rescaled(sample1, weight), sample2, active)
@@ -97,6 +113,11 @@ class BlendBSDF(BSDF):
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
+        only = self._only(ctx, si, active)
+        if only is not None:
+            bsdf, ctx, share = only
+            value, pdf = bsdf.eval_pdf(ctx, si, wo, active)
+            return value * share, pdf
         weight = self._weight(si, active)
         value_0, pdf_0 = self.bsdf_0.eval_pdf(ctx, si, wo, active)
         value_1, pdf_1 = self.bsdf_1.eval_pdf(ctx, si, wo, active)
@@ -111,6 +132,8 @@ class BlendBSDF(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        if ctx.component != ALL_COMPONENTS:
+            return super().eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
         weight = self._weight(si, active)
         sample_0, sample_1 = rescaled(sample1 - weight, 1 - weight), rescaled(sample1, weight)
         value_0, pdf_0, bs_0, weight_0 = self.bsdf_0.eval_pdf_sample(ctx, si, wo, sample_0, sample2, active)

@@ -30,8 +30,8 @@ class Conductor(DeltaBSDF):
         self.eta, self.k = metal(props)
         self.specular_reflectance = props.texture("specular_reflectance", 1.0, low=0.0, high=1.0)
 
-    def flags(self) -> int:
-        return int(BSDFFlags.DeltaReflection | BSDFFlags.FrontSide)
+    def components(self) -> tuple[int, ...]:
+        return (int(BSDFFlags.DeltaReflection | BSDFFlags.FrontSide),)
 
     def reflectance_at(self, si: SurfaceInteraction3f, active: Bool | bool) -> Color3f:
         """The share of light that is reflected towards `si.wi`."""
@@ -46,6 +46,8 @@ class Conductor(DeltaBSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return BSDFSample3f.none(), Color3f(0)
         weight = dr.select(si.wi.z > 0, self.reflectance_at(si, active), 0)
         return BSDFSample3f.of(reflect(si.wi), 1, BSDFFlags.DeltaReflection), weight
 

@@ -58,8 +58,8 @@ class Dielectric(DeltaBSDF):
     def check_parameter(self, name: str, value: Any) -> Any:
         return check_eta(value) if name == "eta" else value
 
-    def flags(self) -> int:
-        return REFLECTION | TRANSMISSION
+    def components(self) -> tuple[int, ...]:
+        return REFLECTION, TRANSMISSION
 
     def interface(self, cos_theta_i: Float) -> tuple[Float, Float, Float, Float]:
         """The results of `fresnel` for this interface."""
@@ -73,7 +73,23 @@ class Dielectric(DeltaBSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
+        return self.chosen_lobe(ctx, si, sample1, active, *self.asked(ctx))
+
+    def chosen_lobe(
+        self,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        sample1: Float,
+        active: Bool | bool,
+        reflects: bool,
+        transmits: bool,
+    ) -> tuple[BSDFSample3f, Color3f]:
+        """A sample of the lobes that are wanted: of one alone always that, with what it has of the whole as weight."""
+        if not (reflects or transmits):
+            return BSDFSample3f.none(), Color3f(0)
         (bs_r, weight_r), (bs_t, weight_t), share = self.lobes(ctx, si, active)
+        if not (reflects and transmits):
+            return (bs_r, weight_r * share) if reflects else (bs_t, weight_t * (1 - share))
         # Not <=: what reflects nothing mustn't be chosen even if the sample is 0.
         chosen = sample1 < share
         bs_r.pdf, bs_t.pdf = share, 1 - share

@@ -31,8 +31,8 @@ class Diffuse(BSDF):
         super().__init__(props)
         self.reflectance = props.texture("reflectance", 0.5, low=0.0, high=1.0)
 
-    def flags(self) -> int:
-        return int(BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide)
+    def components(self) -> tuple[int, ...]:
+        return (int(BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide),)
 
     def sample(
         self,
@@ -42,6 +42,8 @@ class Diffuse(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return BSDFSample3f.none(), Color3f(0)
         wo = square_to_cosine_hemisphere(sample2)
         # From behind, and at the horizon, the density vanishes and with it the sample.
         pdf = dr.select(si.wi.z > 0, wo.z * INV_PI, 0)
@@ -51,6 +53,8 @@ class Diffuse(BSDF):
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0)
         pdf = dr.select((si.wi.z > 0) & (wo.z > 0), wo.z * INV_PI, 0)
         return self.reflectance.eval(si, active) * pdf, pdf
 

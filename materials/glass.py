@@ -35,8 +35,8 @@ class Glass(Dielectric):
         if not (self.reflection or self.transmission):
             raise SceneError(f"{props.node}: 'reflection' and 'transmission' are both false: nothing would be seen")
 
-    def flags(self) -> int:
-        return (REFLECTION if self.reflection else 0) | (TRANSMISSION if self.transmission else 0)
+    def components(self) -> tuple[int, ...]:
+        return (REFLECTION,) * self.reflection + (TRANSMISSION,) * self.transmission
 
     def interface(self, cos_theta_i: Float) -> tuple[Float, Float, Float, Float]:
         return (fresnel_schlick if self.fresnel == "schlick" else fresnel)(cos_theta_i, self.eta)
@@ -49,10 +49,8 @@ class Glass(Dielectric):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
-        if self.reflection and self.transmission:
-            return super().sample(ctx, si, sample1, sample2, active)
-        (bs_r, tint_r), (bs_t, tint_t), share = self.lobes(ctx, si, active)
-        return (bs_r, tint_r * share) if self.reflection else (bs_t, tint_t * (1 - share))
+        asked = dict(zip(self.components(), self.asked(ctx), strict=True))
+        return self.chosen_lobe(ctx, si, sample1, active, asked.get(REFLECTION, False), asked.get(TRANSMISSION, False))
 
 
 register_bsdf("glass", Glass)

@@ -42,8 +42,9 @@ class Mask(BSDF):
         self.nested_bsdf: BSDF = nested[0]
         self.absorbs = self.nested_bsdf.absorbs
 
-    def flags(self) -> int:
-        return self.nested_bsdf.flags() | int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+    def components(self) -> tuple[int, ...]:
+        null = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+        return (*self.nested_bsdf.components(), null)
 
     def _opacity(self, si: SurfaceInteraction3f, active: Bool | bool) -> Float:
         return unit_interval(self.opacity.eval_1(si, active))
@@ -53,9 +54,9 @@ class Mask(BSDF):
     ) -> tuple[BSDFSample3f, Color3f]:
         """The result of `sample`, given the nested sample."""
         hit = sample1 < opacity
-        # Every kind of nested lobe counts as one component, as it mostly does in Mitsuba.
-        last = (self.nested_bsdf.flags() & int(BSDFFlags.All)).bit_count()
-        null = BSDFSample3f.of(-si.wi, 1 - opacity, BSDFFlags.Null, sampled_component=last)
+        null = BSDFSample3f.of(
+            -si.wi, 1 - opacity, BSDFFlags.Null, sampled_component=self.nested_bsdf.component_count()
+        )
         bs: BSDFSample3f = dr.select(hit, dataclasses.replace(nested, pdf=nested.pdf * opacity), null)
         return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
 
@@ -68,21 +69,34 @@ class Mask(BSDF):
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
         opacity = self._opacity(si, active)
+        nested_too, null_too = self._asked(ctx)
+        if not null_too:
+            bs, weight = self.nested_bsdf.sample(ctx, si, sample1, sample2, active)
+            return bs, weight * opacity
+        if not nested_too:
+            last = self.nested_bsdf.component_count()
+            return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null, sampled_component=last), Color3f(1 - opacity)
         nested = self.nested_bsdf.sample(ctx, si, rescaled(sample1, opacity), sample2, active)
         return self._choose(si, sample1, opacity, *nested)
+
+    def _asked(self, ctx: BSDFContext) -> tuple[bool, bool]:
+        """Whether a context asks for a lobe of the nested BSDF, and whether for the way straight on."""
+        asked = self.asked(ctx)
+        return any(asked[:-1]), asked[-1]
 
     def eval(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Color3f:
         return self.nested_bsdf.eval(ctx, si, wo, active) * self._opacity(si, active)
 
     def pdf(self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True) -> Float:
-        return self.nested_bsdf.pdf(ctx, si, wo, active) * self._opacity(si, active)
+        pdf = self.nested_bsdf.pdf(ctx, si, wo, active)
+        return pdf * self._opacity(si, active) if self._asked(ctx)[1] else pdf
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
         opacity = self._opacity(si, active)
         value, pdf = self.nested_bsdf.eval_pdf(ctx, si, wo, active)
-        return value * opacity, pdf * opacity
+        return value * opacity, pdf * opacity if self._asked(ctx)[1] else pdf
 
     def eval_pdf_sample(
         self,
@@ -93,6 +107,8 @@ class Mask(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        if not all(self._asked(ctx)):
+            return super().eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
         opacity = self._opacity(si, active)
         value, pdf, nested, weight = self.nested_bsdf.eval_pdf_sample(
             ctx, si, wo, rescaled(sample1, opacity), sample2, active

@@ -16,8 +16,8 @@ class Null(DeltaBSDF):
     Such a surface can still carry an emitter.
     """
 
-    def flags(self) -> int:
-        return int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+    def components(self) -> tuple[int, ...]:
+        return (int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide),)
 
     def sample(
         self,
@@ -27,6 +27,8 @@ class Null(DeltaBSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return BSDFSample3f.none(), Color3f(0)
         return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null), Color3f(1)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

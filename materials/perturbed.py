@@ -83,8 +83,8 @@ class PerturbedBSDF(BSDF):
 
     # ---- the BSDF ------------------------------------------------------------------------
 
-    def flags(self) -> int:
-        return self.nested_bsdf.flags()
+    def components(self) -> tuple[int, ...]:
+        return self.nested_bsdf.components()
 
     def sample(
         self,

@@ -69,8 +69,9 @@ class Phong(BSDF):
         if problem:
             raise ParameterError(f"{self.id()}: {problem}")
 
-    def flags(self) -> int:
-        return int(BSDFFlags.DiffuseReflection | BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)
+    def components(self) -> tuple[int, ...]:
+        lobes = BSDFFlags.DiffuseReflection, BSDFFlags.GlossyReflection
+        return tuple(int(lobe | BSDFFlags.FrontSide) for lobe in lobes)
 
     def highlight(self, wi: Vector3f, wo: Vector3f, n: Float) -> tuple[Float, Float]:
         """The highlight's f / k_s and its density, per unit solid angle of `wo`."""

@@ -57,11 +57,12 @@ class Plastic(SharedWorkBSDF):
     def check_parameter(self, name: str, value: Any) -> Any:
         return check_eta(value) if name == "eta" else value
 
-    def flags(self) -> int:
-        return int(BSDFFlags.DeltaReflection | BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide)
+    def components(self) -> tuple[int, ...]:
+        mirror, base = BSDFFlags.DeltaReflection, BSDFFlags.DiffuseReflection
+        return int(mirror | BSDFFlags.FrontSide), int(base | BSDFFlags.FrontSide)
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
-        return PlasticAtPoint(self, si, active)
+        return PlasticAtPoint(self, si, active, *self.asked(ctx))
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.diffuse_reflectance.eval(si, active)
@@ -70,7 +71,11 @@ class Plastic(SharedWorkBSDF):
 class PlasticAtPoint:
     """A `Plastic` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
-    def __init__(self, bsdf: Plastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+    def __init__(
+        self, bsdf: Plastic, si: SurfaceInteraction3f, active: Bool | bool, mirrors: bool = True, scatters: bool = True
+    ) -> None:
+        """`mirrors` and `scatters`: whether each lobe is asked for."""
+        self.scatters = scatters
         self.eta, self.wi = bsdf.eta, si.wi
         self.tint = tint(bsdf.specular_reflectance, si, active)
         self.reflected = fresnel(si.wi.z, bsdf.eta)[0]
@@ -86,8 +91,12 @@ class PlasticAtPoint:
         mirror, through = self.reflected * specular, (1 - self.reflected) * diffuse
         total = mirror + through
         self.p_specular = dr.detach(mirror * dr.rcp(dr.select(total > 0, total, 1)))
+        if not (mirrors and scatters):
+            self.p_specular = Float(mirrors)
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        if not self.scatters:
+            return Color3f(0), Float(0)
         ok = (self.wi.z > 0) & (wo.z > 0)
         cosine = dr.select(ok, wo.z * INV_PI, 0)
         value = self.base * ((1 - fresnel(wo.z, self.eta)[0]) * cosine)

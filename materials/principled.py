@@ -144,13 +144,15 @@ class Principled(PrincipledBase):
                 raise ParameterError("must be greater than 0, found 0")
         return value
 
-    def flags(self) -> int:
-        lobes = BSDFFlags.DiffuseReflection | BSDFFlags.GlossyReflection
+    def components(self) -> tuple[int, ...]:
+        both = BSDFFlags.FrontSide | BSDFFlags.BackSide
+        skewed = BSDFFlags.Anisotropic if "anisotropic" in self.given else BSDFFlags.Empty
+        lobes = [BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide]
+        if "clearcoat" in self.given:
+            lobes.append(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)
         if "spec_trans" in self.given:
-            lobes |= BSDFFlags.GlossyTransmission | BSDFFlags.NonSymmetric
-        if "anisotropic" in self.given:
-            lobes |= BSDFFlags.Anisotropic
-        return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+            lobes.append(BSDFFlags.GlossyTransmission | BSDFFlags.NonSymmetric | skewed | both)
+        return tuple(int(lobe) for lobe in (*lobes, BSDFFlags.GlossyReflection | skewed | both))
 
     # ---- parameters ------------------------------------------------------------------------
 

@@ -101,13 +101,13 @@ class PrincipledThin(PrincipledBase):
     def check_parameter(self, name: str, value: Any) -> Any:
         return non_negative(value) if is_readable() else value
 
-    def flags(self) -> int:
-        lobes = BSDFFlags.DiffuseReflection | BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyReflection
+    def components(self) -> tuple[int, ...]:
+        both = BSDFFlags.FrontSide | BSDFFlags.BackSide
+        skewed = BSDFFlags.Anisotropic if "anisotropic" in self.given else BSDFFlags.Empty
+        lobes = [BSDFFlags.DiffuseReflection, BSDFFlags.DiffuseTransmission]
         if "spec_trans" in self.given:
-            lobes |= BSDFFlags.GlossyTransmission
-        if "anisotropic" in self.given:
-            lobes |= BSDFFlags.Anisotropic
-        return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+            lobes.append(BSDFFlags.GlossyTransmission | skewed)
+        return tuple(int(lobe | both) for lobe in (*lobes, BSDFFlags.GlossyReflection | skewed))
 
     def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:
         scalars = self._scalars(si, active)

@@ -59,8 +59,9 @@ class RoughConductor(SharedWorkBSDF):
         callback.put("eta", self.eta)
         callback.put("k", self.k)
 
-    def flags(self) -> int:
-        return int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide)
+    def components(self) -> tuple[int, ...]:
+        anisotropic = BSDFFlags.Empty if self.alpha_v is None else BSDFFlags.Anisotropic
+        return (int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide | anisotropic),)
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
         return RoughConductorAtPoint(self, si, active)

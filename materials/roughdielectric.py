@@ -79,18 +79,33 @@ class RoughDielectric(SharedWorkBSDF):
     def check_parameter(self, name: str, value: Any) -> Any:
         return check_eta(value) if name == "eta" else value
 
-    def flags(self) -> int:
-        lobes = BSDFFlags.GlossyReflection | BSDFFlags.GlossyTransmission
-        return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+    def components(self) -> tuple[int, ...]:
+        common = BSDFFlags.FrontSide | BSDFFlags.BackSide
+        if self.alpha_v is not None:
+            common |= BSDFFlags.Anisotropic
+        return (
+            int(BSDFFlags.GlossyReflection | common),
+            int(BSDFFlags.GlossyTransmission | BSDFFlags.NonSymmetric | common),
+        )
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
-        return RoughDielectricAtPoint(self, ctx, si, active)
+        return RoughDielectricAtPoint(self, ctx, si, active, *self.asked(ctx))
 
 
 class RoughDielectricAtPoint:
     """A `RoughDielectric` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
-    def __init__(self, bsdf: RoughDielectric, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+    def __init__(
+        self,
+        bsdf: RoughDielectric,
+        ctx: BSDFContext,
+        si: SurfaceInteraction3f,
+        active: Bool | bool,
+        reflects: bool = True,
+        transmits: bool = True,
+    ) -> None:
+        """`reflects` and `transmits`: whether each lobe is asked for."""
+        self.reflects, self.both = reflects, reflects and transmits
         alpha_u = bsdf.alpha_u.eval_1(si, active)
         alpha_v = alpha_u if bsdf.alpha_v is None else bsdf.alpha_v.eval_1(si, active)
         self.surface = MicrofacetDistribution(bsdf.distribution, alpha_u, alpha_v, bsdf.sample_visible)
@@ -117,6 +132,8 @@ class RoughDielectricAtPoint:
         m = h * dr.mulsign(dr.sqrt(inv_h2), h.z)
         cos_i, cos_o = dr.dot(self.wi, m), dr.dot(wo, m)
         ok = (cos_i * self.wi.z > 0) & (cos_o * wo.z > 0)
+        if not self.both:
+            ok &= reflected if self.reflects else ~reflected
 
         d = self.surface.eval(m)
         f = fresnel(cos_i, self.eta)[0]
@@ -126,14 +143,16 @@ class RoughDielectricAtPoint:
         value = d * self.g1_i * self.surface.smith_g1_over_cos(wo) * dr.abs(wo.z)
         transmitted = value * (1 - f) * dr.abs(cos_i) * (passed if self.radiance else passed_pdf)
         result = dr.select(reflected, self.tint_r * (0.25 * value * f), self.tint_t * transmitted)
-        per_wo = dr.select(reflected, f * 0.25 * dr.rcp(dr.select(ok, dr.abs(cos_o), 1)), (1 - f) * passed_pdf)
+        chance_r, chance_t = (f, 1 - f) if self.both else (Float(1), Float(1))
+        per_wo = dr.select(reflected, chance_r * 0.25 * dr.rcp(dr.select(ok, dr.abs(cos_o), 1)), chance_t * passed_pdf)
         return dr.select(ok, result, 0), dr.select(ok, self.density(m, d, cos_i) * per_wo, 0)
 
     def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
         m = self.sampled.sample_normal(dr.mulsign(self.wi, self.wi.z), sample2)
         cos_i = dr.dot(self.wi, m)
         f, cos_t, eta_it, eta_ti = fresnel(cos_i, self.eta)
-        reflected = sample1 <= f
+        reflected = sample1 <= f if self.both else Bool(self.reflects)
+        chance_r, chance_t = (f, 1 - f) if self.both else (Float(1), Float(1))
         wo = dr.select(reflected, reflect(self.wi, m), refract(self.wi, m, cos_t, eta_ti))
         cos_o = dr.select(reflected, cos_i, cos_t)
 
@@ -141,7 +160,7 @@ class RoughDielectricAtPoint:
         density = self.density(m, d, cos_i)
         ok = (cos_i * self.wi.z > 0) & (cos_o * wo.z > 0) & (density > 0)
         denominator = dr.select(reflected, 4 * dr.abs(cos_i), dr.square(dr.fma(eta_it, cos_t, cos_i)))
-        numerator = dr.select(reflected, f, (1 - f) * dr.square(eta_it) * dr.abs(cos_t))
+        numerator = dr.select(reflected, chance_r, chance_t * dr.square(eta_it) * dr.abs(cos_t))
         pdf = density * numerator * dr.rcp(dr.select(ok & (denominator > 0), denominator, 1))
 
         g = self.surface.smith_g1_over_cos(wo) * dr.abs(wo.z)
@@ -150,6 +169,8 @@ class RoughDielectricAtPoint:
             g *= d * self.g1_i * dr.abs(cos_i) * dr.rcp(dr.select(ok, density, 1))
         through = self.tint_t * dr.square(eta_ti) if self.radiance else self.tint_t
         weight = dr.select(reflected, self.tint_r, through) * g
+        if not self.both:
+            weight = weight * dr.select(reflected, f, 1 - f)
         sampled_type = dr.select(reflected, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.GlossyTransmission))
         eta = dr.select(reflected, 1, eta_it)
         component = dr.select(reflected, UInt32(0), UInt32(1))

@@ -16,6 +16,7 @@ from djpt.description.numeric import as_array, is_readable
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float, opaque
 from djpt.materials.dielectric import optional_texture, tint
@@ -121,16 +122,17 @@ class RoughPlastic(SharedWorkBSDF):
         change = coat(self.distribution, *after).array - coat(self.distribution, *before).array
         return TensorXf(change * dr.rcp(2 * step), (1, KNOTS, 2))
 
-    def flags(self) -> int:
-        return int(BSDFFlags.GlossyReflection | BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide)
+    def components(self) -> tuple[int, ...]:
+        coat, base = BSDFFlags.GlossyReflection, BSDFFlags.DiffuseReflection
+        return int(coat | BSDFFlags.FrontSide), int(base | BSDFFlags.FrontSide)
 
     def coat_at(self, index: UInt32, active: Bool | bool) -> Point2f:
         """An entry of the table, attached to alpha and eta."""
-        entry = self.coat.at(index, active)
+        entry = entry_at(self.coat, index, active)
         if dr.grad_enabled(self.alpha):
-            entry = dr.fma(self.coat_by_alpha.at(index, active), self.alpha - dr.detach(self.alpha), entry)
+            entry = dr.fma(entry_at(self.coat_by_alpha, index, active), self.alpha - dr.detach(self.alpha), entry)
         if dr.grad_enabled(self.eta):
-            entry = dr.fma(self.coat_by_eta.at(index, active), self.eta - dr.detach(self.eta), entry)
+            entry = dr.fma(entry_at(self.coat_by_eta, index, active), self.eta - dr.detach(self.eta), entry)
         return entry
 
     def transmittance_of_coat(self, cos: Float, active: Bool | bool) -> Float:
@@ -142,7 +144,7 @@ class RoughPlastic(SharedWorkBSDF):
         return dr.lerp(ends.x, ends.y, x - Float(index))
 
     def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
-        return RoughPlasticAtPoint(self, si, active)
+        return RoughPlasticAtPoint(self, si, active, *self.asked(ctx))
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.diffuse_reflectance.eval(si, active)
@@ -151,7 +153,16 @@ class RoughPlastic(SharedWorkBSDF):
 class RoughPlasticAtPoint:
     """A `RoughPlastic` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
-    def __init__(self, bsdf: RoughPlastic, si: SurfaceInteraction3f, active: Bool | bool) -> None:
+    def __init__(
+        self,
+        bsdf: RoughPlastic,
+        si: SurfaceInteraction3f,
+        active: Bool | bool,
+        shines: bool = True,
+        scatters: bool = True,
+    ) -> None:
+        """`shines` and `scatters`: whether each lobe is asked for."""
+        self.shines, self.scatters = shines, scatters
         self.bsdf, self.wi, self.active = bsdf, si.wi, active
         self.surface = MicrofacetDistribution(bsdf.distribution, bsdf.alpha, bsdf.alpha, bsdf.sample_visible)
         self.g1_i = self.surface.smith_g1_over_cos(si.wi)
@@ -168,6 +179,8 @@ class RoughPlasticAtPoint:
         lobe_s, lobe_d = (1 - through) * specular, through * diffuse
         total = lobe_s + lobe_d
         self.p_specular = dr.detach(lobe_s * dr.rcp(dr.select(total > 0, total, 1)))
+        if not (shines and scatters):
+            self.p_specular = Float(shines)
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
         # The half vector of two directions above the horizon faces both of them.
@@ -179,7 +192,10 @@ class RoughPlasticAtPoint:
         visible = 0.25 * d * self.g1_i
         glossy = fresnel(cos, self.bsdf.eta)[0] * visible * self.surface.smith_g1_over_cos(wo) * wo.z
         cosine = wo.z * INV_PI
-        value = self.tint * glossy + self.base * (self.bsdf.transmittance_of_coat(wo.z, self.active) * cosine)
+        base = self.base * (self.bsdf.transmittance_of_coat(wo.z, self.active) * cosine)
+        value = self.tint * glossy + base if self.shines and self.scatters else self.tint * glossy
+        if not self.shines:
+            value = base
         pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
         pdf = dr.lerp(cosine, pdf, self.p_specular)
         return dr.select(ok, value, 0), dr.select(ok, pdf, 0)

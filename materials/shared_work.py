@@ -36,11 +36,15 @@ class SharedWorkBSDF(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return BSDFSample3f.none(), Color3f(0)
         return self.at(ctx, si, active).sample(sample1, sample2)
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0)
         return self.at(ctx, si, active).eval_pdf(wo)
 
     def eval_pdf_sample(
@@ -52,5 +56,7 @@ class SharedWorkBSDF(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        if not self.is_asked(ctx):
+            return Color3f(0), Float(0), BSDFSample3f.none(), Color3f(0)
         here = self.at(ctx, si, active)
         return *here.eval_pdf(wo), *here.sample(sample1, sample2)

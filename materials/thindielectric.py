@@ -43,9 +43,9 @@ class ThinDielectric(DeltaBSDF):
     def check_parameter(self, name: str, value: Any) -> Any:
         return check_eta(value) if name == "eta" else value
 
-    def flags(self) -> int:
-        lobes = BSDFFlags.DeltaReflection | BSDFFlags.Null
-        return int(lobes | BSDFFlags.FrontSide | BSDFFlags.BackSide)
+    def components(self) -> tuple[int, ...]:
+        sides = BSDFFlags.FrontSide | BSDFFlags.BackSide
+        return int(BSDFFlags.DeltaReflection | sides), int(BSDFFlags.Null | sides)
 
     def reflectance_at(self, si: SurfaceInteraction3f) -> Float:
         """The reflectance of the sheet, 2 F / (1 + F)."""
@@ -60,9 +60,14 @@ class ThinDielectric(DeltaBSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
+        reflects, transmits = self.asked(ctx)
+        if not (reflects or transmits):
+            return BSDFSample3f.none(), Color3f(0)
         share = self.reflectance_at(si)
-        chosen = sample1 < share  # as in `Dielectric`
-        pdf = dr.select(chosen, share, 1 - share)
+        # One lobe alone is always chosen.
+        chosen = sample1 < share if reflects and transmits else Bool(reflects)  # as in `Dielectric`
+        part = dr.select(chosen, share, 1 - share)
+        pdf = part if reflects and transmits else Float(1)
         wo = dr.select(chosen, reflect(si.wi), -si.wi)
         kind = dr.select(chosen, UInt32(BSDFFlags.DeltaReflection), UInt32(BSDFFlags.Null))
         component = dr.select(chosen, UInt32(0), UInt32(1))
@@ -70,7 +75,7 @@ class ThinDielectric(DeltaBSDF):
             chosen, tint(self.specular_reflectance, si, active), tint(self.specular_transmittance, si, active)
         )
         bs = BSDFSample3f.of(wo, dr.detach(pdf), kind, sampled_component=component)
-        return bs, colour * derivative_of_choice(pdf)
+        return bs, colour * (derivative_of_choice(part) if reflects and transmits else part)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return tint(self.specular_transmittance, si, active) * (1 - self.reflectance_at(si))

@@ -11,7 +11,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
+from djpt.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["TwoSided"]
@@ -45,13 +45,26 @@ class TwoSided(BSDF):
         if self.back is not None:
             callback.put("brdf_1", self.back)
 
-    def flags(self) -> int:
-        back = self.back.flags() if self.back else 0
-        return self.front.flags() | back | int(BSDFFlags.FrontSide | BSDFFlags.BackSide)
+    def components(self) -> tuple[int, ...]:
+        back = self.back or self.front
+        sides = int(BSDFFlags.FrontSide | BSDFFlags.BackSide)
+        return (
+            *((lobe & ~sides) | int(BSDFFlags.FrontSide) for lobe in self.front.components()),
+            *((lobe & ~sides) | int(BSDFFlags.BackSide) for lobe in back.components()),
+        )
 
     def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
         return dataclasses.replace(si, wi=wi)
+
+    def _only(self, ctx: BSDFContext, behind: Bool) -> tuple[BSDF, BSDFContext, Bool] | None:
+        """The BSDF that has the only lobe asked for, its context, and where it is seen; None if all are asked for."""
+        if ctx.component == ALL_COMPONENTS:
+            return None
+        first = self.front.component_count()
+        if ctx.component < first:
+            return self.front, ctx, ~behind
+        return self.back or self.front, ctx.of_part(first), behind
 
     def sample(
         self,
@@ -62,17 +75,26 @@ class TwoSided(BSDF):
         active: Bool | bool = True,
     ) -> tuple[BSDFSample3f, Color3f]:
         behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
+        only = self._only(ctx, behind)
+        if only is not None:
+            bsdf, ctx, here = only
+            bs, weight = bsdf.sample(ctx, mirrored, sample1, sample2, active)
+            return dr.select(here, (flipped_sample(bs, behind), weight), (BSDFSample3f.none(), Color3f(0)))
         result = self.front.sample(ctx, mirrored, sample1, sample2, active)
         if self.back is not None:
             result = dr.select(behind, self.back.sample(ctx, mirrored, sample1, sample2, active), result)
         bs, weight = result
-        return dataclasses.replace(bs, wo=flipped(bs.wo, behind)), weight
+        return flipped_sample(bs, behind), weight
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
     ) -> tuple[Color3f, Float]:
         behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
         wo = flipped(wo, behind)
+        only = self._only(ctx, behind)
+        if only is not None:
+            bsdf, ctx, here = only
+            return dr.select(here, bsdf.eval_pdf(ctx, mirrored, wo, active), (Color3f(0), Float(0)))
         result = self.front.eval_pdf(ctx, mirrored, wo, active)
         if self.back is not None:
             result = dr.select(behind, self.back.eval_pdf(ctx, mirrored, wo, active), result)
@@ -87,6 +109,8 @@ class TwoSided(BSDF):
         sample2: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Color3f, Float, BSDFSample3f, Color3f]:
+        if ctx.component != ALL_COMPONENTS:
+            return super().eval_pdf_sample(ctx, si, wo, sample1, sample2, active)
         behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
         wo = flipped(wo, behind)
         result = self.front.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
@@ -94,7 +118,7 @@ class TwoSided(BSDF):
             other = self.back.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
             result = dr.select(behind, other, result)
         value, pdf, bs, weight = result
-        return value, pdf, dataclasses.replace(bs, wo=flipped(bs.wo, behind)), weight
+        return value, pdf, flipped_sample(bs, behind), weight
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         behind, mirrored = si.wi.z < 0, self._seen_from_front(si)
@@ -107,6 +131,11 @@ class TwoSided(BSDF):
 def flipped(v: Vector3f, behind: Bool) -> Vector3f:
     """The direction `v`, mirrored by the surface where `behind`."""
     return Vector3f(v.x, v.y, dr.select(behind, -v.z, v.z))
+
+
+def flipped_sample(bs: BSDFSample3f, behind: Bool) -> BSDFSample3f:
+    """The sample `bs`, mirrored by the surface where `behind`."""
+    return dataclasses.replace(bs, wo=flipped(bs.wo, behind))
 
 
 register_bsdf("twosided", TwoSided)

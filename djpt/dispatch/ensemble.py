@@ -155,10 +155,23 @@ class Attached:
         self._overrides = overrides
         self._flats: dict[int, tuple[Leaf, Any]] = {}
 
+    def variables(self) -> list[Any]:
+        """The attached values."""
+        return list(self._overrides.values())
+
     def attaches(self, leaf: Leaf) -> bool:
         return any((id(owner), leaf.attribute) in self._overrides for owner in leaf.owners)
 
+    def prepare(self, leaves: Iterable[Leaf]) -> None:
+        """Build the buffers of some leaves, which loops that Dr.Jit records can't do."""
+        for leaf in leaves:
+            self._buffer(leaf)
+
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
+        found = self._buffer(leaf)
+        return BufferTable(found, slot) if isinstance(leaf, TableLeaf) else found.at(slot)
+
+    def _buffer(self, leaf: Leaf) -> Any:
         if id(leaf) not in self._flats:
             rows = [
                 self._overrides.get((id(owner), leaf.attribute), dr.detach(getattr(owner, leaf.attribute)))
@@ -167,8 +180,7 @@ class Attached:
             # The leaf is kept beside its buffer so that its id stays taken.
             table = Buffer(rows, leaf.identity()) if isinstance(leaf, TableLeaf) else Flat(rows)
             self._flats[id(leaf)] = (leaf, table)
-        found = self._flats[id(leaf)][1]
-        return BufferTable(found, slot) if isinstance(leaf, TableLeaf) else found.at(slot)
+        return self._flats[id(leaf)][1]
 
 
 class Group(Generic[P]):

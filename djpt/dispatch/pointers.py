@@ -36,10 +36,40 @@ class BSDFPtr:
     def __init__(self, bsdfs: Ensemble[BSDF], lookup: Lookup, index: UInt32) -> None:
         self._bsdfs, self._lookup, self.index = bsdfs, lookup, index
 
-    def flags(self) -> UInt32:
-        """The `BSDFFlags` per lane."""
-        flags = [bsdf.flags() for bsdf in self._bsdfs.plugins]
+    def flags(self, index: int | None = None, active: Bool | bool = True) -> UInt32:
+        """The `BSDFFlags` per lane; with `index` those of that lobe, 0 where there is none."""
+        flags = [flags_of(bsdf, index) for bsdf in self._bsdfs.plugins]
         return choose(self.index, [UInt32(f) for f in flags], flags)
+
+    def component_count(self, active: Bool | bool = True) -> UInt32:
+        """The number of lobes per lane."""
+        counts = [bsdf.component_count() for bsdf in self._bsdfs.plugins]
+        return choose(self.index, [UInt32(n) for n in counts], counts)
+
+    def needs_differentials(self, active: Bool | bool = True) -> Bool:
+        """False: no BSDF looks at the rays of neighbouring pixels."""
+        return Bool(False)
+
+    def has_attribute(self, name: str, active: Bool | bool = True) -> Bool:
+        """Whether the BSDF of each lane has a value of that name."""
+        known = [int(bsdf.has_attribute(name)) for bsdf in self._bsdfs.plugins]
+        return (choose(self.index, [UInt32(n) for n in known], known) != 0) & active
+
+    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The value of that name as a colour; 0 where there is none and on inactive lanes."""
+        return self._attribute(lambda bsdf: bsdf.eval_attribute(name, si, active), name, Color3f(0), active)
+
+    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
+        """The value of that name as a number; 0 where there is none and on inactive lanes."""
+        return self._attribute(lambda bsdf: bsdf.eval_attribute_1(name, si, active), name, Float(0), active)
+
+    def eval_attribute_3(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The same as `eval_attribute`."""
+        return self.eval_attribute(name, si, active)
+
+    def _attribute(self, method: Callable[[BSDF], Any], name: str, nothing: Any, active: Bool | bool) -> Any:
+        value = self.visit(lambda bsdf: method(bsdf) if bsdf.has_attribute(name) else nothing)
+        return dr.select(active, value, nothing)
 
     def sample(
         self,
@@ -142,6 +172,13 @@ class BSDFPtr:
         smooth = dr.select(plain != 0, fixed * value * dr.rcp(plain), fixed)
         change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, smooth)
         return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
+
+
+def flags_of(bsdf: BSDF, index: int | None) -> int:
+    """The flags of a BSDF, or those of a lobe; 0 if it has no such lobe."""
+    if index is None:
+        return bsdf.flags()
+    return bsdf.flags(index) if index < bsdf.component_count() else 0
 
 
 class EmitterPtr:

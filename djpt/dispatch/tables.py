@@ -15,7 +15,7 @@ import drjit as dr
 from djpt.dispatch.lookup import Rows
 from djpt.types import Array4f, Bool, Color3f, Float, Point2f, UInt32
 
-__all__ = ["Buffer", "Table", "channels_of"]
+__all__ = ["Buffer", "Table", "channels_of", "entry_at"]
 
 ENTRIES: dict[int, tuple[type, int]] = {1: (Float, 1), 2: (Point2f, 2), 3: (Color3f, 4), 4: (Array4f, 4)}
 """The type of an entry and its size in memory, by the number of channels."""
@@ -110,6 +110,13 @@ class Buffer:
         index = dr.arange(UInt32, dr.prod(shape))
         start = dr.opaque(UInt32, self._first[key])
         return dr.gather(Float, memory, (index // self.channels + start) * self._size + index % self.channels)
+
+
+def entry_at(table: Any, index: UInt32, active: Bool | bool = True) -> Any:
+    """Entry number `index` of a table, or of the tensor that stands there outside of kernels."""
+    if not dr.is_tensor_v(table):
+        return table.at(index, active)
+    return dr.gather({1: Float, 2: Point2f, 3: Color3f, 4: Array4f}[channels_of(table)], table.array, index, active)
 
 
 def entries(tensor: Any) -> int:

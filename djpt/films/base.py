@@ -5,13 +5,18 @@ from __future__ import annotations
 import enum
 import operator
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import drjit as dr
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
-from djpt.types import Bool, Color3f, Float, ScalarArray2u
+from djpt.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
+
+if TYPE_CHECKING:
+    from djpt.films.image_block import ImageBlock
 
 __all__ = ["Film", "FilmFlags"]
 
@@ -50,6 +55,8 @@ class Film(Plugin):
         self._crop_offset, self._crop_size = offset, size
         self._sample_border = props.boolean("sample_border", False)
         default = Gaussian(Properties("gaussian", f"{props.node}.rfilter", {}))
+        self._image: TensorXf | None = None
+        self._image_names: tuple[str, ...] = ()
         self._rfilter: ReconstructionFilter = props.child("rfilter", default)
 
     def _require_crop(self, node: str, offset: Sequence[int], size: Sequence[int]) -> None:
@@ -114,6 +121,34 @@ class Film(Plugin):
     def sensor_response_function(self) -> None:
         """Nothing: films of colours have no response to single wavelengths."""
         return None
+
+    # ---- samples of scripts --------------------------------------------------------------
+
+    def prepare(self, aovs: Sequence[str] = ()) -> int:
+        """Begin an image with further channels `aovs`; returns the number of all channels."""
+        raise NotImplementedError
+
+    def create_block(self, size: Sequence[int] = (0, 0), normalize: bool = False, borders: bool = False) -> ImageBlock:
+        """An empty image block with the film's channels and filter."""
+        raise NotImplementedError
+
+    def put_block(self, block: ImageBlock) -> None:
+        """Add the sums of a block to those of the film."""
+        raise NotImplementedError
+
+    def clear(self) -> None:
+        """Set all sums to zero."""
+        raise NotImplementedError
+
+    def develop(self, raw: bool = False) -> TensorXf:
+        """The image (H, W, C); with `raw` the sums that it is made from."""
+        raise NotImplementedError
+
+    # ---- finished images --------------------------------------------------------------
+
+    def keep(self, image: TensorXf, names: Sequence[str]) -> None:
+        """Keep a finished image (H, W, C), for scripts that ask the film for it; `names` are those of its channels."""
+        self._image, self._image_names = TensorXf(dr.detach(image)), tuple(names)
 
     # ---- what is rendered ---------------------------------------------------------
 

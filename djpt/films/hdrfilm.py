@@ -87,7 +87,7 @@ class HDRFilm(Film):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise RenderError(f"{self.id()}: the channel '{twice[0]}' appears twice")
-        self._names = names
+        self._names, self._image = names, None
         self._storage = self._block(self._crop_size, self._crop_offset, False, False)
         return len(names)
 
@@ -112,7 +112,7 @@ class HDRFilm(Film):
 
     def _prepared(self) -> ImageBlock:
         if self._storage is None:
-            raise RenderError(f"{self.id()}: the film holds no image yet: call film.prepare(aovs) first")
+            raise RenderError(f"{self.id()}: the film holds no image yet: render, or call film.prepare(aovs) first")
         return self._storage
 
     def put_block(self, block: ImageBlock) -> None:
@@ -137,8 +137,9 @@ class HDRFilm(Film):
 
         With `raw` the sums themselves, in the channels of `prepare`.
         """
-        block = self._prepared()
-        sums = block.tensor()
+        if self._image is not None:
+            return self._raw_image() if raw else self._image
+        sums = self._prepared().tensor()
         if raw:
             return sums
         height, width, count = sums.shape
@@ -155,8 +156,20 @@ class HDRFilm(Film):
             dr.scatter(image, channel, first + c)
         return TensorXf(image, shape=(height, width, len(channels)))
 
+    def _raw_image(self) -> TensorXf:
+        """The kept image as sums of samples: each pixel with the weight 1."""
+        assert self._image is not None
+        height, width, count = self._image.shape
+        colors = self.base_channels_count()
+        if self.pixel_format not in ("rgb", "rgba") or self._image_names[:colors] != self.channel_names():
+            raise RenderError(f"{self.id()}: sums of samples aren't kept: render to the pixel format rgb or rgba")
+        parts = [self._image[:, :, :colors], dr.full(TensorXf, 1, (height, width, 1))]
+        return dr.concat([*parts, self._image[:, :, colors:]] if count > colors else parts, axis=2)
+
     def developed_names(self) -> tuple[str, ...]:
         """The names of the channels of `develop`."""
+        if self._image is not None:
+            return self._image_names
         return (*self.channel_names(), *self._names[self._names.index("W") + 1 :])
 
     def bitmap(self, raw: bool = False) -> Any:
@@ -169,7 +182,10 @@ class HDRFilm(Film):
             home = importlib.import_module("djpt.scripting.bitmap")
         except ModuleNotFoundError as error:
             raise RenderError(f"{self.id()}: bitmap() needs djpt.Bitmap, which isn't installed") from error
-        image, names = self.develop(raw), self._names if raw else self.developed_names()
+        image, names = self.develop(raw), self.developed_names()
+        if raw:
+            colors = self.base_channels_count()
+            names = self._names or (*names[:colors], "W", *names[colors:])
         formats = home.Bitmap.PixelFormat
         if raw or len(names) > self.base_channels_count():
             return home.Bitmap(image, formats.MultiChannel, list(names))

@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.errors import RenderError
 from djpt.kernels import opaque
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Array4f, Bool, Color3f, Float, Int32, Point2f, ScalarArray2u, TensorXf, UInt32
+from djpt.types import Array4f, Bool, Color3f, Float, Int32, Point2f, ScalarArray2i, ScalarArray2u, TensorXf, UInt32
 
 __all__ = ["ImageBlock"]
 
@@ -81,9 +81,9 @@ class ImageBlock:
         """The height without the border."""
         return self._size[1]
 
-    def offset(self) -> Any:
+    def offset(self) -> ScalarArray2i:
         """The film's column and row of the first pixel."""
-        return dr.scalar.Array2i(*self._offset)
+        return ScalarArray2i(*self._offset)
 
     def channel_count(self) -> int:
         """The number of channels."""

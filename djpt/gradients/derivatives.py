@@ -41,7 +41,7 @@ from djpt.schedules.reconstruction import add_samples, collected, sample_adjoint
 from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
-__all__ = ["differentiable", "gradient_seed"]
+__all__ = ["Derivative", "attached_image", "derivative_of", "differentiable", "gradient_seed"]
 
 MAX_ATTACHED_SAMPLES = 2**25
 """The largest number of samples for plain AD, which holds the graph of all of them at once."""
@@ -63,22 +63,34 @@ def differentiable(
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
-    integrator = job.integrator
-    if not integrator.differentiable:
-        raise RenderError(
-            f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
-        )
     samples = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None, pass_spp=0)
-    derivative: Derivative
-    if integrator.stepwise:
-        derivative = ReplayDerivative(samples, schedule, parameters)
-    else:
-        derivative = AttachedDerivative(samples, schedule, parameters)
+    derivative = derivative_of(samples, schedule, parameters)
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
             return schedule.image(job)
 
+    return attached_image(parameters, primal, derivative)
+
+
+def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
+    """The estimator of an image's derivative by the samples of a job.
+
+    Raises:
+        RenderError: The integrator, as it is set up, can't be differentiated.
+    """
+    integrator = samples.integrator
+    if not integrator.differentiable:
+        raise RenderError(
+            f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
+        )
+    if integrator.stepwise:
+        return ReplayDerivative(samples, schedule, parameters)
+    return AttachedDerivative(samples, schedule, parameters)
+
+
+def attached_image(parameters: list[Parameter], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
+    """The image `primal()`, attached to `parameters` by an estimator of its derivative."""
     return dr.custom(ImageOp, [p.value for p in parameters], primal, derivative)
 
 

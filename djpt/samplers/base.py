@@ -79,9 +79,6 @@ class SampleStream(Protocol):
     def clone(self) -> Any:
         """A stream that continues with the same numbers, independently of this one."""
 
-    def continued(self, fresh: Any) -> Any:
-        """The stream of the lane's next sample, which would be `fresh` in an image: random generators go on."""
-
 
 class Sampler(Plugin):
     """A source of random numbers: it makes a `SampleStream` per sample.
@@ -172,7 +169,11 @@ class Sampler(Plugin):
         """Go on to the next sample of each lane's pixel, and to its first dimension."""
         self._sample += 1
         if self._makes_streams():
-            self._stream = self._seeded().continued(self._begun())
+            self._stream = self.continued(self._seeded(), self._begun())
+
+    def continued(self, stream: Any, fresh: Any) -> Any:
+        """The stream after `stream`, for the lane's next sample; in an image that would be `fresh`, the default."""
+        return fresh
 
     def wavefront_size(self) -> int:
         """The number of lanes; 0 before `seed`."""
@@ -195,6 +196,12 @@ class Sampler(Plugin):
     def schedule_state(self) -> None:
         """Let the next `dr.eval` compute the state of the streams."""
         dr.schedule([value for value in vars(self).values() if is_state(value)])
+
+    def drawing(self: Own, stream: Any, lanes: int) -> Own:
+        """A copy of this sampler that draws from the streams of `lanes` lanes."""
+        other = self.fork()
+        other._stream, other._wavefront_size = stream, lanes
+        return other
 
     def fork(self: Own) -> Own:
         """A sampler with the same settings that isn't seeded."""

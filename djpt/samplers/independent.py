@@ -44,9 +44,6 @@ class IndependentStream:
     def clone(self) -> IndependentStream:
         return IndependentStream(UInt32(self.low), UInt32(self.high), UInt32(self.sequence))
 
-    def continued(self, fresh: IndependentStream) -> IndependentStream:
-        return self
-
     def next_1d(self, active: Bool | bool = True) -> Float:
         low, high = increment(self.sequence)
         carried: Any = dr.mul_hi(self.low, UInt32(LOW))
@@ -87,6 +84,9 @@ class Independent(Sampler):
     def stream(self, seed: UInt32, index: SampleIndex) -> IndependentStream:
         v0, v1 = sample_tea_32(seed, index.number)
         return IndependentStream.seeded(v0, v1)
+
+    def continued(self, stream: IndependentStream, fresh: IndependentStream) -> IndependentStream:
+        return stream
 
 
 def generator(seed: UInt32, number: UInt32) -> PCG32:

@@ -77,9 +77,6 @@ class JitteredStream:
     def clone(self: Stream) -> Stream:
         return replace(self, rng=None if self.rng is None else copy_of(self.rng))
 
-    def continued(self: Stream, fresh: Stream) -> Stream:
-        return replace(fresh, rng=self.rng)
-
 
 class JitteredSampler(PointSets):
     """A sampler with Mitsuba's parameter `jitter` (default true): random positions in the cells, or their middle."""
@@ -87,6 +84,9 @@ class JitteredSampler(PointSets):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.jitter = props.boolean("jitter", True)
+
+    def continued(self, stream: Stream, fresh: Stream) -> Stream:
+        return replace(fresh, rng=stream.rng)
 
     def generator(self, seed: UInt32, index: SampleIndex) -> PCG32 | None:
         """The generator that jitters a sample; None without `jitter`."""

@@ -28,9 +28,6 @@ class LDStream:
     def clone(self) -> LDStream:
         return replace(self)
 
-    def continued(self, fresh: LDStream) -> LDStream:
-        return fresh
-
     def point(self) -> UInt32:
         """Return the number of the sample's point in the next dimension, and advance the dimension."""
         seed = self.key + self.dimension

@@ -34,9 +34,6 @@ class SobolStream:
     def clone(self) -> SobolStream:
         return replace(self)
 
-    def continued(self, fresh: SobolStream) -> SobolStream:
-        return fresh
-
     def next_hash(self) -> UInt32:
         """Return a random number per key and draw, and advance the key."""
         key = self.key

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import drjit as dr
 
+from djpt.errors import RenderError
 from djpt.llvm.lanes import small_blocks
 from djpt.schedules.canvas import Canvas
 from djpt.schedules.job import Band, Job
@@ -202,7 +203,13 @@ def one_ahead(items: Iterable[T]) -> Iterator[T]:
 
 
 def report(job: Job, done: int) -> None:
-    """Tell the caller's progress function; waits for the kernel, so that the number is true."""
+    """Tell the caller's progress function; waits for the kernel, so that the number is true.
+
+    Raises:
+        RenderError: The integrator was asked to stop.
+    """
+    if job.integrator.should_stop():
+        raise RenderError(f"{job.integrator.id}: the rendering was cancelled")
     if job.progress is not None:
         dr.sync_thread()
         job.progress(done, job.samples)

@@ -13,7 +13,7 @@ from djpt.schedules.flat import Flat
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import grouped
 from djpt.schedules.passes import stored_image
-from djpt.types import Float, TensorXf, UInt32
+from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
 __all__ = ["Wave"]
 
@@ -29,5 +29,9 @@ class Wave(Flat):
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         layer, pixel = grouped(job, band, end - begin)
         stream, ray, _ = job.begin(pixel, layer + dr.opaque(UInt32, begin), *job.coordinates(pixel))
-        color, valid, aovs = job.integrator.sample(job.scene, stream, ray)
-        return job.channels(color, valid, aovs)
+        if not job.integrator.from_script:
+            color, valid, aovs = job.integrator.sample(job.scene, stream, ray)
+            return job.channels(color, valid, aovs)
+        sampler = job.sampler.drawing(stream, dr.width(pixel))
+        color, valid, aovs = job.integrator.sample(job.scene, sampler, ray, None, Bool(True))
+        return job.channels(Color3f(color), Bool(valid), [Float(value) for value in aovs])

@@ -10,8 +10,11 @@ EXPORTS: dict[str, str] = {
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
+    "djpt.integrators.base": "SamplingIntegrator",
+    "djpt.integrators.unidirectional": "MonteCarloIntegrator",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
+    "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
     "djpt.scripting.angles": "coordinate_system dir_to_sph sph_to_dir",
     "djpt.scripting.arguments": "ArgParser",
     "djpt.scripting.arrays": " ".join(ARRAYS),
@@ -40,6 +43,9 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback register_medium register_phase",
+    "djpt.scripting.plugin_kinds": (
+        "Endpoint Medium PhaseFunction Volume register_medium register_phasefunction register_volume"
+    ),
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "

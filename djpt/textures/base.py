@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import drjit as dr
-
 from djpt.description.allowed import Allowed
 from djpt.description.plugin import Plugin
-from djpt.types import Bool, Color3f, Float, Point2f, Vector2f
+from djpt.description.properties import Properties
+from djpt.description.registry import lookup
+from djpt.errors import RenderError
+from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, Vector2f
 
 __all__ = ["Texture"]
+
+
+SPECTRA = "no wavelengths: ask for colours by eval or eval_3"
 
 
 class Texture(Plugin):
@@ -43,6 +47,34 @@ class Texture(Plugin):
             return Vector2f(0)
         raise NotImplementedError
 
+    def is_spatially_varying(self) -> bool:
+        """Whether the texture can differ from point to point."""
+        return not self.is_constant
+
+    def resolution(self) -> ScalarArray2i:
+        """The number of texels along u and v; 1 x 1 for textures without any."""
+        return ScalarArray2i(1, 1)
+
+    def max(self) -> float:
+        """The largest value of all points and channels."""
+        raise self.unknown("no largest value")
+
+    def unknown(self, what: str) -> RenderError:
+        """The error of a question that the texture has no answer to."""
+        return RenderError(f"{self.id()}: a '{type(self).__name__}' has {what}")
+
+    def pdf_spectrum(self, si: Any, active: Bool | bool = True) -> Any:
+        """Raise `RenderError`: colours are red, green and blue, not spectra."""
+        raise self.unknown(SPECTRA)
+
+    sample_spectrum = wavelength_range = spectral_resolution = pdf_spectrum
+
+    @staticmethod
+    def D65(scale: float = 1.0) -> Texture:
+        """The white of a lamp: in red, green and blue the same number, `scale`."""
+        texture: Texture = lookup("texture", "uniform")(Properties("uniform", "D65", {"value": scale}))
+        return texture
+
     def prepare_sampling(self) -> None:
         """Build what `sample_position` needs; a light with this radiance asks for it, on the host."""
 
@@ -57,18 +89,6 @@ class Texture(Plugin):
     def mean(self) -> Float:
         """The average over the texture's domain and channels."""
         raise NotImplementedError
-
-    def max(self) -> float:
-        """The largest number that the texture shows, read on the host."""
-        raise NotImplementedError(f"a {type(self).__name__} texture doesn't know its largest value")
-
-    def is_spatially_varying(self) -> bool:
-        """Whether the texture isn't the same everywhere."""
-        return not self.is_constant
-
-    def resolution(self) -> Any:
-        """The numbers of texels along u and v, a `drjit.scalar.Array2i`; 1 x 1 for textures without texels."""
-        return dr.scalar.Array2i(1, 1)
 
     def used_by(self, kind: str) -> None:
         """Learn the kind of the plugin that uses the texture, before `restrict`: light and paint differ in colour."""

@@ -22,7 +22,7 @@ from djpt.kernels import as_float, maximum, minimum
 from djpt.textures.brightness import cell_weights
 from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector2f
+from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
 from djpt.warp import square_to_tent
 
 __all__ = ["Bitmap"]
@@ -82,6 +82,13 @@ class Bitmap(UVTexture):
             colour = mean_texel(numbers_of(self.data))
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
 
+    def resolution(self) -> ScalarArray2i:
+        height, width, _ = self.data.shape
+        return ScalarArray2i(width, height)
+
+    def max(self) -> float:
+        return float(numbers_of(self.data).max())
+
     def prepare_sampling(self) -> None:
         """Build the distribution: its cells are texels unless `to_uv` moves them, which Mitsuba 3.9.1 ignores."""
         height, width, _ = self.data.shape
@@ -140,7 +147,9 @@ class Bitmap(UVTexture):
     def eval_3(self, si: Any, active: Bool | bool = True) -> Color3f:
         """The colour at `si`. Raises `SceneError` if the texture is grey."""
         if self.channels == 1:
-            raise SceneError(f"{self.id}: a grey bitmap has no three channels; use 'eval_1', or 'eval' for any texture")
+            raise SceneError(
+                f"{self.id()}: a grey bitmap has no three channels; use 'eval_1', or 'eval' for any texture"
+            )
         return self.eval(si, active)
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
@@ -156,6 +165,7 @@ class Bitmap(UVTexture):
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
+        self._prepare_outside()
         if self.distribution is None:
             like = self._sampled()
             return super().sample_position(sample, active) if like is None else like.sample_position(sample, active)
@@ -166,6 +176,11 @@ class Bitmap(UVTexture):
         uv = Point2f(self._inside(place.x), self._inside(place.y))
         return uv, self.pdf_position(uv, active)
 
+    def _prepare_outside(self) -> None:
+        """Build the distribution for scripts that ask the texture itself, before any light has."""
+        if self.distribution is None and dr.is_tensor_v(self.data) and is_readable():
+            self.prepare_sampling()
+
     def _inside(self, u: Float) -> Float:
         """Move a coordinate into the unit square, which tents of texels at the border reach out of."""
         if not self.tents:
@@ -175,6 +190,7 @@ class Bitmap(UVTexture):
         return dr.select(u < 0, -u, dr.select(u > 1, 2 - u, u))
 
     def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
+        self._prepare_outside()
         if self.distribution is None:
             like = self._sampled()
             return super().pdf_position(uv, active) if like is None else like.pdf_position(uv, active)
@@ -194,14 +210,6 @@ class Bitmap(UVTexture):
     def mean(self) -> Float:
         """The luminance of the average texel, as in Mitsuba."""
         return self.average
-
-    def max(self) -> float:
-        """The largest number of a texel."""
-        return float(numbers_of(self.data).max())
-
-    def resolution(self) -> Any:
-        """The numbers of columns and rows, a `drjit.scalar.Array2i`."""
-        return dr.scalar.Array2i(int(self.data.shape[1]), int(self.data.shape[0]))
 
     def _scalar(self, texel: Any) -> Float:
         if self.channels == 1:

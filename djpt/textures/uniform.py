@@ -48,7 +48,7 @@ class UniformTexture(Texture):
         return self.value
 
     def max(self) -> float:
-        return float(as_array(dr.detach(self.value)))
+        return float(as_array(dr.detach(self.value)).max())
 
     def restrict(self, allowed: Allowed, where: str) -> None:
         allowed.require(as_array(dr.detach(self.value)), where)

@@ -26,7 +26,7 @@ PLAIN = {"type": "plain_direct"}
 class PlainDirect(Integrator):
     """What a user may write: emission and one light sample, differentiable as any Dr.Jit code."""
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any = True) -> Any:
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         si = scene.ray_intersect(ray, active)
         result = si.emitter(scene).eval(si, active)
         hit = si.is_valid() & active

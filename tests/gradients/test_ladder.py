@@ -35,7 +35,7 @@ COLOURS = [
 class ThreeBounces(Integrator):
     """A user's path tracer: a loop in Python, nothing about derivatives."""
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any = True) -> Any:
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         radiance, throughput, covered = djpt.Color3f(0), djpt.Color3f(1), None
         for bounce in range(4):
             si = scene.ray_intersect(ray, active)

@@ -173,7 +173,7 @@ class Triangle(ReconstructionFilter):
 
     def __init__(self, props: Any) -> None:
         super().__init__(props)
-        self.radius = 2.0
+        self.reach = 2.0
 
     def eval(self, x: Any) -> Any:
         w = 1 - dr.abs(x) * 0.5
@@ -218,7 +218,7 @@ class AmbientOcclusion(Integrator):
         super().__init__(props)
         self.radius = props.float("radius", 1.0, low=0.0)
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any = True) -> Any:
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         si = scene.ray_intersect(ray, active)
         d = si.to_world(square_to_cosine_hemisphere(sampler.next_2d()))
         probe = si.spawn_ray(d)
@@ -240,7 +240,7 @@ class Textbook(Integrator):
         super().__init__(props)
         self.max_depth = props.integer("max_depth", 4, low=1)
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any = True) -> Any:
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         lanes = dr.width(ray.d)
         ctx = BSDFContext()
 
@@ -317,7 +317,7 @@ class WithVariables(Integrator):
     def aov_names(self) -> Any:
         return ("red.twice", "depth")
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any = True) -> Any:
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         si = scene.ray_intersect(ray, active)
         color = si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
         return color, si.is_valid(), [2 * color.x, dr.select(si.is_valid(), si.t, 0)]

@@ -97,7 +97,7 @@ from djpt import Integrator, register_integrator
 class PigmentView(Integrator):
     """The albedo of the first surface."""
 
-    def sample(self, scene, sampler, ray, active=True):
+    def sample(self, scene, sampler, ray, medium=None, active=True):
         si = scene.ray_intersect(ray, active)
         hit = si.is_valid() & active
         return dr.select(hit, si.bsdf().eval_diffuse_reflectance(si, hit), 0), hit, []

@@ -319,7 +319,7 @@ def test_an_error_inside_an_integrator_is_the_users(scene: Any) -> None:
     """What a user's own code raises comes through, and the next image is whole."""
 
     class Broken(djpt.integrators.Integrator):
-        def sample(self, scene: Any, sampler: Any, ray: Any, active: Any = True) -> Any:
+        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             raise ZeroDivisionError("mine")
 
     before = np.array(djpt.render(scene, spp=2))

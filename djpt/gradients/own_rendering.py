@@ -1,0 +1,92 @@
+"""Derivatives of images by integrators that render by themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Attached
+from djpt.gradients.derivatives import attached_image, gradient_seed
+from djpt.gradients.leaves import Parameter, attached_parameters
+from djpt.integrators.base import Integrator
+from djpt.scene import Scene
+from djpt.types import TensorXf
+
+__all__ = ["attached_view", "image_by_itself"]
+
+
+def attached_view(scene: Scene, values: dict[tuple[int, str], Any]) -> Scene:
+    """A view of the scene that reads the AD variables `values`, by (id of a plugin, attribute), in place of copies.
+
+    All tables are made at once: none may be made within a loop that Dr.Jit records.
+    """
+    lookup = Attached(values)
+    lookup.prepare(leaf for ensemble in scene.ensembles() for leaf in ensemble.leaves())
+    return scene.with_lookup(lookup)
+
+
+def image_by_itself(
+    integrator: Integrator,
+    scene: Scene,
+    params: Any,
+    sensor: Any,
+    seed: int,
+    spp: int,
+    seed_grad: int,
+    spp_grad: int,
+) -> TensorXf:
+    """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
+    parameters = attached_parameters(scene)
+
+    def primal() -> TensorXf:
+        with dr.suspend_grad():
+            return integrator.render(scene, sensor, seed, spp, develop=True, evaluate=False)
+
+    if not parameters:
+        return primal()
+    derivative = OwnDerivative(
+        integrator, scene, params, sensor, gradient_seed(seed, seed_grad), spp_grad or spp, parameters
+    )
+    return attached_image(parameters, primal, derivative)
+
+
+class OwnDerivative:
+    """The derivative of an image by the integrator's methods."""
+
+    def __init__(
+        self,
+        integrator: Integrator,
+        scene: Scene,
+        params: Any,
+        sensor: Any,
+        seed: int,
+        spp: int,
+        parameters: list[Parameter],
+    ) -> None:
+        self._integrator, self._scene, self._params = integrator, scene, params
+        self._sensor, self._seed, self._spp = sensor, seed, spp
+        self._places = [(id(p.owner), p.attribute) for p in parameters]
+        # Later edits of the scene must not change what is differentiated.
+        self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
+
+    def _leaves(self) -> tuple[list[Any], Scene]:
+        """Fresh leaves in place of the parameters, and the scene that reads them."""
+        fresh = [type(value)(value) for value in self._values]
+        dr.enable_grad(fresh)
+        return fresh, attached_view(self._scene, dict(zip(self._places, fresh, strict=True)))
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
+        with dr.resume_grad():
+            fresh, scene = self._leaves()
+            self._integrator.render_backward(scene, self._params, image, self._sensor, self._seed, self._spp)
+            return [dr.grad(leaf) for leaf in fresh]
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        """The derivative of the image in the direction of `tangents`, one per parameter."""
+        with dr.resume_grad():
+            fresh, scene = self._leaves()
+            for leaf, tangent in zip(fresh, tangents, strict=True):
+                dr.set_grad(leaf, tangent)
+            return self._integrator.render_forward(scene, self._params, self._sensor, self._seed, self._spp)
