@@ -155,6 +155,8 @@ def shared(values: NDArray[np.uint32]) -> UInt32:
 
 def own_copy(values: NDArray[np.uint32] | NDArray[np.float32]) -> UInt32:
     """The bits of an array in memory of Dr.Jit's own, for kernels that gather packets."""
+    if not values.size:
+        return UInt32()
     words = UInt32(np.ascontiguousarray(values).view(np.uint32).ravel()) ^ dr.opaque(UInt32, 0)
     dr.eval(words)
     # The source may be freed when this returns.
