@@ -17,7 +17,7 @@ EXPORTS: dict[str, str] = {
         "set_logger"
     ),
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback register_medium register_phase",
-    "djpt.scripting.run": "Timer Version",
+    "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.thread": "Thread",
     "djpt.scripting.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
 }
