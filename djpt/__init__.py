@@ -186,12 +186,21 @@ def __getattr__(name: str) -> Any:
     if name in _SUBMODULES:
         return importlib.import_module(_SUBMODULES[name])
     if name not in _HOME:
-        close = difflib.get_close_matches(name, __all__, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise AttributeError(f"module 'djpt' has no attribute {name!r}{hint}")
+        raise AttributeError(f"module 'djpt' has no attribute {name!r}{_hint(name)}")
     value = getattr(importlib.import_module(_HOME[name]), name)
     globals()[name] = value
     return value
+
+
+def _hint(name: str) -> str:
+    """Why Mitsuba's name is left out, or which name is like it."""
+    if name.startswith("_"):
+        return ""
+    why = importlib.import_module("djpt.scripting.exclusions").reason(name)
+    if why:
+        return f", which is left out: {why}"
+    close = difflib.get_close_matches(name, __all__, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def __dir__() -> list[str]:

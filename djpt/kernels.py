@@ -168,6 +168,8 @@ def own_array(kind: type[T], values: NDArray[Any]) -> T:
     if dr.backend_v(kind) != dr.JitBackend.LLVM:
         # To GPUs everything is copied.
         return kind(values)  # type: ignore[call-arg]
+    if not len(values):
+        return kind()
     memory = dr.empty(kind, len(values))
     # The host sees the same memory, once no kernel uses what stood there before.
     np.asarray(memory)[:] = values

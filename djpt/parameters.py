@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.numeric import as_array, as_integer, as_number, describe, is_readable
-from djpt.description.plugin import ParamFlags, Plugin
+from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
 
@@ -96,7 +96,7 @@ class Walk:
         root.traverse(Visit(self, root, ()))
 
 
-class Visit:
+class Visit(TraversalCallback):
     """The traversal callback of one plugin."""
 
     def __init__(self, walk: Walk, node: Plugin, path: tuple[str, ...]) -> None:
@@ -182,7 +182,7 @@ class SceneParameters(Mapping[str, Any]):
             keys: one pattern or several; None keeps the differentiable parameters.
         """
         if keys is None:
-            kept = [key for key, entry in self._entries.items() if entry.flags & ParamFlags.Differentiable]
+            kept = [key for key, entry in self._entries.items() if entry.flags.differentiable]
         else:
             patterns = [keys] if isinstance(keys, str) else list(keys)
             try:
@@ -200,13 +200,15 @@ class SceneParameters(Mapping[str, Any]):
 
     def __setitem__(self, key: str, value: Any) -> None:
         entry = self._entry(key)
+        if entry.flags & ParamFlags.ReadOnly:
+            raise ParameterError(f"{key}: can't be assigned: it follows from other parameters")
         current, loan = entry.read(), self._lent.get(key)
         if loan is not None and loan.is_copy and value is loan.value and not loan.is_edited():
             return
         in_place = loan is not None and value is loan.value and not (loan.is_copy or entry.is_computed())
         try:
             converted = convert(entry.owner.check_parameter(entry.name, value), current)
-            if not entry.flags & ParamFlags.Differentiable and dr.grad_enabled(value):
+            if not entry.flags.differentiable and dr.grad_enabled(value):
                 raise ParameterError("isn't differentiable, but the value has gradients enabled")
         except DjptError as error:
             if in_place and loan is not None:
@@ -292,11 +294,8 @@ class SceneParameters(Mapping[str, Any]):
             return "SceneParameters[]"
         rows = [("Name", "Flags", "Type", "Parent")]
         for key, entry in self._entries.items():
-            flags = [
-                sign
-                for sign, flag in (("∂", ParamFlags.Differentiable), ("D", ParamFlags.Discontinuous))
-                if entry.flags & flag
-            ]
+            signs = {"∂": entry.flags.differentiable, "D": entry.flags & ParamFlags.Discontinuous}
+            flags = [sign for sign, holds in signs.items() if holds]
             rows.append((key, ", ".join(flags), type(lent(entry.read())).__name__, type(entry.owner).__name__))
         widths = [max(len(row[i]) for row in rows) for i in range(4)]
         lines = ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]

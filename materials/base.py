@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.plugin import Plugin
+from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.errors import RenderError, near_miss
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
@@ -191,7 +191,7 @@ class BSDF(Plugin):
         return self.eval(BSDFContext(), si, Vector3f(0, 0, 1), active) * math.pi
 
 
-class Attributes:
+class Attributes(TraversalCallback):
     """A traversal callback that collects textures, numbers and colours by name."""
 
     def __init__(self, plugin: Plugin) -> None:

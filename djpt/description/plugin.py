@@ -7,7 +7,7 @@ import functools
 import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -25,15 +25,21 @@ INFERRED = ("bsdf", "emitter", "texture")
 
 
 class ParamFlags(enum.IntFlag):
-    """The properties of a parameter that `traverse()` reports."""
+    """The properties of a parameter that `traverse()` reports; the numbers are Mitsuba's."""
 
-    NonDifferentiable = 0
-    Differentiable = 1
+    Differentiable = 0
+    NonDifferentiable = 1
     Discontinuous = 2
+    ReadOnly = 4
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether derivatives by the parameter are computed."""
+        return not self & ParamFlags.NonDifferentiable
 
 
-class TraversalCallback(Protocol):
-    """The object that `Plugin.traverse` reports parameters to."""
+class TraversalCallback:
+    """The object that `Plugin.traverse` reports parameters to; subclasses override `put`."""
 
     def put(
         self,
@@ -46,6 +52,17 @@ class TraversalCallback(Protocol):
 
         A parameter is written back with ``setattr(plugin, attribute or name, value)``.
         """
+        raise NotImplementedError(f"{type(self).__name__}.put")
+
+    def put_value(self, name: str, value: Any, flags: ParamFlags = ParamFlags.NonDifferentiable) -> None:
+        """`put` for a parameter: a former name."""
+        self.put(name, value, flags)
+
+    def put_object(self, name: str, obj: Plugin, flags: ParamFlags = ParamFlags.NonDifferentiable) -> None:
+        """`put` for a nested plugin: a former name."""
+        self.put(name, obj, flags)
+
+    put_parameter = put_value
 
 
 class Inferred:
@@ -156,7 +173,7 @@ class Plugin:
         """Recompute what was derived from the parameters named in `keys`."""
 
 
-class _Listing:
+class _Listing(TraversalCallback):
     """A traversal callback that collects ``name = value`` lines for `Plugin.__repr__`."""
 
     def __init__(self) -> None:
@@ -205,7 +222,7 @@ def sorts_of(plugin: Plugin) -> Sorts:
     for name, value in vars(plugin).items():
         if isinstance(value, list):
             value = tuple(value)
-        if name == "id":
+        if name == "_id":
             continue
         if isinstance(value, Plugin):
             children.append(name)
@@ -229,33 +246,35 @@ def is_plain(value: Any) -> bool:
     return all(map(is_plain, value)) if isinstance(value, (tuple, frozenset)) else isinstance(value, PLAIN)
 
 
-class Collection:
+class Collection(TraversalCallback):
     """A traversal callback that collects the names of the attributes that are reported."""
 
     def __init__(self) -> None:
         self.flags: dict[str, ParamFlags] = {}
 
-    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+    def put(
+        self, name: str, value: Any, flags: Any = ParamFlags.NonDifferentiable, attribute: str | None = None
+    ) -> None:
         """Note a parameter: see `TraversalCallback.put`."""
         self.flags[attribute or name] = flags
 
 
-class Report:
+class Report(TraversalCallback):
     """The callback that a script's `traverse` reports to; finds the attribute that holds a reported value."""
 
     def __init__(self, plugin: Plugin, callback: TraversalCallback) -> None:
         self._plugin, self._callback = plugin, callback
 
-    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+    def put(
+        self, name: str, value: Any, flags: Any = ParamFlags.NonDifferentiable, attribute: str | None = None
+    ) -> None:
         """Report a parameter or a nested plugin, as in Mitsuba."""
         flags = ParamFlags(int(flags))
         if not isinstance(value, Plugin):
             attribute = attribute or self._attribute(name, value)
             if not is_uniform(value):  # a constant of the kernel: it would get no gradient
-                flags &= ~ParamFlags.Differentiable
+                flags |= ParamFlags.NonDifferentiable
         self._callback.put(name, value, flags, attribute)
-
-    put_value = put_object = put_parameter = put
 
     def _attribute(self, name: str, value: Any) -> str:
         attributes = vars(self._plugin)

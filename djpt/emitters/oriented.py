@@ -40,7 +40,7 @@ class OrientedEmitter(Emitter):
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.sampling_weight)
         for name, flags in self.values.items():
-            if flags != ParamFlags.NonDifferentiable:
+            if flags.differentiable:
                 callback.put(name, getattr(self, name), flags)
         for name in self.children:
             callback.put(name, getattr(self, name))

@@ -117,7 +117,7 @@ class Unrolled:
         entries = []
         for i, shape in enumerate(self.shapes):
             faces = shape.faces()
-            for k in range(shape.face_count):
+            for k in range(shape.sides):
                 face = faces[k] if faces else None
                 axis = self.pool.axes.index(face.normal.axis) if face else -1
                 entries.append((axis, face.normal.negative if face else False, i, k, face))
@@ -125,7 +125,7 @@ class Unrolled:
         self.face_shape = [e[2] for e in entries]
         self.face_local = [e[3] for e in entries]
         self._frames = [e[4] for e in entries]
-        self.face_number = [[0] * shape.face_count for shape in self.shapes]
+        self.face_number = [[0] * shape.sides for shape in self.shapes]
         for number, entry in enumerate(entries):
             self.face_number[entry[2]][entry[3]] = number
         self.face_count = len(entries)

@@ -70,7 +70,7 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
                     if not dr.grad_enabled(value):
                         continue
                     parameter = Parameter(owner, leaf.attribute)
-                    if not parameter.flags & ParamFlags.Differentiable:
+                    if not parameter.flags.differentiable:
                         raise RenderError(f"no gradient is available for '{owner.id()}.{leaf.attribute}'")
                     found[id(owner), leaf.attribute] = parameter
     return list(found.values())

@@ -51,8 +51,9 @@ EXPORTS: dict[str, str] = {
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
         "sample_tea_float32 sample_tea_float64"
     ),
+    "djpt.scripting.records": "MediumInteraction3f MeshPtr Ray2f RayDifferential3f",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
-    "djpt.scripting.run": "Timer Version",
+    "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (
         "MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION cie1931_xyz cie1931_y cie_d65 "
         "depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum spectrum_from_file "

@@ -1,4 +1,4 @@
-"""Stopwatch and version numbers."""
+"""Stopwatch, version numbers, and loops under Mitsuba's name."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import time
 from functools import total_ordering
 from typing import overload
 
+from drjit import while_loop
+
 from djpt.errors import DjptError
 
-__all__ = ["Timer", "Version"]
+__all__ = ["Timer", "Version", "while_loop"]
 
 
 class Timer:

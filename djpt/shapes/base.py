@@ -53,7 +53,7 @@ class Shape(Plugin):
     """
 
     kind: ClassVar[str] = "shape"
-    face_count: ClassVar[int] = 1
+    sides: ClassVar[int] = 1
     """The number of faces that `intersect` tells apart."""
     closed: ClassVar[bool] = False
     """Whether shapes of this class enclose a volume: see `is_closed`."""

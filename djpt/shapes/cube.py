@@ -60,7 +60,7 @@ class Cube(Shape):
     Normals point outwards unless `flip_normals` is set.
     """
 
-    face_count = 6
+    sides = 6
     closed = True
     canonical = "cube"
     values = dict.fromkeys(("center", "edge_x", "edge_y", "edge_z", "dual_x", "dual_y", "dual_z", "areas"), HIDDEN)

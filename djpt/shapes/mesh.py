@@ -6,13 +6,12 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
@@ -23,8 +22,10 @@ from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
+from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
 from djpt.shapes.meshes.measures import Measures
 from djpt.shapes.meshes.ply_writer import write_ply
+from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
 from djpt.types import Float, Point2f, UInt32
 
@@ -39,8 +40,11 @@ PARAMETERS = ("faces_parameter", "vertex_positions", "vertex_normals", "vertex_t
 MOVES = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
 
-class Mesh(Shape):
-    """Triangles that share vertices.
+class Mesh(MeshQueries, Shape):
+    """Triangles that share vertices: ``Mesh(name, vertex_positions, faces, ...)``.
+
+    ``Mesh(name, vertex_count, face_count, props, has_vertex_normals, has_vertex_texcoords)``, Mitsuba's form, is a
+    mesh of zeros, which can be seen after its parameters have been assigned through `traverse`.
 
     Args:
         name: the mesh's name in messages and `traverse`, unless the scene gives one.
@@ -63,6 +67,7 @@ class Mesh(Shape):
     values = dict.fromkeys(("first_face", "own_faces", "area"), HIDDEN)
     statics = ("flip_normals",)
 
+    @overload
     def __init__(
         self,
         name: str,
@@ -72,32 +77,48 @@ class Mesh(Shape):
         vertex_texcoords: Any = None,
         props: Properties | Mapping[str, Any] | None = None,
         attributes: Mapping[str, Any] | None = None,
-    ) -> None:
-        own = props if isinstance(props, Properties) else properties(name, props)
-        positions = rows(own.node, "vertex_positions", vertex_positions, 3)
-        data = MeshData(positions, index_rows(own.node, faces))
-        if vertex_normals is not None:
-            data.normals = rows(own.node, "vertex_normals", vertex_normals, 3, len(positions))
-        if vertex_texcoords is not None:
-            data.texcoords = rows(own.node, "vertex_texcoords", vertex_texcoords, 2, len(positions))
-        for key, value in (attributes or {}).items():
-            count = {"vertex": len(positions), "face": len(data.indices)}.get(key.split("_")[0])
-            if count is None:
-                raise SceneError(f"{own.node}: the name of attribute '{key}' must begin with 'vertex_' or 'face_'")
-            data.attributes[key] = rows(own.node, key, value, None, count)
-        self.adopt(data, own, compute_normals=False)
-        if own is not props:
+    ) -> None: ...
+    @overload
+    def __init__(
+        self,
+        name: str,
+        vertex_count: int,
+        face_count: int,
+        props: Properties | Mapping[str, Any] | None = None,
+        has_vertex_normals: bool = False,
+        has_vertex_texcoords: bool = False,
+    ) -> None: ...
+    @overload
+    def __init__(self, props: Properties) -> None: ...
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        if len(arguments) + len(named) == 1:
+            arguments, named = ("", 0, 0, *arguments), {**named}
+        counted = "vertex_count" in named or (len(arguments) > 1 and isinstance(arguments[1], (int, np.integer)))
+        data, own, given = (of_zeros if counted else of_arrays)(*arguments, **named)
+        self.adopt(data, own, compute_normals=False, checked=not counted)
+        if own is not given:
             own.check_all_used()
 
-    def adopt(self, data: MeshData, props: Properties, compute_normals: bool, source: str = "") -> None:
-        """Take over a mesh's data, in object space; `source` names the file in messages."""
+    def adopt(
+        self, data: MeshData, props: Properties, compute_normals: bool, source: str = "", checked: bool = True
+    ) -> None:
+        """Take over a mesh's data, in object space.
+
+        Args:
+            data: the mesh.
+            props: the remaining keys.
+            compute_normals: whether vertices without normals get some.
+            source: the file, for messages.
+            checked: false for a mesh that will be filled later.
+        """
         Shape.__init__(self, props)
-        face_normals = props.boolean("face_normals", False)
+        self.flat = face_normals = props.boolean("face_normals", False)
         where = f"{props.node}: {source}" if source else props.node
         if face_normals:
             data.normals = None
         data.transform(self.to_world)
-        areas = clean(data, where)
+        areas = clean(data, where) if checked else None
         if compute_normals and not face_normals and data.normals is None:
             data.compute_normals()
         self.positions, self.indices = data.positions, data.indices
@@ -106,12 +127,17 @@ class Mesh(Shape):
         """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
         self._first_face = 0
         for key in data.attributes:
-            if key in PARAMETERS or hasattr(self, key):
-                raise SceneError(f"{where}: '{key}' can't be the name of an attribute: it means something else")
+            self._check_attribute(key, where)
         self.attributes: dict[str, tuple[NDArray[np.float32], Literal["vertex", "face"]]] = {
             key: (value, "vertex" if key.startswith("vertex_") else "face") for key, value in data.attributes.items()
         }
         self._measure(areas)
+
+    def _check_attribute(self, name: str, where: str) -> None:
+        """Raise `SceneError` unless an attribute can have this name."""
+        check_prefix(where, name)
+        if hasattr(self, name):
+            raise SceneError(f"{where}: '{name}' can't be the name of an attribute: it means something else")
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""
@@ -158,7 +184,8 @@ class Mesh(Shape):
         return value
 
     def _forget(self) -> None:
-        """Let the parameters be made from the host's arrays again."""
+        """Let the parameters be made from the host's arrays again, and what follows from the faces."""
+        self.build_directed_edges()
         for name in (*PARAMETERS, *self.attributes):
             self.__dict__.pop(name, None)
 
@@ -222,7 +249,61 @@ class Mesh(Shape):
             value = np.zeros((count, width), np.float32)
         return value
 
+    def add_attribute(self, name: str, size: int, buffer: Any) -> None:
+        """Add numbers to the vertices or the triangles, for `mesh_attribute` textures.
+
+        Args:
+            name: begins with ``vertex_`` or ``face_``.
+            size: how many numbers each has.
+            buffer: all of them, flat or as rows.
+
+        Raises:
+            SceneError: the name is in use, or the count of numbers is wrong.
+            ParameterError: the mesh belongs to a scene already.
+        """
+        self._require_alone("add_attribute")
+        self._check_attribute(name, self.id())
+        kind: Literal["vertex", "face"] = "vertex" if name.startswith("vertex_") else "face"
+        count = len(self.positions if kind == "vertex" else self.indices)
+        self.attributes[name] = (rows(self.id(), name, buffer, size, count), kind)
+
+    def remove_attribute(self, name: str) -> None:
+        """Remove an attribute; raises `ParameterError` if there is none, or the mesh belongs to a scene already."""
+        self._require_alone("remove_attribute")
+        self.attribute_buffer(name)
+        del self.attributes[name]
+        self.__dict__.pop(name, None)
+
+    def _require_alone(self, call: str) -> None:
+        if self.set is not None:
+            raise ParameterError(f"{self.id()}: {call} comes before load_dict: the mesh belongs to a scene already")
+
     # ---- on the host -------------------------------------------------------------------
+
+    def initialize(self) -> None:
+        """Do nothing: a mesh is complete whenever its parameters are. For scripts written for Mitsuba."""
+
+    recompute_bbox = initialize
+
+    def recompute_vertex_normals(self) -> None:
+        """Compute the vertex normals anew, as the angle-weighted means of the normals around them."""
+        data = self.data()
+        data.compute_normals()
+        self.normals = data.normals
+        self._forget()
+
+    def merge(self, other: Mesh) -> Mesh:
+        """A mesh of the triangles of both, with the material of this one.
+
+        Normals and texture coordinates stay if both meshes have them, attributes don't.
+        """
+        mine, theirs = self.data(), other.data()
+        pairs = [(mine.normals, theirs.normals), (mine.texcoords, theirs.texcoords)]
+        normals, texcoords = (None if a is None or b is None else np.concatenate([a, b]) for a, b in pairs)
+        positions = np.concatenate([mine.positions, theirs.positions])
+        indices = np.concatenate([mine.indices, theirs.indices + np.uint32(len(mine.positions))])
+        props = {} if self.bsdf is None else {"bsdf": self.bsdf}
+        return Mesh(self.id(), positions, indices, normals, texcoords, {**props, "flip_normals": self.flip_normals})
 
     def place(self, pool: AxisPool) -> None:
         """Do nothing: a mesh has no axes, and begins to be measured when it is made or edited."""
@@ -254,8 +335,12 @@ class Mesh(Shape):
         Raises:
             FileError: the file can't be written.
         """
+        write_ply(filename, self.data())
+
+    def data(self) -> MeshData:
+        """The mesh on the host, in world space."""
         attributes = {name: values for name, (values, _) in self.attributes.items()}
-        write_ply(filename, MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes))
+        return MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes)
 
     def is_closed(self) -> bool:
         return is_closed(self.positions, self.indices)
@@ -279,52 +364,3 @@ class Mesh(Shape):
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
         return PositionSample3f(p, n, uv, dr.rcp(self.area))
-
-
-def properties(name: str, props: Mapping[str, Any] | None) -> Properties:
-    """The properties of a mesh that is made in Python; nested dicts become plugins."""
-    from djpt.description.loader import load_dict
-
-    if props is not None and not isinstance(props, Mapping):
-        raise SceneError(f"{name}: props must be a dict, found {describe(props)}")
-    values = dict(props or {})
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            values[key] = plugin = load_dict(value)
-            plugin.set_id(f"{name}.{key}")
-    return Properties("mesh", name, values)
-
-
-def rows(node: str, name: str, value: Any, width: int | None, count: int | None = None) -> NDArray[np.float32]:
-    """Convert numbers to rows, (N, `width`) float32; flat arrays (also of Dr.Jit) are cut into rows."""
-    found = numbers(node, name, value)
-    if found.ndim == 1 and (width or count):
-        width = width or found.size // max(count or 1, 1)
-        found = found.reshape(-1, width) if width and found.size % width == 0 else found
-    if found.ndim != 2 or (width and found.shape[1] != width) or (count is not None and len(found) != count):
-        wanted = f"({'N' if count is None else count}, {width or 'channels'})"
-        raise SceneError(f"{node}: '{name}' must have the shape {wanted}, found {found.shape}")
-    with np.errstate(over="ignore"):
-        return np.ascontiguousarray(found, np.float32)
-
-
-def index_rows(node: str, value: Any) -> NDArray[np.uint32]:
-    """Convert vertex indices to (F, 3) uint32."""
-    found = numbers(node, "faces", value)
-    found = found.reshape(-1, 3) if found.ndim == 1 and found.size % 3 == 0 else found
-    if found.ndim != 2 or found.shape[1] != 3:
-        raise SceneError(f"{node}: 'faces' must have the shape (F, 3), found {found.shape}")
-    if found.size and not ((found >= 0) & (found < 2**32) & (found == np.floor(found))).all():
-        raise SceneError(f"{node}: 'faces' must be whole numbers from 0 on, found {describe(value)}")
-    return np.ascontiguousarray(found, np.uint32)
-
-
-def numbers(node: str, name: str, value: Any) -> NDArray[Any]:
-    """Convert to an array of numbers; NaN is allowed, since cleaning deals with it."""
-    try:
-        found = np.array(dr.detach(value) if dr.is_array_v(value) else value)
-    except Exception:
-        found = np.array(None)
-    if found.dtype.kind not in "iuf":
-        raise SceneError(f"{node}: '{name}' must be an array of numbers, found {describe(value)}")
-    return found

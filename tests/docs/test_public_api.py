@@ -66,6 +66,8 @@ def test_no_submodule_has_the_name_of_a_public_object() -> None:
 def test_an_unknown_name() -> None:
     with pytest.raises(AttributeError, match=r"module 'djpt' has no attribute 'rendr'; did you mean 'render'\?"):
         djpt.rendr  # noqa: B018
+    with pytest.raises(AttributeError, match="no attribute 'mueller', which is left out: Polarisation: djpt computes"):
+        djpt.mueller  # noqa: B018
     assert not hasattr(djpt, "nothing_like_it")
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from djpt import ParamFlags
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.slopes import Slopes, numbers
@@ -31,7 +30,7 @@ class EmitterSlopes(Slopes):
             for key in self.params
             # Of a shape that shines, what the emitter in it has.
             if key.startswith("light.emitter." if "emitter" in entry(name) else "light.")
-            and self.params.flags(key) & ParamFlags.Differentiable
+            and self.params.flags(key).differentiable
             and key not in JUMPS.get(name, ())
         ]
         rng = np.random.default_rng(3)

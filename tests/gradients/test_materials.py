@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt import ParamFlags
 from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.types import Float, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
@@ -41,7 +40,7 @@ class BSDFSlopes:
     def __init__(self, name: str) -> None:
         self.bsdf = djpt.load_dict(bsdf(name))
         self.params = djpt.traverse(self.bsdf)
-        self.keys = [key for key in self.params if self.params.flags(key) & ParamFlags.Differentiable]
+        self.keys = [key for key in self.params if self.params.flags(key).differentiable]
         rng = np.random.default_rng(3)
         # Off the ends of all ranges, so that there is room for a step on both sides; lobes that are off are on then.
         self.at = {key: 0.85 * numbers(self.params[key]) + 0.05 for key in self.keys}
@@ -204,9 +203,7 @@ class ImageSlopes(Slopes):
         self.keys = [
             key
             for key in self.params
-            if key.startswith("ball.bsdf")
-            and self.params.flags(key) & ParamFlags.Differentiable
-            and key not in JUMPS.get(name, ())
+            if key.startswith("ball.bsdf") and self.params.flags(key).differentiable and key not in JUMPS.get(name, ())
         ]
         rng = np.random.default_rng(3)
         for key in self.keys:

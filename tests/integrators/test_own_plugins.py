@@ -99,7 +99,7 @@ def test_bsdf_parameters_are_edited_and_differentiated() -> None:
     description = box(16, "box", {"type": "prb", "max_depth": 4, "rr_depth": 1000}, tinted)
     scene = djpt.load_dict(description)
     params = djpt.traverse(scene)
-    assert params.flags("red.tint") & ParamFlags.Differentiable
+    assert params.flags("red.tint").differentiable
     options = {"spp": 16, "seed": 2, "seed_grad": 2}
 
     def loss(tint: Any) -> float:

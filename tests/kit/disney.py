@@ -142,7 +142,7 @@ def check_gradients(description: dict[str, Any], off: Any = (), step: float = 1e
         return bsdf.eval(BSDFContext(), si, wo).y
 
     params = djpt.traverse(bsdf)
-    for key in [key for key in params if params.flags(key) & djpt.ParamFlags.Differentiable]:
+    for key in [key for key in params if params.flags(key).differentiable]:
         if key.split(".")[0] in off:
             continue
         middle = type(params[key])(params[key])
@@ -180,7 +180,7 @@ def stays_finite(description: dict[str, Any]) -> None:
     si, wo = seen_from(pairs[0]), Vector3f(*rows(pairs[1]))
     bsdf = djpt.load_dict(description)
     params = djpt.traverse(bsdf)
-    keys = [key for key in params if params.flags(key) & djpt.ParamFlags.Differentiable]
+    keys = [key for key in params if params.flags(key).differentiable]
     for key in keys:
         dr.enable_grad(params[key])
     params.update()

@@ -148,7 +148,7 @@ def test_absorption_is_exponential(name: str) -> None:
     found = wide(bsdf.transmittance(Float(distances)), 4)
     np.testing.assert_allclose(found, np.exp(-np.outer(rgb, distances)), rtol=1e-5)
     params = djpt.traverse(bsdf)
-    assert params.flags("absorption.value") & djpt.ParamFlags.Differentiable
+    assert params.flags("absorption.value").differentiable
     params["absorption.value"] = [1, 1, 1]
     params.update()
     np.testing.assert_allclose(wide(bsdf.transmittance(Float(1.0)), 1), np.exp(-1), rtol=1e-6)

@@ -203,7 +203,7 @@ def test_weights_have_the_derivative_of_their_expectation(description: dict[str,
 def test_the_index_of_bending_glass_has_no_gradient() -> None:
     params = djpt.traverse(djpt.load_dict({"type": "dielectric"}))
     assert params.flags("eta") == djpt.ParamFlags.NonDifferentiable
-    assert djpt.traverse(djpt.load_dict({"type": "thindielectric"})).flags("eta") & djpt.ParamFlags.Differentiable
+    assert djpt.traverse(djpt.load_dict({"type": "thindielectric"})).flags("eta").differentiable
 
 
 # ---------------------------------------------------------------- errors

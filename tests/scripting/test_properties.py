@@ -124,3 +124,46 @@ def test_a_script_registers_a_material() -> None:
     djpt.register_bsdf("tinted_by_script", lambda props: Tinted(props))
     made = djpt.load_dict({"type": "tinted_by_script", "tint": 0.25, "id": "name"})
     assert made.tint == 0.25 and made.named == made.id() == "name"
+
+
+def test_flags_of_parameters_are_mitsubas() -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    assert {f.name: f.value for f in djpt.ParamFlags} | {"Differentiable": 0} == {
+        name: f.value for name, f in mi.ParamFlags.__members__.items()
+    }
+
+
+def test_callbacks_of_scripts() -> None:
+    """A script may visit plugins itself, and its plugins may report by the former names."""
+
+    class Names(djpt.TraversalCallback):
+        def __init__(self) -> None:
+            self.found: list[str] = []
+
+        def put(self, name: str, value: Any, flags: Any = 1, attribute: str | None = None) -> None:
+            self.found.append(name)
+            if isinstance(value, djpt.Object):
+                value.traverse(self)
+
+    class Old(djpt.BSDF):
+        def __init__(self, props: djpt.Properties) -> None:
+            super().__init__(props)
+            self.gain, self.fixed = djpt.Float(2), djpt.Float(1)
+            self.inner = djpt.load_dict({"type": "diffuse"})
+
+        def traverse(self, callback: Any) -> None:
+            callback.put_value("gain", self.gain, djpt.ParamFlags.Differentiable)
+            callback.put_parameter("fixed", self.fixed, djpt.ParamFlags.ReadOnly)
+            callback.put_object("inner", self.inner, djpt.ParamFlags.Differentiable)
+
+    names, plugin = Names(), Old(djpt.Properties("old"))
+    plugin.traverse(names)
+    assert names.found == ["gain", "fixed", "inner", "reflectance", "value"]
+    params = djpt.traverse(plugin)
+    assert list(params) == ["gain", "fixed", "inner.reflectance.value"]
+    params["gain"] = 3
+    with pytest.raises(djpt.ParameterError, match="fixed: can't be assigned"):
+        params["fixed"] = 2
+    with pytest.raises(NotImplementedError):
+        djpt.TraversalCallback().put("name", 1)

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 import djpt
+from djpt.scripting.exclusions import REASONS
 from djpt.validation.names import Finding, Verdict, counts, findings, read_names, render_page
 from djpt.validation.names.__main__ import PAGE
 from djpt.validation.names.compare import MISSING, look_up
-from djpt.validation.names.exclusions import REASONS
 from djpt.validation.names.signatures import parse, refused_call, signatures
 
 

@@ -9,6 +9,7 @@ line, and where a line is wrong it says why. Both give the same meshes, bit for 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,8 @@ NAMES = ("vertex", "texture coordinate", "normal")
 LEAST = {"v": 3, "vt": 2, "vn": 3}
 """How many numbers a line of each kind must have; further ones are ignored (colours, weights)."""
 
-BLANK, SLASH = b" /"
+SLASH = ord("/")
+LONE_SLASH = re.compile(rb"/(?=\s|$)")
 
 
 @dataclass
@@ -106,12 +108,14 @@ def read_corners(lines: Lines, where: str) -> Corners:
     if not total:
         return Corners(np.zeros((0, 3), np.int64), lines.words)
     text = lines.text.replace(b"//", b"/0/")
+    if LONE_SLASH.search(text):
+        # As in Mitsuba, nothing after a slash is no entry.
+        text = LONE_SLASH.sub(b"/0", text)
     characters = np.frombuffer(text, np.uint8)
     slash = characters == SLASH
-    unfinished = bool((slash[:-1] & (characters[1:] <= BLANK)).any())
     slashes = slashes_of_corners(np.flatnonzero(slash), word_starts(characters))
     flat = parse(text.replace(b"/", b" "), np.int64)
-    if flat is None or unfinished or slashes.max() > 2 or len(flat) != int(slashes.sum()) + total:
+    if flat is None or slashes.max() > 2 or len(flat) != int(slashes.sum()) + total:
         raise bad_face(lines, where)
     keys = np.zeros((total, 3), np.int64)
     if (slashes == slashes[0]).all():
@@ -142,8 +146,8 @@ def bad_face(lines: Lines, where: str) -> SceneError:
     for row, number in zip(lines.rows(), lines.numbers, strict=True):
         for word in row.split():
             parts = word.split(b"/")
-            fine = len(parts) <= 3 and all(part.removeprefix(b"-").isdigit() for part in parts[:1] + parts[-1:])
-            if not fine or (len(parts) == 3 and parts[1] and not parts[1].removeprefix(b"-").isdigit()):
+            fine = len(parts) <= 3 and parts[0].removeprefix(b"-").isdigit()
+            if not fine or not all(not part or part.removeprefix(b"-").isdigit() for part in parts[1:]):
                 found = word.decode("latin-1")[:40]
                 return SceneError(
                     f"{where}, line {number}: can't understand the corner '{found}' of a face; "

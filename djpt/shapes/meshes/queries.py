@@ -1,0 +1,164 @@
+"""The vertices and triangles of a mesh by number, for scripts: as counts, as whole arrays, as lookups."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.errors import ParameterError, near_miss
+from djpt.shapes.meshes.topology import opposite_edges
+from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
+
+if TYPE_CHECKING:
+    from drjit.llvm.ad import Array2u as Vector2u
+    from drjit.llvm.ad import Array3u as Vector3u
+
+    from djpt.shapes.meshes.data import MeshData
+else:
+    Vector2u, Vector3u = backend.Array2u, backend.Array3u
+
+__all__ = ["MeshQueries"]
+
+
+class MeshQueries:
+    """What scripts ask a mesh; its arrays are those that `traverse` reports, flat and in world space.
+
+    Lookups take numbers of vertices or triangles, one per lane; inactive lanes get zeros.
+    """
+
+    attributes: dict[str, Any]
+
+    if TYPE_CHECKING:
+        # What the mesh computes when it is asked for.
+
+        @property
+        def faces_parameter(self) -> UInt32:
+            """The corners of all triangles, one after the other."""
+
+        @property
+        def vertex_positions(self) -> Float:
+            """The coordinates of all vertices, one after the other."""
+
+        @property
+        def vertex_normals(self) -> Float:
+            """Those of their normals; empty if there are none."""
+
+        @property
+        def vertex_texcoords(self) -> Float:
+            """Those in textures; empty if there are none."""
+
+        def data(self) -> MeshData:
+            """The mesh on the host."""
+
+    # ---- counts --------------------------------------------------------------------------
+
+    def vertex_count(self) -> int:
+        """The number of vertices."""
+        return dr.width(self.vertex_positions) // 3
+
+    def face_count(self) -> int:
+        """The number of triangles."""
+        return dr.width(self.faces_parameter) // 3
+
+    def has_vertex_normals(self) -> bool:
+        """Whether vertices have normals, so that shading is smooth."""
+        return dr.width(self.vertex_normals) > 0
+
+    def has_vertex_texcoords(self) -> bool:
+        """Whether vertices have texture coordinates."""
+        return dr.width(self.vertex_texcoords) > 0
+
+    def has_mesh_attributes(self) -> bool:
+        """Whether there are further attributes of vertices or triangles."""
+        return bool(self.attributes)
+
+    def has_face_normals(self) -> bool:
+        """Whether triangles are shaded flat although a file had normals (the key ``face_normals``)."""
+        return self.flat
+
+    flat: bool = False
+
+    # ---- whole arrays --------------------------------------------------------------------
+
+    def faces_buffer(self) -> UInt32:
+        """The corners of all triangles, (3 F,)."""
+        return self.faces_parameter
+
+    def vertex_positions_buffer(self) -> Float:
+        """The positions, (3 V,)."""
+        return self.vertex_positions
+
+    def vertex_normals_buffer(self) -> Float:
+        """The normals, (3 V,); empty without them."""
+        return self.vertex_normals
+
+    def vertex_texcoords_buffer(self) -> Float:
+        """The texture coordinates, (2 V,); empty without them."""
+        return self.vertex_texcoords
+
+    def attribute_buffer(self, name: str) -> Float:
+        """The numbers of an attribute, flat.
+
+        Raises:
+            ParameterError: there is no such attribute.
+        """
+        if name not in self.attributes:
+            raise ParameterError(f"the mesh has no attribute '{name}'{near_miss(name, self.attributes)}")
+        values: Float = getattr(self, name)
+        return values
+
+    # ---- lookups -------------------------------------------------------------------------
+
+    def face_indices(self, index: UInt32 | int, active: Bool | bool = True) -> Vector3u:
+        """The vertices of triangles."""
+        return dr.gather(Vector3u, self.faces_parameter, UInt32(index), active)
+
+    def edge_indices(self, tri_index: UInt32 | int, edge_index: UInt32 | int, active: Bool | bool = True) -> Vector2u:
+        """The two vertices of edge 0, 1 or 2 of triangles."""
+        start, edge = 3 * UInt32(tri_index), UInt32(edge_index)
+        following = dr.select(edge == 2, 0, edge + 1)
+        return Vector2u(*(dr.gather(UInt32, self.faces_parameter, start + k, active) for k in (edge, following)))
+
+    def vertex_position(self, index: UInt32 | int, active: Bool | bool = True) -> Point3f:
+        """The positions of vertices in world space."""
+        return dr.gather(Point3f, self.vertex_positions, UInt32(index), active)
+
+    def vertex_normal(self, index: UInt32 | int, active: Bool | bool = True) -> Normal3f:
+        """The unit normals of vertices; raises `ParameterError` if there are none."""
+        if not self.has_vertex_normals():
+            raise ParameterError("vertex_normal: the mesh has no vertex normals; face_normal gives those of triangles")
+        return dr.gather(Normal3f, self.vertex_normals, UInt32(index), active)
+
+    def vertex_texcoord(self, index: UInt32 | int, active: Bool | bool = True) -> Point2f:
+        """The texture coordinates of vertices; raises `ParameterError` if there are none."""
+        if not self.has_vertex_texcoords():
+            raise ParameterError("vertex_texcoord: the mesh has no texture coordinates")
+        return dr.gather(Point2f, self.vertex_texcoords, UInt32(index), active)
+
+    def face_normal(self, index: UInt32 | int, active: Bool | bool = True) -> Vector3f:
+        """The unit normals of triangles, on the side from which corners run counter-clockwise."""
+        corners = self.face_indices(index, active)
+        a, b, c = (self.vertex_position(corner, active) for corner in corners)
+        return dr.normalize(dr.cross(b - a, c - a))
+
+    # ---- neighbours ----------------------------------------------------------------------
+
+    def build_directed_edges(self) -> None:
+        """Find the neighbours of all triangles anew: `opposite_dedge` does it at its first call."""
+        self.__dict__.pop("_opposite_edges", None)
+
+    @cached_property
+    def _opposite_edges(self) -> UInt32:
+        corners: NDArray[np.uint32] = np.array(self.faces_parameter, np.uint32).reshape(-1, 3)
+        return UInt32(opposite_edges(corners, self.vertex_count()))
+
+    def opposite_dedge(self, index: UInt32 | int, active: Bool | bool = True) -> UInt32:
+        """The directed edge of the neighbour that runs the other way; 4294967295 at borders.
+
+        Edge k of triangle f is number 3 f + k.
+        """
+        return dr.gather(UInt32, self._opposite_edges, UInt32(index), active)
