@@ -15,6 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.records.record import Record
 from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
@@ -81,6 +82,11 @@ def wide(record: Any, lanes: int) -> Any:
     """
     if record is None:
         return None
+    if isinstance(record, Record):
+        result = type(record)()
+        for name in record.DRJIT_STRUCT:
+            setattr(result, name, wide(getattr(record, name), lanes))
+        return result
     if is_dataclass(record) and not isinstance(record, type):
         return type(record)(**{f.name: wide(getattr(record, f.name), lanes) for f in fields(record)})
     if isinstance(record, (list, tuple)):

@@ -61,7 +61,9 @@ class Loader:
     def load(self) -> Plugin:
         """Build the root, and with it all other nodes."""
         self.collect()
-        return self._build("")
+        root = self._build("")
+        root.stand_alone()
+        return root
 
     def collect(self) -> None:
         """Check the form of the description, and fill `nodes` and `paths`."""

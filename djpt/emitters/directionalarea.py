@@ -13,7 +13,14 @@ from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["DirectionalArea"]
@@ -62,20 +69,20 @@ class DirectionalArea(Emitter):
         return Color3f(0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         d = Vector3f(0, 0, 1)
-        ds = DirectionSample3f(ref + d, -d, Point2f(0), d, Float(1), Float(0), Float(0), Bool(False), UInt32(0))
+        ds = DirectionSample3f.of(it.p + d, -d, Point2f(0), d, Float(1), Float(0), Float(0), Bool(False), UInt32(0))
         return ds, Color3f(0)
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
         require_area(self.shape)
-        ps = self.shape.sample_position(position_sample)
+        ps = self.shape.sample_position(0, position_sample)
         return EmissionSample(
             ray=Ray3f(ps.p, ps.n),
             weight=self.radiance.eval(ps, active) * self.shape.surface_area(),

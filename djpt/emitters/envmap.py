@@ -23,7 +23,14 @@ from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import aligned_floats, as_float, as_vector, maximum, minimum
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
 from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
@@ -194,13 +201,13 @@ class EnvironmentMap(OrientedEmitter):
         return self._radiance(column, row, place, active)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         local, uv, pdf, weight, radiance = self._sample(self.distribution, sample, active)
         d = self.local_to_world(local)
-        ds = DirectionSample3f(
+        ds = DirectionSample3f.of(
             # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            ref + d,
+            it.p + d,
             -d,
             uv,
             d,
@@ -212,7 +219,7 @@ class EnvironmentMap(OrientedEmitter):
         )
         return ds, radiance * weight
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return self._pdf(self.distribution, ds.d, active)
 
     def sample_emission(

@@ -96,11 +96,11 @@ class Distant(Sensor):
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = self.origin
         if self.target is not None:
-            o = o + self.target.sample_position(aperture_sample).p
+            o = o + self.target.sample_position(0, aperture_sample).p
         elif self.on_disk:
             offset = square_to_uniform_disk_concentric(aperture_sample)
             o = dr.fma(self.side_x, offset.x, dr.fma(self.side_y, offset.y, o))
-        return Ray3f(o, self.direction, Float(dr.inf))
+        return Ray3f(o, self.direction)
 
 
 register_sensor("distant", Distant)

@@ -53,9 +53,9 @@ class IrradianceMeter(Sensor):
             require_area(self.shape, "irradiancemeter")
 
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        ps = self.shape.sample_position(film_position)
+        ps = self.shape.sample_position(0, film_position)
         d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(aperture_sample))
-        return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d, Float(dr.inf))
+        return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d)
 
 
 register_sensor("irradiancemeter", IrradianceMeter)

@@ -48,7 +48,7 @@ class RadianceMeter(Sensor):
         self.direction = as_vector(direction)
 
     def sample_ray(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        return Ray3f(self.origin, self.direction, Float(float("inf")))
+        return Ray3f(self.origin, self.direction)
 
 
 register_sensor("radiancemeter", RadianceMeter)

@@ -21,12 +21,13 @@ from djpt.geometry.triangle_sampling import square_to_triangle
 from djpt.kernels import as_float, own_copy, own_floats
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
+from djpt.shapes.questions import ShapeType
 from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
 from djpt.shapes.meshes.measures import Measures
 from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.topology import is_closed
-from djpt.types import Float, Point2f, UInt32
+from djpt.types import Bool, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.geometry.mesh_set import MeshSet
@@ -57,6 +58,7 @@ class Mesh(Shape):
     Triangles without area or with a corner that isn't finite are dropped with a warning.
     """
 
+    shape_kind = ShapeType.Mesh
     of_triangles = True
     values = dict.fromkeys(("first_face", "own_faces", "area"), HIDDEN)
     statics = ("flip_normals",)
@@ -235,13 +237,13 @@ class Mesh(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
         # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.
         assert self.set is not None
         index, y = self.set.areas.sample(self.first_face, self.own_faces, self.area, sample.y)
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
-        return PositionSample3f(p, n, uv, dr.rcp(self.area))
+        return PositionSample3f.of(p, n, uv, dr.rcp(self.area))
 
 
 def properties(name: str, props: Mapping[str, Any] | None) -> Properties:
