@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
+    from djpt.dispatch.pointers import BSDFPtr as BSDFPtr
+    from djpt.dispatch.pointers import EmitterPtr as EmitterPtr
+    from djpt.dispatch.pointers import ShapePtr as ShapePtr
     from djpt.emitters import Emitter as Emitter
     from djpt.errors import BackendError as BackendError
     from djpt.errors import DjptError as DjptError
@@ -78,9 +81,11 @@ if TYPE_CHECKING:
     from djpt.records import BSDFSample3f as BSDFSample3f
     from djpt.records import DirectionSample3f as DirectionSample3f
     from djpt.records import EmitterFlags as EmitterFlags
+    from djpt.records import Interaction3f as Interaction3f
     from djpt.records import PositionSample3f as PositionSample3f
     from djpt.records import PreliminaryIntersection3f as PreliminaryIntersection3f
     from djpt.records import Ray3f as Ray3f
+    from djpt.records import RayFlags as RayFlags
     from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
     from djpt.records import TransportMode as TransportMode
     from djpt.records import has_flag as has_flag
@@ -89,6 +94,8 @@ if TYPE_CHECKING:
     from djpt.scene import Scene as Scene
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.shapes import Mesh as Mesh
+    from djpt.shapes.base import Shape as Shape
+    from djpt.shapes.questions import ShapeType as ShapeType
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms import Transform4f as Transform4f
     from djpt.types import PCG32 as PCG32
@@ -130,6 +137,7 @@ _EXPORTS = {
     ),
     "djpt.description.scene_files": "load_file load_string",
     "djpt.description.xml.writer": "to_xml write_dict",
+    "djpt.dispatch.pointers": "BSDFPtr EmitterPtr ShapePtr",
     "djpt.errors": "BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f",
@@ -141,13 +149,15 @@ _EXPORTS = {
     "djpt.materials.fresnel": "fresnel fresnel_conductor fresnel_diffuse_reflectance reflect refract",
     "djpt.parameters": "SceneParameters traverse",
     "djpt.records": (
-        "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags PositionSample3f "
-        "PreliminaryIntersection3f Ray3f SurfaceInteraction3f TransportMode has_flag"
+        "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags Interaction3f PositionSample3f "
+        "PreliminaryIntersection3f Ray3f RayFlags SurfaceInteraction3f TransportMode has_flag"
     ),
     "djpt.rendering": "channel_names render",
     "djpt.scene": "Scene",
     "djpt.scenes.cornell": "cornell_box",
     "djpt.shapes": "Mesh",
+    "djpt.shapes.base": "Shape",
+    "djpt.shapes.questions": "ShapeType",
     "djpt.images.tone_mapping": "tonemap",
     "djpt.transforms": "ScalarTransform4f Transform4f",
     "djpt.types": (

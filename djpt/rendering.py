@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.gradients.leaves import attached_parameters
+from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
 from djpt.scene import Scene
@@ -69,10 +69,11 @@ def render(
     parameters = attached_parameters(job.scene)
     if not job.channel_names():
         return centres(job)
-    if parameters:
+    unused = unused_values(job.scene, parameters)
+    if parameters or unused:
         from djpt.gradients.derivatives import differentiable
 
-        image = differentiable(job, how, parameters, seed_grad, spp_grad)
+        image = differentiable(job, how, parameters, unused, seed_grad, spp_grad)
     else:
         image = primal(job, how)
     return dr.concat([image, centres(job)], axis=2) if job.integrator.unfiltered_names() else image

@@ -13,8 +13,8 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
+from djpt.dispatch.family import Family
 from djpt.dispatch.lookup import Members
-from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, ShapePtr
 from djpt.emitters import Emitter
 from djpt.emitters.choice import EmitterChoice, make_choice
@@ -22,9 +22,9 @@ from djpt.emitters.choice.questions import LightQuestions
 from djpt.emitters.choice.sampling import LightSampling
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
-from djpt.geometry.attached import distance_on_plane, distance_to, is_attached
 from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.geometry.parity import is_inside
+from djpt.geometry.questions import RayQuestions
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
@@ -33,7 +33,6 @@ from djpt.records import (
     EmitterFlags,
     PreliminaryIntersection3f,
     Ray3f,
-    RayFlags,
     SurfaceInteraction3f,
     has_flag,
 )
@@ -42,12 +41,12 @@ from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
 from djpt.textures.uses import check_textures, reads_uv
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
 
 
-class Scene(LightQuestions, Plugin):
+class Scene(RayQuestions, LightQuestions, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     The queries take per-lane rays and points. A scene reads its plugins' values through a
@@ -99,7 +98,16 @@ class Scene(LightQuestions, Plugin):
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
         self.near_share = Float(0)
         self._families: dict[Any, Family[Any]] = {}
+        for shape in self._shapes:
+            shape.used_in(self)
         note_latest(self)
+
+    def renew_bsdfs(self) -> None:
+        """Follow a change of a shape's BSDF."""
+        bsdfs, self.bsdf_of_shape, self._light_of_shape = numbers(self.geometry.contents.shapes, self._emitters)
+        self._use_bsdfs(bsdfs)
+        self._families.clear()
+        self._prepare()
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
@@ -278,89 +286,6 @@ class Scene(LightQuestions, Plugin):
             pi.t = dr.select(active, pi.t, dr.inf)
         return pi
 
-    def ray_intersect_preliminary(
-        self, ray: Ray3f, coherent: Bool | bool = False, *reordering: Any, active: Bool | bool = True
-    ) -> PreliminaryIntersection3f:
-        """The first hit with 0 < t < maxt, with Mitsuba's fields.
-
-        `coherent`, and what Mitsuba takes to reorder threads, are accepted and change nothing.
-        """
-        given = dr.detach(ray)
-        near, entry = self.geometry.approach(given)
-        pi = self.closest_hit(near, last_mask(reordering, active))
-        surface = self.geometry.surface(near, pi, self.lookup, full=True)
-        pi.t = pi.t + entry
-        pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
-        pi.prim_uv = surface.prim_uv
-        pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
-        if pi.near is None or pi.near.inside is None:
-            pi.nearby = ()
-        self.own(pi)
-        return pi
-
-    def ray_intersect(
-        self,
-        ray: Ray3f,
-        ray_flags: int | Bool | bool = RayFlags.All,
-        coherent: Bool | bool = False,
-        *reordering: Any,
-        active: Bool | bool = True,
-        **reorder: Any,
-    ) -> SurfaceInteraction3f:
-        """The first surface point with 0 < t < maxt, with all its fields.
-
-        If the ray carries gradients, so does the point: as the ray moves, it moves on the surface. With
-        `RayFlags.FollowShape` it stays, and only its distance changes. A mask as the second argument means `active`, as
-        in Mitsuba. `coherent`, and what Mitsuba takes to reorder threads, are accepted and change nothing.
-        """
-        if isinstance(ray_flags, bool) or dr.is_mask_v(ray_flags):
-            active, ray_flags = ray_flags, RayFlags.All
-        given = dr.detach(ray) if is_attached(ray) else ray
-        near, entry = self.geometry.approach(given)
-        pi = self.closest_hit(near, last_mask(reordering, active))
-        if given is not ray:
-            pi.t = pi.t + entry
-            return self._attached_interaction(ray, pi, int(ray_flags))
-        si = self.surface_interaction(near, pi)
-        si.found_at(si.t + entry, si.is_valid())
-        self.own(si)
-        return si
-
-    def ray_test(self, ray: Ray3f, coherent: Bool | bool = True, active: Bool | bool = True) -> Bool:
-        """True where anything is hit with 0 < t < maxt; a single mask after the ray means `active`."""
-        return self.geometry.any_hit(self.geometry.approach(dr.detach(ray))[0], active & coherent)
-
-    def own(self, record: PreliminaryIntersection3f | SurfaceInteraction3f) -> None:
-        """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
-        record.home = {self: ()}
-        note_latest(self)
-
-    def surface_interaction_of(
-        self, pi: PreliminaryIntersection3f, ray: Ray3f, ray_flags: int = RayFlags.All, active: Bool | bool = True
-    ) -> SurfaceInteraction3f:
-        """The surface point of a hit of `ray`: see `ray_intersect`."""
-        hit = PreliminaryIntersection3f.found(dr.select(active, pi.t, dr.inf), pi.face, pi.shape_index, pi.near)
-        if is_attached(ray):
-            return self._attached_interaction(ray, hit, int(ray_flags))
-        si = self.surface_interaction(ray, hit)
-        self.own(si)
-        return si
-
-    def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
-        """The surface point of a hit, with its derivatives by the ray."""
-        still = dr.detach(ray)
-        fixed = self.geometry.surface(still, pi, self.lookup, full=True)
-        if flags & RayFlags.FollowShape:
-            si = self.surface_interaction(still, pi)
-            si.t = distance_to(ray, pi, dr.detach(fixed.p))
-            si.wi = dr.select(si.is_valid(), si.sh_frame.to_local(-ray.d), -ray.d)
-        else:
-            t = distance_on_plane(ray, pi, dr.detach(fixed.p), dr.detach(fixed.n))
-            near = self.geometry.near_again(ray, t, pi.near)
-            si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
-        self.own(si)
-        return si
-
     def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
         """True where a point is within an odd number of closed surfaces; open shapes don't count."""
         return is_inside(self.geometry, p, active)
@@ -428,13 +353,14 @@ class Scene(LightQuestions, Plugin):
             si.time = ray.time
         return si
 
-    def revisit(self, p: Point3f, d: Vector3f, face: UInt32) -> SurfaceInteraction3f:
+    def revisit(self, p: Point3f, d: Vector3f, face: UInt32, full: bool = False) -> SurfaceInteraction3f:
         """The surface interaction at a stored point `p` of a face, as for a ray of direction `d`.
 
-        A face that belongs to an instance can't be revisited: its number doesn't say which instance.
+        uv and its derivatives are computed if BSDFs or emitters need them, or if `full`. A face that belongs to an
+        instance can't be revisited: its number doesn't say which instance.
         """
         hit = PreliminaryIntersection3f.found(Float(0), face, self.geometry.shape_of(face))
-        return self.surface_interaction(Ray3f(p, d), hit, full=self.needs_uv)
+        return self.surface_interaction(Ray3f(p, d), hit, full=full or self.needs_uv)
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
@@ -445,19 +371,6 @@ class Scene(LightQuestions, Plugin):
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
         return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(si.face))
-
-    def shape_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
-        """The shape at `si`; none on a miss."""
-        if "shapes" not in self._families:
-            self._families["shapes"] = Family(Ensemble(self.geometry.contents.shapes), self.lookup)
-        return ShapePtr.into(self._families["shapes"], dr.select(si.is_valid(), si.shape_index, NONE))
-
-    def _family(self, ensemble: Ensemble[Any]) -> Family[Any]:
-        """The plugins of an ensemble, for pointers: the same object for each, so that pointers can be compared."""
-        key = id(ensemble)
-        if key not in self._families:
-            self._families[key] = Family(ensemble, self.lookup)
-        return self._families[key]
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
@@ -485,12 +398,6 @@ class Scene(LightQuestions, Plugin):
         if name not in self._choices:
             self._choices[name] = make_choice(name, self._emitters)
         return self._choices[name]
-
-
-def last_mask(reordering: tuple[Any, ...], active: Bool | bool) -> Bool | bool:
-    """The lanes that are active: the last of the arguments after `coherent` if it is a mask, or else `active`."""
-    last = reordering[-1] if len(reordering) in (1, 4) else active
-    return last if isinstance(last, bool) or dr.is_mask_v(last) else active
 
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter")

@@ -45,6 +45,7 @@ __all__ = [
     "UInt64",
     "Vector2f",
     "Vector3f",
+    "backend",
 ]
 
 Float = backend.Float

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import drjit as dr
 
 from djpt.description.properties import Properties
@@ -56,7 +54,7 @@ class Mask(BSDF):
         # Every kind of nested lobe counts as one component, as it mostly does in Mitsuba.
         last = (self.nested_bsdf.flags() & int(BSDFFlags.All)).bit_count()
         null = BSDFSample3f.of(-si.wi, 1 - opacity, BSDFFlags.Null, sampled_component=last)
-        bs: BSDFSample3f = dr.select(hit, dataclasses.replace(nested, pdf=nested.pdf * opacity), null)
+        bs: BSDFSample3f = dr.select(hit, nested.replaced(pdf=nested.pdf * opacity), null)
         return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
 
     def sample(

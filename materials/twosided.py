@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
@@ -51,7 +49,7 @@ class TwoSided(BSDF):
 
     def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-        return dataclasses.replace(si, wi=wi)
+        return si.replaced(wi=wi)
 
     def sample(
         self,
@@ -66,7 +64,7 @@ class TwoSided(BSDF):
         if self.back is not None:
             result = dr.select(behind, self.back.sample(ctx, mirrored, sample1, sample2, active), result)
         bs, weight = result
-        return dataclasses.replace(bs, wo=flipped(bs.wo, behind)), weight
+        return bs.replaced(wo=flipped(bs.wo, behind)), weight
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
@@ -94,7 +92,7 @@ class TwoSided(BSDF):
             other = self.back.eval_pdf_sample(ctx, mirrored, wo, sample1, sample2, active)
             result = dr.select(behind, other, result)
         value, pdf, bs, weight = result
-        return value, pdf, dataclasses.replace(bs, wo=flipped(bs.wo, behind)), weight
+        return value, pdf, bs.replaced(wo=flipped(bs.wo, behind)), weight
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         behind, mirrored = si.wi.z < 0, self._seen_from_front(si)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -32,6 +33,58 @@ class Family(Generic[P]):
     lookup: Lookup
 
 
+class Acquaintances:
+    """The plugins that scripts have made pointers of, numbered; those that are gone give their number away."""
+
+    def __init__(self) -> None:
+        self._members: list[weakref.ref[Plugin]] = []
+        self._families: dict[str, Strangers] = {}
+
+    def number(self, plugin: Plugin) -> int:
+        """The number of a plugin, from now on."""
+        free = None
+        for number, member in enumerate(self._members):
+            if member() is plugin:
+                return number
+            if member() is None and free is None:
+                free = number
+        if free is None:
+            self._members.append(weakref.ref(plugin))
+            return len(self._members) - 1
+        self._members[free] = weakref.ref(plugin)
+        return free
+
+    def members(self, kind: str) -> list[Plugin]:
+        """The plugins by number; in place of those that are gone or of another kind any of the kind `kind`."""
+        alive = [member() for member in self._members]
+        fitting = [plugin if plugin is not None and plugin.kind == kind else None for plugin in alive]
+        some = next((plugin for plugin in fitting if plugin is not None), None)
+        return [] if some is None else [plugin or some for plugin in fitting]
+
+    def of(self, lanes: Sequence[Plugin | None]) -> Strangers:
+        """The family of the plugins that are of the same kind as those given: the same object every time."""
+        kind = next((plugin.kind for plugin in lanes if plugin is not None), "")
+        return self._families.setdefault(kind, Strangers(kind))
+
+
+class Strangers:
+    """A family of plugins that belong to no scene together: those of a kind that scripts have made pointers of.
+
+    As one family they can be selected among, whenever their pointers were made.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+
+    @property
+    def ensemble(self) -> Ensemble[Any]:
+        """The plugins as they are now."""
+        return Ensemble(ACQUAINTANCES.members(self._kind))
+
+
+ACQUAINTANCES = Acquaintances()
+
+
 class Pointer(Record, Generic[P]):
     """A plugin per lane, or none.
 
@@ -52,10 +105,11 @@ class Pointer(Record, Generic[P]):
             for plugin in lanes:
                 if plugin is not None and not isinstance(plugin, Plugin):
                     raise SceneError(f"{type(self).__name__}: expected plugins, found {type(plugin).__name__}")
-            members = list({id(plugin): plugin for plugin in lanes if plugin is not None}.values())
-            numbers = [NONE if plugin is None else members.index(plugin) for plugin in lanes]
-            fields = {"index": UInt32(numbers), "home": {Family(Ensemble(members), Detached()): ()}}
+            numbers = [NONE if plugin is None else ACQUAINTANCES.number(plugin) for plugin in lanes]
+            fields = {"index": UInt32(numbers), "home": {ACQUAINTANCES.of(lanes): ()}}
         super().__init__(None, **fields)
+        # Plugins that nobody else holds must last as long as the pointer.
+        self.__dict__["_held"] = plugins
 
     @classmethod
     def into(cls, family: Family[P], index: UInt32) -> Any:
@@ -83,7 +137,7 @@ class Pointer(Record, Generic[P]):
     def lookup(self) -> Lookup:
         """The way to read the plugins' values."""
         family = only(tuple(self.home))
-        return Detached() if family is None else family.lookup
+        return Detached() if family is None or isinstance(family, Strangers) else family.lookup
 
     @property
     def plugins(self) -> Sequence[P]:
@@ -125,13 +179,14 @@ class Pointer(Record, Generic[P]):
 
     def __eq__(self, other: object) -> Any:
         if isinstance(other, Pointer):
-            place = {id(plugin): i for i, plugin in enumerate(self.plugins)}
-            same = Numbers([place.get(id(plugin), NONE - 1) for plugin in other.plugins] + [NONE])
+            place = {identity(plugin): i for i, plugin in reversed(list(enumerate(self.plugins)))}
+            same = Numbers([place.get(identity(plugin), NONE - 1) for plugin in other.plugins] + [NONE])
             mine = dr.select(self.is_valid(), self.index, NONE)
             return mine == same.at(dr.minimum(other.index, len(other.plugins)))
         if other is None:
             return ~self.is_valid()
-        return self.holds(lambda plugin: plugin is other)
+        origin = identity(other)
+        return self.holds(lambda plugin: identity(plugin) == origin)
 
     def __ne__(self, other: object) -> Any:
         return ~(self == other)
@@ -139,7 +194,14 @@ class Pointer(Record, Generic[P]):
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
+        if not len(self):
+            return "[]"
         return repr([self[lane] for lane in range(len(self))])
+
+
+def identity(plugin: Any) -> int:
+    """A number that a plugin shares with the copies of it that are made to be asked alone."""
+    return id(getattr(plugin, "original", None) or plugin)
 
 
 NOBODY: Ensemble[Any] = Ensemble([])

@@ -13,6 +13,7 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
+from djpt.dispatch.lookup import choose
 from djpt.emitters.base import Emitter
 from djpt.materials.base import BSDF
 from djpt.records import (
@@ -171,9 +172,7 @@ class EmitterPtr(Pointer[Emitter]):
     ) -> tuple[DirectionSample3f, Color3f]:
         """A direction towards the emitter; weight 0 where there is none."""
         at = observer(it)
-        ds, weight = self.ensemble.call(
-            self.index, self.lookup, lambda e: e.sample_direction(at, sample, active), None
-        )
+        ds, weight = self.ensemble.call(self.index, self.lookup, lambda e: e.sample_direction(at, sample, active), None)
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
 
@@ -213,9 +212,10 @@ class EmitterPtr(Pointer[Emitter]):
         es.ray.time = Float(time)
         return es.ray, es.weight
 
-    def place_record(self, ds: DirectionSample3f) -> None:
-        """Make this the emitter of a direction sample."""
-        ds.emitter_index = self.index
+    def sampling_weight(self) -> Float:
+        """The emitters' `sampling_weight`; 0 where there is no emitter."""
+        weights = [Float(emitter.sampling_weight()) for emitter in self.plugins]
+        return dr.select(self.is_valid(), choose(self.index, weights), 0) if weights else Float(0)
 
 
 class ShapePtr(Pointer[Shape]):
@@ -279,10 +279,6 @@ class ShapePtr(Pointer[Shape]):
 
     def _ask(self, method: Callable[[Shape], Any], otherwise: Any) -> Any:
         return self.ensemble.call(self.index, self.lookup, method, otherwise)
-
-    def place_record(self, si: SurfaceInteraction3f) -> None:
-        """Make this the shape of a surface interaction."""
-        si.shape_index = self.index
 
 
 def observer(it: Observer | Point3f) -> Observer:

@@ -17,11 +17,10 @@ from djpt.records import (
     EmissionSample,
     EmitterFlags,
     Observer,
-    Ray3f,
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = ["Emitter"]
 
@@ -41,10 +40,10 @@ class Emitter(EmitterQuestions):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.sampling_weight = props.float("sampling_weight", 1.0, low=0.0)
+        self.share = props.float("sampling_weight", 1.0, low=0.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         super().traverse(callback)
 
     def check_parameter(self, name: str, value: Any) -> Any:
@@ -52,7 +51,7 @@ class Emitter(EmitterQuestions):
             return non_negative(value)
         return super().check_parameter(name, value)
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         """What the light comes from: `EmitterFlags`, combined."""
         return int(EmitterFlags.Empty)
 

@@ -26,7 +26,7 @@ from djpt.records import (
     Ray3f,
     SurfaceInteraction3f,
 )
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 
 __all__ = ["ConstantBackground"]
@@ -58,7 +58,7 @@ class ConstantBackground(Emitter):
         self.set_bounds(np.zeros(3), 1.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("radiance", self.radiance)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
@@ -70,7 +70,7 @@ class ConstantBackground(Emitter):
     def bounds(self) -> LightBounds | None:
         return None
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Infinite)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
@@ -79,7 +79,7 @@ class ConstantBackground(Emitter):
     def sample_direction(
         self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        d = square_to_uniform_sphere(sample)
+        d = square_to_uniform_sphere(Point2f(sample))
         ds = DirectionSample3f.of(
             # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
             it.p + d,

@@ -28,7 +28,7 @@ from djpt.records import (
     SurfaceInteraction3f,
 )
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["DirectionalEmitter"]
@@ -65,7 +65,7 @@ class DirectionalEmitter(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaDirection)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:

@@ -21,7 +21,7 @@ from djpt.records import (
     Ray3f,
     SurfaceInteraction3f,
 )
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["DirectionalArea"]
 
@@ -46,12 +46,12 @@ class DirectionalArea(Emitter):
         self.radiance = props.texture("radiance", 1.0, low=0.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("radiance", self.radiance)
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Surface | EmitterFlags.DeltaDirection)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
@@ -82,7 +82,7 @@ class DirectionalArea(Emitter):
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
         require_area(self.shape)
-        ps = self.shape.sample_position(0, position_sample)
+        ps = self.shape.draw_point(position_sample)
         return EmissionSample(
             ray=Ray3f(ps.p, ps.n),
             weight=self.radiance.eval(ps, active) * self.shape.surface_area(),

@@ -33,7 +33,7 @@ from djpt.records import (
 )
 from djpt.textures.brightness import luminance
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
-from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["EnvironmentMap"]
@@ -104,7 +104,7 @@ class EnvironmentMap(OrientedEmitter):
     # ---- on the host -------------------------------------------------------------------
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("scale", self.scale, self.values["scale"])
         callback.put("data", self.data, self.tables["data"])
         callback.put("to_world", self.to_world)
@@ -153,7 +153,7 @@ class EnvironmentMap(OrientedEmitter):
         table[..., :3], table[..., 3] = texels, self.distribution.at_corners[:, :-1]
         self.texels = TensorXf(table)
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:

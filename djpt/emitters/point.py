@@ -63,7 +63,7 @@ class PointLight(Emitter):
         at = as_array(dr.detach(self.position))
         return LightBounds(at, at, np.array([0.0, 0.0, 1.0]), math.pi, math.pi / 2, self.power())
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaPosition)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:

@@ -27,7 +27,7 @@ from djpt.records import (
 )
 from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = ["Projector"]
 
@@ -86,7 +86,7 @@ class Projector(OrientedEmitter):
         """Compute the image's extent: a bitmap of another shape keeps the field of view along x."""
         self.reach_x, self.reach_y = as_float(self._reach), as_float(self._reach / self._aspect())
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaPosition)
 
     def power(self) -> float:

@@ -33,9 +33,16 @@ class EmitterQuestions(Plugin):
     shape: Any = None
     """The shape that it stands in; set by the scene."""
 
+    share: float = 1.0
+    """The parameter `sampling_weight`."""
+
+    def sampling_weight(self) -> float:
+        """How often light sampling chooses the emitter, relative to others."""
+        return self.share
+
     def is_environment(self) -> bool:
         """Whether the emitter surrounds the scene."""
-        return has_flag(self.flags(), EmitterFlags.Infinite)  # type: ignore[attr-defined, no-any-return]
+        return has_flag(self.flags(), EmitterFlags.Infinite)  # type: ignore[attr-defined]
 
     def get_shape(self) -> Any:
         """The shape that it stands in, or None."""
@@ -59,7 +66,7 @@ class EmitterQuestions(Plugin):
     def bbox(self) -> BoundingBox3f:
         """The box about the shape or the point that light comes from; empty for light from infinity."""
         if self.shape is not None:
-            return self.shape.bbox()  # type: ignore[no-any-return]
+            return self.shape.bbox()
         if hasattr(self, "position"):
             at = np.array(dr.detach(self.position), np.float64).ravel()
             return BoundingBox3f(at, at)
@@ -84,14 +91,14 @@ class EmitterQuestions(Plugin):
         """
         delta = EmitterFlags.DeltaPosition | EmitterFlags.DeltaDirection
         if has_flag(self.flags(), delta):  # type: ignore[attr-defined]
-            return self.sample_direction(it, Point2f(0.5), active)[1]  # type: ignore[attr-defined, no-any-return]
+            return self.sample_direction(it, Point2f(0.5), active)[1]  # type: ignore[attr-defined]
         frame = Frame3f.from_normal(ds.n)
         si = SurfaceInteraction3f(p=ds.p, n=ds.n, uv=ds.uv, sh_frame=frame)
         if self.is_environment():
             si.wi = -ds.d
         else:
             si.t, si.wi = ds.dist, frame.to_local(-ds.d)
-        return dr.select(active, self.eval(si, active), 0)  # type: ignore[attr-defined, no-any-return]
+        return dr.select(active, self.eval(si, active), 0)  # type: ignore[attr-defined]
 
     def sample_ray(
         self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
@@ -105,9 +112,7 @@ class EmitterQuestions(Plugin):
         es.ray.time = Float(time)
         return es.ray, es.weight
 
-    def sample_position(
-        self, time: Any, sample: Any, active: Bool | bool = True
-    ) -> tuple[PositionSample3f, Float]:
+    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> tuple[PositionSample3f, Float]:
         """Sample a point that light leaves, with 1 / density; raise `SceneError` for light from infinity."""
         if self.shape is not None:
             ps = self.shape.sample_position(time, Point2f(sample), active)
@@ -122,8 +127,6 @@ class EmitterQuestions(Plugin):
         """The density of `sample_position`, per unit area; 0 for light from a point."""
         return Float(0) if self.shape is None else self.shape.pdf_position(ps, active)
 
-    def sample_wavelengths(
-        self, si: Interaction3f, sample: Any, active: Bool | bool = True
-    ) -> tuple[Any, Color3f]:
+    def sample_wavelengths(self, si: Interaction3f, sample: Any, active: Bool | bool = True) -> tuple[Any, Color3f]:
         """No wavelengths, since light is RGB, and the radiance at `si`."""
         return Wavelengths(), self.eval(si, active)  # type: ignore[attr-defined]

@@ -26,7 +26,7 @@ from djpt.records import (
     Ray3f,
     SurfaceInteraction3f,
 )
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
 
 __all__ = ["SpotLight"]
@@ -81,7 +81,7 @@ class SpotLight(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaPosition)
 
     def power(self) -> float:

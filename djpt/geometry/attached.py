@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 
 from djpt.records import PreliminaryIntersection3f, Ray3f
@@ -34,4 +36,5 @@ def distance_to(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f) -> Float:
 def with_derivative(pi: PreliminaryIntersection3f, t: Float) -> Float:
     """The distance that was found, with the derivative of `t` where something was hit."""
     found = dr.detach(pi.t)
-    return dr.select(found < dr.inf, dr.replace_grad(found, t), found)  # type: ignore[func-returns-value, return-value]
+    attached: Any = dr.replace_grad(found, t)  # type: ignore[func-returns-value]
+    return dr.select(found < dr.inf, attached, found)

@@ -60,7 +60,9 @@ class Forest:
     def _mesh_parts(self) -> list[MeshPart]:
         """The meshes of the world, and of each group."""
         meshes, bounds = self._meshes.meshes, [*self._meshes.first_face, self._meshes.face_count]
-        labels = np.array([i | (LEAF if m.emitter() is None else LEAF | EMITS) for i, m in enumerate(meshes)], np.uint32)
+        labels = np.array(
+            [i | (LEAF if m.emitter() is None else LEAF | EMITS) for i, m in enumerate(meshes)], np.uint32
+        )
         return [
             MeshPart(meshes[first:last], labels[first:last], bounds[first])
             for first, last in zip(self._parts, self._parts[1:], strict=False)

@@ -53,9 +53,9 @@ def gradient_seed(seed: int, seed_grad: int) -> int:
 
 
 def differentiable(
-    job: Job, schedule: Schedule, parameters: list[Parameter], seed_grad: int, spp_grad: int
+    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: int, spp_grad: int
 ) -> TensorXf:
-    """The image of a job, attached to `parameters`.
+    """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 
     Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
     (0: one derived from that of the image).
@@ -70,7 +70,9 @@ def differentiable(
         )
     samples = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None, pass_spp=0)
     derivative: Derivative
-    if integrator.stepwise:
+    if not parameters:
+        derivative = NoDerivative(job)
+    elif integrator.stepwise:
         derivative = ReplayDerivative(samples, schedule, parameters)
     else:
         derivative = AttachedDerivative(samples, schedule, parameters)
@@ -79,7 +81,7 @@ def differentiable(
         with dr.suspend_grad():
             return schedule.image(job)
 
-    return dr.custom(ImageOp, [p.value for p in parameters], primal, derivative)
+    return dr.custom(ImageOp, [p.value for p in parameters], unused, primal, derivative)
 
 
 class Derivative(Protocol):
@@ -95,7 +97,9 @@ class Derivative(Protocol):
 class ImageOp(dr.CustomOp):
     """An image and its derivative, as an operation of Dr.Jit."""
 
-    def eval(self, values: list[Any], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
+    def eval(
+        self, values: list[Any], unused: list[Any], primal: Callable[[], TensorXf], derivative: Derivative
+    ) -> TensorXf:
         self.derivative = derivative
         return primal()
 
@@ -109,6 +113,19 @@ class ImageOp(dr.CustomOp):
 
     def name(self) -> str:
         return "djpt.render"
+
+
+class NoDerivative:
+    """The derivative of an image that depends on no parameter with gradients: zero."""
+
+    def __init__(self, job: Job) -> None:
+        self.shape = (job.film.crop_size[1], job.film.crop_size[0], job.channel_count())
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        return []
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        return dr.zeros(TensorXf, self.shape)
 
 
 class ReplayDerivative:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
@@ -44,6 +45,9 @@ class Reference:
 class SceneView(Protocol):
     """The scene as a surface point sees it."""
 
+    near_share: Float
+    """The share of a camera ray's `maxt` between the camera and its near plane."""
+
     def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
         """The `djpt.dispatch.pointers.BSDFPtr` of the shape at `si`."""
 
@@ -73,6 +77,8 @@ class SceneView(Protocol):
 
 class Interaction3f(Record):
     """A point of a ray: ``Interaction3f()``, ``Interaction3f(it)``, ``Interaction3f(t, time, wavelengths, p, n=0)``."""
+
+    title = "Interaction"
 
     t: Float
     """Distance along the ray, in units of its `d`; infinity if there is no such point."""
@@ -153,6 +159,8 @@ Observer: TypeAlias = "Reference | Interaction3f"
 class PreliminaryIntersection3f(Record):
     """The result of a traversal: enough to compute the rest later."""
 
+    title = "PreliminaryIntersection"
+
     t: Float
     """Distance in units of the ray's `d`; infinity on a miss."""
     prim_uv: Point2f
@@ -224,6 +232,8 @@ class SurfaceInteraction3f(Interaction3f):
     `n` has unit length and lies on the outer side of the shape (it is never flipped to the ray).
     """
 
+    title = "SurfaceInteraction"
+
     sh_frame: Frame3f
     """Shading frame: `n` is the shading normal, `s` follows dp/du."""
     uv: Point2f
@@ -291,16 +301,15 @@ class SurfaceInteraction3f(Interaction3f):
 
     @property
     def shape(self) -> Any:
-        """The shape, a `djpt.dispatch.pointers.ShapePtr`; null on a miss."""
-        return at_home(self).shape_at(self)
+        """The shape, a `djpt.dispatch.pointers.ShapePtr`, null on a miss; or what was assigned."""
+        if "_shape" in self.__dict__:
+            return self.__dict__["_shape"]
+        return at_home(self).shape_at(self) if self.home else None
 
     @shape.setter
     def shape(self, shape: Any) -> None:
-        if shape is None:
-            return
-        if not hasattr(shape, "place_record"):
-            raise RenderError(f"si.shape: must be None or a pointer of the scene, found {type(shape).__name__}")
-        shape.place_record(self)
+        # Dr.Jit's operations don't carry it along.
+        self.__dict__["_shape"] = shape
 
     @property
     def instance(self) -> Any:
@@ -311,6 +320,10 @@ class SurfaceInteraction3f(Interaction3f):
     def instance(self, instance: Any) -> None:
         if instance is not None:
             raise RenderError("si.instance: a hit on an instance doesn't tell which one; only None can be assigned")
+
+    def shown(self) -> Sequence[str]:
+        left_out = ("prim_uv", "shape_index", "face")
+        return [name for name in super().shown() if name not in left_out]
 
     # ---- frames ---------------------------------------------------------------------------
 
@@ -342,11 +355,11 @@ class SurfaceInteraction3f(Interaction3f):
         """
         if getattr(ray, "has_differentials", False):
             self.compute_uv_partials(ray)
-        return self.scene.bsdf_at(self)
+        return self.shape.bsdf() if "_shape" in self.__dict__ else self.scene.bsdf_at(self)
 
     def emitter(self, scene: SceneView | None = None, active: Bool | bool = True) -> Any:
         """The light of the shape, or of the sky on a miss; a null `djpt.dispatch.pointers.EmitterPtr` without one."""
-        return (scene or self.scene).emitter_at(self)
+        return self.shape.emitter() if "_shape" in self.__dict__ else (scene or self.scene).emitter_at(self)
 
     def is_sensor(self) -> Bool:
         """True where the shape carries a sensor."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -18,6 +19,8 @@ class Ray3f(Record):
     Made as in Mitsuba: ``Ray3f()``, ``Ray3f(o, d, time=0, wavelengths=[])``, ``Ray3f(o, d, maxt, time, wavelengths)``,
     ``Ray3f(ray)``, ``Ray3f(ray, maxt)``; also by keywords. The third argument of three or four is the time.
     """
+
+    title = "Ray"
 
     o: Point3f
     d: Vector3f
@@ -66,6 +69,9 @@ class Ray3f(Record):
             return Vector3f(0, 0, 1)
         return super().default(name)
 
+    def shown(self) -> Sequence[str]:
+        return "o", "d", "maxt", "time", "wavelengths"
+
     @property
     def medium(self) -> UInt32 | None:
         """The number of the medium that the ray runs through: see `djpt.media`. None in scenes without media."""
@@ -93,4 +99,3 @@ class Ray3f(Record):
     def __call__(self, t: Float) -> Point3f:
         """The point at parameter `t`."""
         return dr.fma(self.d, t, self.o)
-

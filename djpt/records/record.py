@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, get_origin, get_type_hints
 
 import drjit as dr
@@ -27,6 +28,9 @@ class Record:
     gather None.
     """
 
+    title: ClassVar[str] = ""
+    """The name that `repr` gives, as in Mitsuba; by default the class's own."""
+
     DRJIT_STRUCT: ClassVar[dict[str, Any]] = {}
     """The types of the fields: Dr.Jit's protocol."""
 
@@ -41,7 +45,9 @@ class Record:
             self.assign(other)
         for name, value in fields.items():
             if name not in self.DRJIT_STRUCT and not isinstance(getattr(type(self), name, None), property):
-                raise TypeError(f"{type(self).__name__} has no field '{name}'; its fields: {', '.join(self.DRJIT_STRUCT)}")
+                raise TypeError(
+                    f"{type(self).__name__} has no field '{name}'; its fields: {', '.join(self.DRJIT_STRUCT)}"
+                )
             setattr(self, name, value)
 
     def default(self, name: str) -> Any:
@@ -85,18 +91,34 @@ class Record:
             if name in self.DRJIT_STRUCT:
                 self.__dict__[name] = dr.copy(value)
 
+    def replaced(self, **fields: Any) -> Any:
+        """A record with other values in some of its fields; it shares the others."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        for name, value in fields.items():
+            setattr(other, name, value)
+        return other
+
     def __setitem__(self, mask: Any, other: Any) -> None:
         """Take over the lanes of `other` where `mask` is true."""
         self.assign(dr.select(mask, other, self))
 
     def __repr__(self) -> str:
-        lines = []
-        for name, kind in self.DRJIT_STRUCT.items():
-            if kind in (tuple, dict):
-                continue
-            text = repr(getattr(self, name)).replace("\n", "\n" + " " * (len(name) + 3))
-            lines.append(f"  {name}={text}")
-        return f"{type(self).__name__}[\n" + ",\n".join(lines) + "\n]"
+        lines = [f"  {name}={self.text(name)}" for name in self.shown()]
+        return f"{self.title or type(self).__name__}[\n" + ",\n".join(lines) + "\n]"
+
+    def shown(self) -> Sequence[str]:
+        """The names that `repr` lists: the fields that are arrays."""
+        return [name for name, kind in self.DRJIT_STRUCT.items() if kind not in (tuple, dict)]
+
+    def text(self, name: str) -> str:
+        """An entry of `repr`; fields that nobody has read or given are empty."""
+        if name in self.DRJIT_STRUCT and name not in self.__dict__:
+            return "[]"
+        value = getattr(self, name)
+        if dr.is_array_v(value) and dr.is_mask_v(value):
+            value = dr.select(value, backend.UInt32(1), 0)
+        return repr(value).replace("\n", "\n" + " " * (len(name) + 3))
 
 
 def no_wavelengths(wavelengths: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,8 @@ NO_EMITTER = 0xFFFFFFFF
 class PositionSample3f(Record):
     """A point sampled on a surface: ``PositionSample3f()``, ``PositionSample3f(ps)``, ``PositionSample3f(si)``."""
 
+    title = "PositionSample"
+
     p: Point3f
     n: Normal3f
     uv: Point2f
@@ -33,7 +36,7 @@ class PositionSample3f(Record):
 
     def __init__(self, other: Record | None = None, **fields: Any) -> None:
         if isinstance(other, SurfaceInteraction3f):
-            fields = {"p": other.p, "n": other.sh_frame.n, "uv": other.uv, **fields}
+            fields = {"p": other.p, "n": other.sh_frame.n, "uv": other.uv, "time": other.time, **fields}
             other = None
         super().__init__(other, **fields)
 
@@ -53,6 +56,8 @@ class DirectionSample3f(PositionSample3f):
     `weight` is 1 / pdf (0 where pdf is 0). Emitters fill in both, since most of them know both
     without a division.
     """
+
+    title = "DirectionSample"
 
     d: Vector3f
     """Unit direction from the reference point to `p`."""
@@ -129,17 +134,29 @@ class DirectionSample3f(PositionSample3f):
             ds.home = {scene: ()}
         return ds
 
+    def shown(self) -> Sequence[str]:
+        return ELEMENTS
+
+    def text(self, name: str) -> str:
+        if name == "emitter" and not self.home:
+            return "[0x0]"
+        return super().text(name)
+
     @property
     def emitter(self) -> Any:
-        """The emitter, a `djpt.dispatch.pointers.EmitterPtr`."""
-        return at_home(self).emitter_ptr(self.emitter_index)
+        """The emitter, a `djpt.dispatch.pointers.EmitterPtr`; None in a record that belongs to no scene."""
+        if "_emitter" in self.__dict__:
+            return self.__dict__["_emitter"]
+        return at_home(self).emitter_ptr(self.emitter_index) if self.home else None
 
     @emitter.setter
     def emitter(self, emitter: Any) -> None:
         if emitter is None:
             self.emitter_index = UInt32(NO_EMITTER)
         else:
-            emitter.place_record(self)
+            # Dr.Jit's operations don't carry it along.
+            self.__dict__["_emitter"] = emitter
+            self.emitter_index = emitter.index
 
 
 ELEMENTS = ("p", "n", "uv", "time", "pdf", "delta", "d", "dist", "emitter")
@@ -176,13 +193,13 @@ class EmissionSample:
     """True where position or direction has a delta distribution, whose density is given as 1."""
 
 
-
-
 class BSDFSample3f(Record):
     """A direction sampled from a BSDF; without arguments, a sample without a direction.
 
     ``BSDFSample3f()``, ``BSDFSample3f(bs)``, ``BSDFSample3f(wo)``, or its fields in order or by keywords.
     """
+
+    title = "BSDFSample3"
 
     wo: Vector3f
     """Sampled direction in the shading frame."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 __all__ = ["EXPORTS", "SUBMODULES"]
 
-EXPORTS: dict[str, str] = {}
+EXPORTS: dict[str, str] = {
+    "djpt.scripting.records": "MediumInteraction3f MeshPtr Ray2f RayDifferential3f",
+}
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
 SUBMODULES: dict[str, str] = {}

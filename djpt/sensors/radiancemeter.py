@@ -13,7 +13,7 @@ from djpt.kernels import as_vector
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along
-from djpt.types import Bool, Float, Point2f
+from djpt.types import Bool, Point2f
 
 __all__ = ["RadianceMeter"]
 

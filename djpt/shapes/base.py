@@ -16,7 +16,7 @@ from djpt.description.properties import Properties
 from djpt.errors import ParameterError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.records import DirectionSample3f, Observer, PositionSample3f
+from djpt.records import DirectionSample3f, PositionSample3f
 from djpt.shapes.questions import ShapeQuestions
 from djpt.transforms import as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -156,8 +156,8 @@ class Shape(ShapeQuestions):
         """The total area in world space."""
         raise NotImplementedError
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
-        """Sample a point uniformly by area: pdf = 1 / area. Shapes don't move, so `time` changes nothing."""
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
+        """Sample a point uniformly by area: pdf = 1 / area."""
         raise NotImplementedError
 
     def at_uv(self, uv: Point2f) -> PositionSample3f:
@@ -168,19 +168,15 @@ class Shape(ShapeQuestions):
         """
         raise NotImplementedError
 
-    def sample_direction(
-        self, it: Observer, sample: Point2f, active: Bool | bool = True
-    ) -> DirectionSample3f:
-        """Sample a point of the shape as seen from `it`; by default with `sample_position`.
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+        """Sample a point of the shape as seen from `ref`; by default with `draw_point`.
 
-        pdf = dist^2 / (area abs(cos)), the area density converted to solid angle at `it`.
+        pdf = dist^2 / (area abs(cos)), the area density converted to solid angle at `ref`.
         """
-        return towards(self.sample_position(0, sample, active), self.surface_area(), it.p)
+        return towards(self.draw_point(sample), self.surface_area(), ref)
 
-    def pdf_direction(
-        self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Float:
-        """The density of `sample_direction` at `ds`, per unit solid angle at `it`."""
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        """The density of `draw_direction` at `ds`, per unit solid angle at `ref`."""
         pdf = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.surface_area())
         return dr.select(dr.isfinite(pdf), pdf, 0)
 

@@ -20,7 +20,7 @@ from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Cube"]
 
@@ -210,7 +210,7 @@ class Cube(Shape):
     def surface_area(self) -> Float:
         return 2 * (self.areas.x + self.areas.y + self.areas.z)
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         # As Mitsuba does for meshes: y picks the triangle by area (and is used again), then a
         # uniform point in it. Faces come in pairs of equal triangles in the order of FACES.
         total = self.surface_area()

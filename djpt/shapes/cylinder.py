@@ -19,7 +19,7 @@ from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit
 from djpt.shapes.questions import ShapeType
 from djpt.shapes.revolution import Revolution, along
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Cylinder"]
 
@@ -99,13 +99,13 @@ class Cylinder(Revolution):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         n = self.radial(sample.y)
         p = dr.fma(n, self.radius, dr.fma(self.axis_z, (sample.x - 0.5) * self.length, self.center))
         return PositionSample3f.of(p, n * self.side, Point2f(sample.y, sample.x), dr.rcp(self.area))
 
     def at_uv(self, uv: Point2f) -> PositionSample3f:
-        return self.sample_position(0, Point2f(uv.y, uv.x))
+        return self.draw_point(Point2f(uv.y, uv.x))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         across, z = self.across(p)

@@ -124,7 +124,7 @@ class Disk(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         local = square_to_uniform_disk_concentric(sample)
         p = dr.fma(self.edge_u, local.x, dr.fma(self.edge_v, local.y, self.center))
         return PositionSample3f.of(p, self.normal, polar_uv(local.x, local.y, dr.norm(local)), dr.rcp(self.area))

@@ -14,7 +14,7 @@ from djpt.frame import Frame3f, coordinate_system
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.geometry.march import Zero, first_zero
 from djpt.kernels import as_float, as_vector, maximum, minimum
-from djpt.records import RAY_EPSILON, DirectionSample3f, Observer, Ray3f
+from djpt.records import RAY_EPSILON, DirectionSample3f, Ray3f
 from djpt.shapes.base import Hit, Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -168,29 +168,25 @@ class LevelSet(Shape):
         axis = dr.select(dist_squared > 0, to_center * dr.rsqrt(dist_squared), Vector3f(0, 0, 1))
         return axis, dr.select(outside, sin_squared * dr.rcp(1 + cos), 2)
 
-    def sample_direction(
-        self, it: Observer, sample: Point2f, active: Bool | bool = True
-    ) -> DirectionSample3f:
-        axis, opening = self._cone(it.p)
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+        axis, opening = self._cone(ref)
         drop = opening * sample.x
         cos, sin = 1 - drop, dr.safe_sqrt(drop * (2 - drop))
         sin_phi, cos_phi = dr.sincos(2 * math.pi * sample.y)
         d = Frame3f.from_normal(axis).to_world(Vector3f(cos_phi * sin, sin_phi * sin, cos))
         # The reference point may lie on this surface itself.
-        a = dr.abs(it.p)
+        a = dr.abs(ref)
         step = dr.fma(maximum(maximum(a.x, a.y), a.z), RAY_EPSILON, RAY_EPSILON)
-        zero = self.search(Ray3f(dr.fma(d, step, it.p), d), Float(dr.inf))
-        dist = dr.select(zero.found, zero.t + step, self.ball_radius + dr.norm(self.ball_center - it.p))
-        p = dr.fma(d, dist, it.p)
-        # Without a hit the normal is turned away from `it`, so that no light comes from there.
+        zero = self.search(Ray3f(dr.fma(d, step, ref), d), Float(dr.inf))
+        dist = dr.select(zero.found, zero.t + step, self.ball_radius + dr.norm(self.ball_center - ref))
+        p = dr.fma(d, dist, ref)
+        # Without a hit the normal is turned away from `ref`, so that no light comes from there.
         n = dr.select(zero.found, self.normal_at(p), d)
         weight = 2 * math.pi * opening
         return DirectionSample3f.of(p, n, self.uv(p), d, dist, dr.rcp(weight), weight, Bool(False), UInt32(0))
 
-    def pdf_direction(
-        self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Float:
-        _, opening = self._cone(it.p)
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        _, opening = self._cone(ref)
         return dr.rcp(2 * math.pi * opening)
 
 

@@ -21,13 +21,13 @@ from djpt.geometry.triangle_sampling import square_to_triangle
 from djpt.kernels import as_float, own_copy, own_floats
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
-from djpt.shapes.questions import ShapeType
 from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
 from djpt.shapes.meshes.measures import Measures
 from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.topology import is_closed
-from djpt.types import Bool, Float, Point2f, UInt32
+from djpt.shapes.questions import ShapeType
+from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.geometry.mesh_set import MeshSet
@@ -222,6 +222,16 @@ class Mesh(Shape):
         attributes = {name: values for name, (values, _) in self.attributes.items()}
         write_ply(filename, MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes))
 
+    def primitive_count(self) -> int:
+        return len(self.indices)
+
+    def _box(self, index: int | None) -> tuple[Any, Any]:
+        if index is None:
+            return super()._box(index)
+        super()._box(index)
+        corners = self.positions[self.indices[index]]
+        return corners.min(axis=0), corners.max(axis=0)
+
     def is_closed(self) -> bool:
         return is_closed(self.positions, self.indices)
 
@@ -237,9 +247,11 @@ class Mesh(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.
-        assert self.set is not None
+        if self.set is None:
+            point: PositionSample3f = self.alone().shapes()[0].draw_point(sample)
+            return point
         index, y = self.set.areas.sample(self.first_face, self.own_faces, self.area, sample.y)
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)

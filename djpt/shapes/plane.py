@@ -15,7 +15,7 @@ from djpt.description.registry import register_shape
 from djpt.frame import Frame3f
 from djpt.geometry.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, Observer
+from djpt.records import DirectionSample3f
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_cone
@@ -80,23 +80,19 @@ class Plane(Shape):
         t = (self.plane_offset - o_n) * inv_n
         return Hit((t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
-    def sample_direction(
-        self, it: Observer, sample: Point2f, active: Bool | bool = True
-    ) -> DirectionSample3f:
-        height = dr.dot(it.p - self.center, self.normal)
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+        height = dr.dot(ref - self.center, self.normal)
         towards = self.normal * dr.select(height > 0, Float(-1), Float(1))
         local = square_to_uniform_cone(sample, Float(0))
         d = Frame3f.from_normal(towards).to_world(local)
         dist = dr.abs(height) * dr.rcp(local.z)
-        p = dr.fma(d, dist, it.p)
+        p = dr.fma(d, dist, ref)
         ok = (dist > 0) & dr.isfinite(dist)
         pdf, weight = dr.select(ok, Float(0.5 / math.pi), 0), dr.select(ok, Float(2 * math.pi), 0)
         return DirectionSample3f.of(p, Vector3f(self.normal), self._uv(p), d, dist, pdf, weight, Bool(False), UInt32(0))
 
-    def pdf_direction(
-        self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Float:
-        towards = dr.dot(ds.d, self.normal) * dr.dot(it.p - self.center, self.normal) < 0
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        towards = dr.dot(ds.d, self.normal) * dr.dot(ref - self.center, self.normal) < 0
         return dr.select(towards, Float(0.5 / math.pi), 0)
 
     def _uv(self, p: Point3f) -> Point2f:

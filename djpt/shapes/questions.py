@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import enum
+import weakref
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -15,7 +16,15 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError
 from djpt.geometry.bounding_box import BoundingBox3f
-from djpt.records import PositionSample3f, PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    Observer,
+    PositionSample3f,
+    PreliminaryIntersection3f,
+    Ray3f,
+    RayFlags,
+    SurfaceInteraction3f,
+)
 from djpt.types import ArrayXf, Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["ShapeQuestions", "ShapeType"]
@@ -51,6 +60,8 @@ class ShapeQuestions(Plugin):
     _bsdf: Any = None
     _emitter: Any = None
     _sensor: Any = None
+    users: Sequence[weakref.ref[Any]] = ()
+    """The scenes that the shape stands in."""
     original: Any = None
     """The shape that this one was copied from, to be asked alone; else None."""
 
@@ -64,9 +75,21 @@ class ShapeQuestions(Plugin):
         return self._bsdf
 
     def set_bsdf(self, bsdf: Any) -> None:
-        """Give the shape another BSDF; to be called before the shape stands in a scene."""
+        """Give the shape another BSDF, also in the scenes that it stands in.
+
+        Raises:
+            TypeError: It is no BSDF.
+        """
+        if getattr(bsdf, "kind", None) != "bsdf":
+            raise TypeError(
+                f"set_bsdf(): incompatible function arguments: expected a BSDF, found {type(bsdf).__name__}"
+            )
         self._bsdf = bsdf
         self.forget_alone()
+        for user in self.users:
+            scene = user()
+            if scene is not None:
+                scene.renew_bsdfs()
 
     def emitter(self) -> Any:
         """The area light, or None."""
@@ -126,12 +149,12 @@ class ShapeQuestions(Plugin):
 
     def bbox(self, index: int | None = None, clip: Any = None) -> BoundingBox3f:
         """The box about the shape in world space, or about primitive number `index`, cut by the box `clip`."""
-        low, high = self._corners(index)
+        low, high = self._box(index)
         if clip is not None:
             low, high = np.maximum(low, np.array(clip.min).ravel()), np.minimum(high, np.array(clip.max).ravel())
         return BoundingBox3f(low, high)
 
-    def _corners(self, index: int | None) -> tuple[Any, Any]:
+    def _box(self, index: int | None) -> tuple[Any, Any]:
         if index is not None and not 0 <= index < self.primitive_count():
             raise SceneError(f"{self.id}: there are {self.primitive_count()} primitives, found the number {index}")
         intervals = np.array([self.interval(unit) for unit in np.eye(3)])  # type: ignore[attr-defined]
@@ -199,13 +222,31 @@ class ShapeQuestions(Plugin):
         if not self.has_parameterization:  # type: ignore[attr-defined]
             raise SceneError(f"{self.id}: texture coordinates don't tell a point of this shape")
         ps = self.at_uv(Point2f(uv))  # type: ignore[attr-defined]
-        si = self.alone().revisit(ps.p, -ps.n, UInt32(0))
+        si = self.alone().revisit(ps.p, -ps.n, UInt32(0), full=True)
         si.t = dr.select(active, Float(0), dr.inf)
         return si
+
+    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> PositionSample3f:
+        """Sample a point uniformly by area: pdf = 1 / area. Shapes don't move, so `time` is just noted."""
+        ps: PositionSample3f = self.draw_point(Point2f(sample))  # type: ignore[attr-defined]
+        ps.time = time
+        return ps
+
+    def sample_direction(self, it: Observer, sample: Any, active: Bool | bool = True) -> DirectionSample3f:
+        """Sample a point of the shape as seen from `it`; the pdf is per unit solid angle there."""
+        return self.draw_direction(it.p, Point2f(sample))  # type: ignore[attr-defined]
+
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction` at `ds`, per unit solid angle at `it`."""
+        return dr.select(active, self.direction_density(it.p, ds), 0)  # type: ignore[attr-defined]
 
     def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_position`, per unit area."""
         return dr.select(active, dr.rcp(self.surface_area()), 0)  # type: ignore[attr-defined]
+
+    def used_in(self, scene: Any) -> None:
+        """Note that the shape stands in a scene."""
+        self.users = [*(user for user in self.users if user() is not None), weakref.ref(scene)]
 
     # ---- a scene of its own -----------------------------------------------------------------
 

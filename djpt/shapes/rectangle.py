@@ -16,7 +16,7 @@ from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.questions import ShapeType
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Rectangle"]
 
@@ -94,13 +94,13 @@ class Rectangle(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         x, y = dr.fma(2, sample.x, -1), dr.fma(2, sample.y, -1)
         p = dr.fma(self.edge_u, x, dr.fma(self.edge_v, y, self.center))
         return PositionSample3f.of(p, self.normal, sample, dr.rcp(self.area))
 
     def at_uv(self, uv: Point2f) -> PositionSample3f:
-        return self.sample_position(0, uv)
+        return self.draw_point(uv)
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         local = p - self.center

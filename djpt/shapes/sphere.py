@@ -16,7 +16,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float, as_vector
-from djpt.records import RAY_EPSILON, DirectionSample3f, Observer, PositionSample3f
+from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
 from djpt.shapes.base import Hit, Shape
 from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
@@ -124,7 +124,7 @@ class Sphere(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, time: Float | float, sample: Point2f, active: Bool | bool = True) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         local = square_to_uniform_sphere(sample)
         d = self.axis_x * local.x + self.axis_y * local.y + self.axis_z * local.z
         p = dr.fma(d, self.radius, self.center)
@@ -138,15 +138,13 @@ class Sphere(Shape):
         pdf = dr.select(stretch > 0, dr.rcp(stretch), 0)
         return PositionSample3f.of(dr.fma(d, self.radius, self.center), -d if self.flip_normals else d, uv, pdf)
 
-    def sample_direction(
-        self, it: Observer, sample: Point2f, active: Bool | bool = True
-    ) -> DirectionSample3f:
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
         """Sample uniformly in the cone that the sphere subtends, or, from inside, uniformly by area.
 
         The cone is sampled by points on the visible cap, without intersecting a ray:
         "Sampling the visible sphere", A. Kalin (akalin.com/sampling-visible-sphere).
         """
-        to_center = self.center - it.p
+        to_center = self.center - ref
         dist_squared = dr.squared_norm(to_center)
         outside = dist_squared > dr.square(self.radius * self._shrunk())
 
@@ -172,7 +170,7 @@ class Sphere(Shape):
 
         n = dr.select(outside, cap, square_to_uniform_sphere(sample))
         p = dr.fma(n, self.radius, self.center)
-        to_p = p - it.p
+        to_p = p - ref
         dist = dr.norm(to_p)
         d = to_p * dr.rcp(dist)
         from_area = dr.abs(dr.dot(d, n)) * self.area * dr.rcp(dr.square(dist))
@@ -190,10 +188,8 @@ class Sphere(Shape):
             UInt32(0),
         )
 
-    def pdf_direction(
-        self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Float:
-        dist_squared = dr.squared_norm(self.center - it.p)
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        dist_squared = dr.squared_norm(self.center - ref)
         sin_squared = dr.square(self.radius) * dr.rcp(dist_squared)
         cos = dr.safe_sqrt(1 - sin_squared)
         outside = dist_squared > dr.square(self.radius * self._shrunk())

@@ -99,7 +99,7 @@ def test_a_shared_plugin_appears_under_its_first_path() -> None:
     assert [key for key in params if "reflectance" in key] == ["a.bsdf.reflectance.value"]
     params["a.bsdf.reflectance.value"] = 0.125
     params.update()
-    assert all(numbers(shape.bsdf.reflectance.value) == [0.125] * 3 for shape in loaded.shapes())
+    assert all(numbers(shape.bsdf().reflectance.value) == [0.125] * 3 for shape in loaded.shapes())
 
 
 # ---------------------------------------------------------------- the mapping

@@ -18,8 +18,15 @@ __all__ = ["LightQuestions"]
 class LightQuestions:
     """The part of a scene that chooses an emitter and asks it."""
 
-    light_sampling: LightSampling
-    emitter_choice: EmitterChoice
+    @property
+    def light_sampling(self) -> LightSampling:
+        """The emitters, the way to choose among them, and the way to read their values."""
+        raise NotImplementedError
+
+    @property
+    def emitter_choice(self) -> EmitterChoice:
+        """The way to choose an emitter."""
+        raise NotImplementedError
 
     def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
         """The part of `light` that arrives along the segment of a `shadow_ray`."""
@@ -67,9 +74,7 @@ class LightQuestions:
         at = observer(ref)
         return self.light_sampling.pdf(Reference(at.p, at.n), ds, active)
 
-    def eval_emitter_direction(
-        self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Color3f:
+    def eval_emitter_direction(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
         """What arrives from the emitter of `ds` in its direction, whatever stands between.
 
         That is the radiance; of a point, intensity / dist^2; of parallel light, the irradiance.
