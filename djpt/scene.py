@@ -69,7 +69,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         plugins = [plugin for _, plugin in self.named]
         self._sensors = collect_sensors(plugins)
         self._emitters = collect_emitters(plugins)
-        infinite = [i for i, e in enumerate(self._emitters) if has_flag(e.flags(), EmitterFlags.Infinite)]
+        infinite = [i for i, e in enumerate(self._emitters) if e.is_environment()]
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
         self._environment = infinite[0] if infinite else None

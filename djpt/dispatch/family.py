@@ -168,12 +168,10 @@ class Pointer(Record, Generic[P]):
         index = numbers.at(dr.minimum(self.index, len(others)))
         return kind.into(Family(Ensemble(members), self.lookup), index)
 
-    # ---- as a sequence ----------------------------------------------------------------------
+    # ---- lane by lane -----------------------------------------------------------------------
 
-    def __len__(self) -> int:
-        return int(dr.width(self.index))
-
-    def __getitem__(self, lane: int) -> P | None:
+    def at(self, lane: int) -> P | None:
+        """The plugin of a lane, or None. (Dr.Jit would take what has an operator ``[]`` for a sequence.)"""
         number = self.index[lane]
         return self.plugins[number] if number < len(self.plugins) else None
 
@@ -194,9 +192,7 @@ class Pointer(Record, Generic[P]):
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        if not len(self):
-            return "[]"
-        return repr([self[lane] for lane in range(len(self))])
+        return repr([self.at(lane) for lane in range(dr.width(self.index))])
 
 
 def identity(plugin: Any) -> int:

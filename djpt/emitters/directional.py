@@ -66,7 +66,7 @@ class DirectionalEmitter(OrientedEmitter):
     # ---- on the host -------------------------------------------------------------------
 
     def flags(self, active: Bool | bool = True) -> int:
-        return int(EmitterFlags.DeltaDirection)
+        return int(EmitterFlags.Infinite | EmitterFlags.DeltaDirection)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
         self.center, self.radius = as_vector(center), as_float(radius)

@@ -41,8 +41,9 @@ class EmitterQuestions(Plugin):
         return self.share
 
     def is_environment(self) -> bool:
-        """Whether the emitter surrounds the scene."""
-        return has_flag(self.flags(), EmitterFlags.Infinite)  # type: ignore[attr-defined]
+        """Whether the emitter surrounds the scene: rays that miss everything see it."""
+        flags = self.flags()  # type: ignore[attr-defined]
+        return bool(has_flag(flags, EmitterFlags.Infinite) and not has_flag(flags, EmitterFlags.Delta))
 
     def get_shape(self) -> Any:
         """The shape that it stands in, or None."""

@@ -194,6 +194,9 @@ class PreliminaryIntersection3f(Record):
         self.fill_with_zeros(size)
         self.t, self.home = dr.full(Float, dr.inf, size), latest_home()
 
+    def shown(self) -> Sequence[str]:
+        return "valid", "t", "prim_uv", "prim_index", "shape_index"
+
     @property
     def near(self) -> Any:
         """The hit in the coordinates of the search for triangles: see `djpt.geometry.query.Near`; else None."""

@@ -52,9 +52,9 @@ class Ray3f(Record):
         no_wavelengths(wavelengths)
         # Copies, since Dr.Jit's operators like += change arrays in place.
         if o is not None:
-            self.o = Point3f(o)
+            self.o = self.DRJIT_STRUCT["o"](o)
         if d is not None:
-            self.d = Vector3f(d)
+            self.d = self.DRJIT_STRUCT["d"](d)
         if maxt is not None:
             self.maxt = Float(maxt)
         if time is not None:
@@ -65,7 +65,7 @@ class Ray3f(Record):
     def default(self, name: str) -> Any:
         if name == "maxt":
             return Float(dr.inf)
-        if name == "d":
+        if name == "d" and self.DRJIT_STRUCT["d"] is Vector3f:
             return Vector3f(0, 0, 1)
         return super().default(name)
 

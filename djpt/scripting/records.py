@@ -48,6 +48,8 @@ class RayDifferential3f(Ray3f):
 class MediumInteraction3f(Interaction3f):
     """A point in a medium. djpt has no media that scatter: scripts may fill one in, no query returns one."""
 
+    title = "MediumInteraction"
+
     sh_frame: Frame3f
     wi: Vector3f
     sigma_s: Color3f

@@ -81,7 +81,7 @@ def test_values_are_mitsubas(mi: Any, params: SceneParameters) -> None:
 
 def test_parts_can_be_traversed(scene: Any) -> None:
     assert list(djpt.traverse(scene.sensors()[0]))[:2] == ["near_clip", "far_clip"]
-    assert list(djpt.traverse(scene.shapes()[0].emitter.radiance)) == ["value"]
+    assert list(djpt.traverse(scene.shapes()[0].emitter().radiance)) == ["value"]
     with pytest.raises(ParameterError, match=r"traverse: expected a plugin that djpt.load_dict made, found dict"):
         djpt.traverse({"type": "scene"})  # type: ignore[arg-type]
 
