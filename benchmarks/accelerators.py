@@ -68,7 +68,7 @@ def rays(structure: Accelerator, corners: NDArray[np.float32], count: int) -> di
     x, y = (Float(index % side) + 0.5) / side - 0.5, (Float(index // side) + 0.5) / side - 0.5
     forward = dr.normalize(Vector3f(-3, -2, -1.2))
     frame = Frame3f.from_normal(forward)
-    camera = Ray3f(Point3f(3, 2, 1.2), dr.normalize(frame.to_world(Vector3f(x, y, 1))), Float(dr.inf))
+    camera = Ray3f(Point3f(3, 2, 1.2), dr.normalize(frame.to_world(Vector3f(x, y, 1))), maxt=Float(dr.inf))
     camera.o = camera.o + dr.zeros(Point3f, side * side)
     dr.eval(camera)
     t, face = structure.closest(camera)
@@ -83,8 +83,10 @@ def rays(structure: Accelerator, corners: NDArray[np.float32], count: int) -> di
     lamp = Point3f(*LAMP) + 0.3 * Vector3f(*(random.next_float32() for _ in range(3)))
     result = {
         "coherent": camera,
-        "incoherent": Ray3f(p, Frame3f.from_normal(normal).to_world(bounce), dr.full(Float, dr.inf, dr.width(hit))),
-        "any hit": Ray3f(p, dr.normalize(lamp - p), dr.norm(lamp - p)),
+        "incoherent": Ray3f(
+            p, Frame3f.from_normal(normal).to_world(bounce), maxt=dr.full(Float, dr.inf, dr.width(hit))
+        ),
+        "any hit": Ray3f(p, dr.normalize(lamp - p), maxt=dr.norm(lamp - p)),
     }
     dr.eval(result)
     return result

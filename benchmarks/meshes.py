@@ -97,7 +97,7 @@ def query_rows(folder: Path, pairs: int) -> Iterator[Row]:
         ("incoherent rays", bounces(ours, 2**20), 0.9, 1.1),
         ("camera rays", camera_rays(1024), 0.6, 0.9),
     ):
-        rays = [m.Ray3f(m.Point3f(o), m.Vector3f(d), m.Float(np.inf)) for m in (djpt, mi)]
+        rays = [m.Ray3f(m.Point3f(o), m.Vector3f(d)) for m in (djpt, mi)]
         dr.eval(rays)
         for query in ("ray_intersect", "ray_test"):
             ratios, times = in_pairs(
@@ -122,7 +122,7 @@ def bounces(scene: djpt.Scene, count: int) -> tuple[np.ndarray, np.ndarray]:
     o *= 3 / np.linalg.norm(o, axis=0)
     d = rng.uniform(-1, 1, (3, count)) - o
     d /= np.linalg.norm(d, axis=0)
-    si = scene.ray_intersect(djpt.Ray3f(djpt.Point3f(o), djpt.Vector3f(d), djpt.Float(np.inf)))
+    si = scene.ray_intersect(djpt.Ray3f(djpt.Point3f(o), djpt.Vector3f(d)))
     hit = np.array(si.is_valid())
     p, n, d = (np.array(x)[:, hit] for x in (si.p, si.n, d))
     n *= -np.sign((n * d).sum(axis=0))

@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
+    from djpt.dispatch.pointers import BSDFPtr as BSDFPtr
+    from djpt.dispatch.pointers import EmitterPtr as EmitterPtr
+    from djpt.dispatch.pointers import ShapePtr as ShapePtr
     from djpt.emitters import Emitter as Emitter
     from djpt.errors import AmbiguityError as AmbiguityError
     from djpt.errors import BackendError as BackendError
@@ -85,9 +88,11 @@ if TYPE_CHECKING:
     from djpt.records import BSDFSample3f as BSDFSample3f
     from djpt.records import DirectionSample3f as DirectionSample3f
     from djpt.records import EmitterFlags as EmitterFlags
+    from djpt.records import Interaction3f as Interaction3f
     from djpt.records import PositionSample3f as PositionSample3f
     from djpt.records import PreliminaryIntersection3f as PreliminaryIntersection3f
     from djpt.records import Ray3f as Ray3f
+    from djpt.records import RayFlags as RayFlags
     from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
     from djpt.records import TransportMode as TransportMode
     from djpt.records import has_flag as has_flag
@@ -96,6 +101,8 @@ if TYPE_CHECKING:
     from djpt.scene import Scene as Scene
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.shapes import Mesh as Mesh
+    from djpt.shapes.base import Shape as Shape
+    from djpt.shapes.questions import ShapeType as ShapeType
     from djpt.transforms import ScalarTransform3f as ScalarTransform3f
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms.lanes import AffineTransform3f as AffineTransform3f
@@ -140,6 +147,7 @@ _EXPORTS = {
     "djpt.description.scene_files": "load_file load_string",
     "djpt.description.xml.writer": "to_xml write_dict",
     "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
+    "djpt.dispatch.pointers": "BSDFPtr EmitterPtr ShapePtr",
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f coordinate_system",
     "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",
@@ -150,13 +158,15 @@ _EXPORTS = {
     "djpt.materials": "BSDF",
     "djpt.parameters": "SceneParameters traverse",
     "djpt.records": (
-        "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags PositionSample3f "
-        "PreliminaryIntersection3f Ray3f SurfaceInteraction3f TransportMode has_flag"
+        "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags Interaction3f PositionSample3f "
+        "PreliminaryIntersection3f Ray3f RayFlags SurfaceInteraction3f TransportMode has_flag"
     ),
     "djpt.rendering": "channel_names render",
     "djpt.scene": "Scene",
     "djpt.scenes.cornell": "cornell_box",
     "djpt.shapes": "Mesh",
+    "djpt.shapes.base": "Shape",
+    "djpt.shapes.questions": "ShapeType",
     "djpt.images.tone_mapping": "tonemap",
     "djpt.transforms": "ScalarTransform3f ScalarTransform4f",
     "djpt.transforms.lanes": "AffineTransform3f AffineTransform4f Transform3f Transform4f",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import drjit as dr
@@ -25,6 +25,7 @@ __all__ = [
     "begin_trace",
     "float_in",
     "loop_traced_once",
+    "mapped",
     "maximum",
     "minimum",
     "opaque",
@@ -73,23 +74,38 @@ def as_vector(v: NDArray[np.floating[Any]]) -> Vector3f:
 # ---- loop state ------------------------------------------------------------------------------
 
 
+def mapped(record: Any, change: Callable[[Any], Any]) -> Any:
+    """A copy of a record, list, tuple or vector, with `change` applied to the arrays of numbers that it consists of.
+
+    What holds no arrays stays as it is.
+    """
+    if isinstance(record, (list, tuple)):
+        return type(record)(mapped(entry, change) for entry in record)
+    if dr.is_array_v(record):
+        return type(record)(*(mapped(c, change) for c in record)) if dr.depth_v(record) > 1 else change(record)
+    if is_dataclass(record) and not isinstance(record, type):
+        return replace(record, **{f.name: mapped(getattr(record, f.name), change) for f in fields(record)})
+    if not hasattr(record, "DRJIT_STRUCT"):
+        return record
+    copy = type(record)()
+    for name in type(record).DRJIT_STRUCT:
+        setattr(copy, name, mapped(getattr(record, name), change))
+    return copy
+
+
 def wide(record: Any, lanes: int) -> Any:
     """A record, list or tuple of arrays in which all arrays have full width.
 
     Loop state must not start as variables of width 1: the loop would be compiled for them and again at full
     width. None and what isn't a Dr.Jit array stay as they are.
     """
-    if record is None:
-        return None
-    if is_dataclass(record) and not isinstance(record, type):
-        return type(record)(**{f.name: wide(getattr(record, f.name), lanes) for f in fields(record)})
-    if isinstance(record, (list, tuple)):
-        return type(record)(wide(entry, lanes) for entry in record)
-    if not dr.is_array_v(record):
-        return record
-    if dr.is_mask_v(record):
-        return record | dr.full(Bool, False, lanes)
-    return record + dr.zeros(type(record), lanes)
+
+    def widened(numbers: Any) -> Any:
+        return (
+            numbers | dr.full(Bool, False, lanes) if dr.is_mask_v(numbers) else numbers + dr.zeros(type(numbers), lanes)
+        )
+
+    return mapped(record, widened)
 
 
 def loop_traced_once(start: T, condition: Callable[[T], Bool], body: Callable[[T], tuple[T]], label: str) -> tuple[T]:

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.gradients.leaves import attached_parameters
+from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
 from djpt.scene import Scene
@@ -93,10 +93,11 @@ def film_image(
         image = centres(job)
         job.film.keep(image, channel_names(scene, sensor, integrator))
         return image
-    if parameters:
+    unused = unused_values(job.scene, parameters)
+    if parameters or unused:
         from djpt.gradients.derivatives import differentiable
 
-        image = differentiable(job, how, parameters, seed_grad, spp_grad)
+        image = differentiable(job, how, parameters, unused, seed_grad, spp_grad)
     else:
         image = primal(job, how)
     if job.integrator.unfiltered_names():
@@ -123,7 +124,7 @@ def image_derivative(
     if not parameters:
         return dr.zeros(TensorXf, shape)
     derivative = derivative_of(job, choose("auto", job), parameters)
-    image = attached_image(parameters, lambda: dr.zeros(TensorXf, shape), derivative)
+    image = attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative)
     if grad is None:
         dr.forward_to(image)
         return dr.grad(image)

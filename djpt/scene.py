@@ -13,15 +13,18 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
+from djpt.dispatch.family import Family
 from djpt.dispatch.lookup import Members
-from djpt.dispatch.pointers import BSDFPtr, EmitterPtr
+from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, ShapePtr
 from djpt.emitters import Emitter
 from djpt.emitters.choice import EmitterChoice, make_choice
+from djpt.emitters.choice.questions import LightQuestions
 from djpt.emitters.choice.sampling import LightSampling
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
+from djpt.geometry.questions import RayQuestions
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
@@ -30,20 +33,20 @@ from djpt.records import (
     EmitterFlags,
     PreliminaryIntersection3f,
     Ray3f,
-    Reference,
     SurfaceInteraction3f,
     has_flag,
 )
+from djpt.records.homes import note_latest
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
 from djpt.textures.uses import check_textures, reads_uv
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
 
 
-class Scene(Plugin):
+class Scene(RayQuestions, LightQuestions, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     The queries take per-lane rays and points. A scene reads its plugins' values through a
@@ -66,7 +69,7 @@ class Scene(Plugin):
         plugins = [plugin for _, plugin in self.named]
         self._sensors = collect_sensors(plugins)
         self._emitters = collect_emitters(plugins)
-        infinite = [i for i, e in enumerate(self._emitters) if has_flag(e.flags(), EmitterFlags.Infinite)]
+        infinite = [i for i, e in enumerate(self._emitters) if e.is_environment()]
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
         self._environment = infinite[0] if infinite else None
@@ -94,6 +97,17 @@ class Scene(Plugin):
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
         self.near_share = Float(0)
+        self._families: dict[Any, Family[Any]] = {}
+        for shape in self._shapes:
+            shape.used_in(self)
+        note_latest(self)
+
+    def renew_bsdfs(self) -> None:
+        """Follow a change of a shape's BSDF."""
+        bsdfs, self.bsdf_of_shape, self._light_of_shape = numbers(self.geometry.contents.shapes, self._emitters)
+        self._use_bsdfs(bsdfs)
+        self._families.clear()
+        self._prepare()
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
@@ -136,6 +150,9 @@ class Scene(Plugin):
         """Renew what was derived from the parameters of the `changed` plugins."""
         assert isinstance(self.lookup, Detached)
         self.lookup.forget()
+        self._families.clear()
+        for shape in self._shapes:
+            shape.forget_alone()
         # A lobe that an edit turns on is new code.
         if not self.bsdfs.is_current():
             self._use_bsdfs(self.bsdfs.plugins)
@@ -152,9 +169,16 @@ class Scene(Plugin):
             self._choices.clear()
         self._prepare()
 
+    def _view(self) -> Scene:
+        """A shallow copy, to be changed in what makes it a view."""
+        view = copy.copy(self)
+        view._families = {}
+        note_latest(view)
+        return view
+
     def with_lookup(self, lookup: Lookup) -> Scene:
         """A view of this scene that reads values through `lookup`."""
-        view = copy.copy(self)
+        view = self._view()
         view.lookup = lookup
         return view
 
@@ -162,19 +186,19 @@ class Scene(Plugin):
         """A view of this scene whose emitters are chosen in another way: see `djpt.emitters.choice`."""
         if choice == self._choice_name:
             return self
-        view = copy.copy(self)
+        view = self._view()
         view._choice_name = choice
         return view
 
     def measured_from(self, sensor: Sensor) -> Scene:
         """A view of this scene that knows how far from a sensor its rays start: see `Sensor.near_share`."""
-        view = copy.copy(self)
+        view = self._view()
         view.near_share = dr.opaque(Float, sensor.near_share())
         return view
 
     def seen_by(self, sensor: Sensor) -> Scene:
         """A view of this scene for the rays of a sensor: it knows where they start, and in which medium."""
-        view = copy.copy(self)
+        view = self._view()
         view.geometry = self.geometry.seen_from(sensor.starts())
         if self.media:
             view.camera_medium = dr.opaque(UInt32, self.media.around(sensor.viewpoint()))
@@ -201,6 +225,33 @@ class Scene(Plugin):
     def environment(self) -> Emitter | None:
         """The emitter that surrounds the scene, or None."""
         return None if self._environment is None else self._emitters[self._environment]
+
+    def shapes_dr(self) -> ShapePtr:
+        """All shapes, one per lane."""
+        return ShapePtr.into(Family(Ensemble(self._shapes), self.lookup), dr.arange(UInt32, len(self._shapes)))
+
+    def emitters_dr(self) -> EmitterPtr:
+        """All emitters, one per lane."""
+        return self.emitter_ptr(dr.arange(UInt32, len(self._emitters)))
+
+    def sensors_dr(self) -> list[Sensor]:
+        """All sensors."""
+        return self.sensors()
+
+    def silhouette_shapes(self) -> list[Shape]:
+        """None: derivatives by silhouettes aren't computed."""
+        return []
+
+    def shapes_grad_enabled(self) -> bool:
+        """False: there are no gradients by geometry."""
+        return False
+
+    def shape_types(self) -> int:
+        """The kinds of the shapes: their `ShapeType`s, combined."""
+        kinds = 0
+        for shape in self._shapes:
+            kinds |= int(shape.shape_type())
+        return kinds
 
     def bbox(self) -> ScalarBoundingBox3f:
         """The box about all shapes, world space; ``low, high = scene.bbox()`` gives its corners."""
@@ -234,28 +285,6 @@ class Scene(Plugin):
         if active is not True:
             pi.t = dr.select(active, pi.t, dr.inf)
         return pi
-
-    def ray_intersect_preliminary(self, ray: Ray3f, active: Bool | bool = True) -> PreliminaryIntersection3f:
-        """The first hit with 0 < t < maxt, with Mitsuba's fields."""
-        near, entry = self.geometry.approach(ray)
-        pi = self.closest_hit(near, active)
-        surface = self.geometry.surface(near, pi, self.lookup, full=True)
-        pi.t = pi.t + entry
-        pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
-        pi.prim_uv = surface.prim_uv
-        pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
-        return pi
-
-    def ray_intersect(self, ray: Ray3f, active: Bool | bool = True) -> SurfaceInteraction3f:
-        """The first surface point with 0 < t < maxt, with all its fields."""
-        near, entry = self.geometry.approach(ray)
-        si = self.surface_interaction(near, self.closest_hit(near, active))
-        si.t = si.t + entry
-        return si
-
-    def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
-        """True where anything is hit with 0 < t < maxt."""
-        return self.geometry.any_hit(self.geometry.approach(ray)[0], active)
 
     def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
         """True where a point is within an odd number of closed surfaces; open shapes don't count."""
@@ -313,30 +342,25 @@ class Scene(Plugin):
         """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
         valid = pi.is_valid()
         surface = self.geometry.surface(ray, pi, self.lookup, full)
-        return SurfaceInteraction3f(
-            t=pi.t,
-            p=surface.p,
-            n=surface.n,
-            sh_frame=surface.sh_frame,
-            uv=surface.uv,
-            dp_du=surface.dp_du,
-            dp_dv=surface.dp_dv,
-            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
-            shape_index=dr.select(valid, pi.shape_index, 0),
-            face=pi.face,
-            valid=valid,
-            scene=self,
-            medium=ray.medium,
-            prim_uv=surface.prim_uv,
-        )
+        si = SurfaceInteraction3f()
+        si.found_at(pi.t, valid)
+        si.p, si.n, si.sh_frame = surface.p, surface.n, surface.sh_frame
+        si.uv, si.dp_du, si.dp_dv, si.prim_uv = surface.uv, surface.dp_du, surface.dp_dv, surface.prim_uv
+        si.wi = dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d)
+        si.shape_index, si.face = dr.select(valid, pi.shape_index, 0), pi.face
+        si.media, si.home = ray.media, {self: ()}
+        if ray.times:
+            si.time = ray.time
+        return si
 
-    def revisit(self, p: Point3f, d: Vector3f, face: UInt32) -> SurfaceInteraction3f:
+    def revisit(self, p: Point3f, d: Vector3f, face: UInt32, full: bool = False) -> SurfaceInteraction3f:
         """The surface interaction at a stored point `p` of a face, as for a ray of direction `d`.
 
-        A face that belongs to an instance can't be revisited: its number doesn't say which instance.
+        uv and its derivatives are computed if BSDFs or emitters need them, or if `full`. A face that belongs to an
+        instance can't be revisited: its number doesn't say which instance.
         """
-        hit = PreliminaryIntersection3f(t=Float(0), face=face, shape_index=self.geometry.shape_of(face))
-        return self.surface_interaction(Ray3f(p, d), hit, full=self.needs_uv)
+        hit = PreliminaryIntersection3f.found(Float(0), face, self.geometry.shape_of(face))
+        return self.surface_interaction(Ray3f(p, d), hit, full=full or self.needs_uv)
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
@@ -346,11 +370,11 @@ class Scene(Plugin):
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
-        return BSDFPtr(self.bsdfs, self.lookup, self._bsdf_of_face.at(si.face))
+        return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(si.face))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
-        return dr.select(si.valid, self._light_of_face.at(si.face), UInt32(self._light_on_miss))
+        return dr.select(si.is_valid(), self._light_of_face.at(si.face), UInt32(self._light_on_miss))
 
     def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
         """The emitter seen at `si`: that of the shape, or the environment on a miss."""
@@ -358,7 +382,7 @@ class Scene(Plugin):
 
     def emitter_ptr(self, index: UInt32) -> EmitterPtr:
         """The emitters with the numbers `index`, per lane."""
-        return EmitterPtr(self.lights, self.lookup, index)
+        return EmitterPtr.into(self._family(self.lights), index)
 
     # ---- light sampling ------------------------------------------------------------------------
 
@@ -374,33 +398,6 @@ class Scene(Plugin):
         if name not in self._choices:
             self._choices[name] = make_choice(name, self._emitters)
         return self._choices[name]
-
-    def sample_emitter_direction(
-        self,
-        ref: SurfaceInteraction3f,
-        sample: Point2f,
-        test_visibility: bool = True,
-        active: Bool | bool = True,
-    ) -> tuple[DirectionSample3f, Color3f]:
-        """Choose an emitter, sample a direction towards it; weight = radiance / pdf.
-
-        `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then stretched
-        for use in the emitter. With `test_visibility` the weight is 0 behind surfaces, and includes absorption.
-        """
-        light = self.light_sampling.sample(Reference(ref.p, ref.n), sample, active)
-        if test_visibility:
-            return light.ds, self.light_through(self.shadow_ray(ref, light.ds), light.weight)
-        return light.ds, light.weight
-
-    def pdf_emitter_direction(
-        self, ref: SurfaceInteraction3f | Reference | Point3f, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Float:
-        """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`.
-
-        Of a mere point the normal isn't known: an `emitter_choice` that looks at it needs more.
-        """
-        at = Reference(ref, None) if isinstance(ref, Point3f) else Reference(ref.p, ref.n)
-        return self.light_sampling.pdf(at, ds, active)
 
 
 KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter")

@@ -11,7 +11,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import SceneError, near_miss
 from djpt.integrators.nesting import NestingIntegrator
-from djpt.records import Ray3f, SurfaceInteraction3f
+from djpt.records import Ray3f, SceneView, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Vector2f, Vector3f
 
@@ -31,7 +31,7 @@ def pair(v: Vector2f) -> list[Float]:
     return [v.x, v.y]
 
 
-def start_distance(scene: Scene, ray: Ray3f) -> Float:
+def start_distance(scene: SceneView, ray: Ray3f) -> Float:
     """The distance between the camera and the start of its ray."""
     # Without a near plane the ray may be unbounded.
     return dr.select(scene.near_share > 0, ray.maxt * scene.near_share, 0)

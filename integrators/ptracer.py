@@ -120,7 +120,7 @@ class ParticleTracer(PassIntegrator):
         a = dr.abs(ray.o)
         largest = maximum(maximum(a.x, a.y), a.z)
         o = dr.fma(ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), ray.o)
-        ray = Ray3f(o, ray.d, Float(dr.inf), scene.medium_at(o))
+        ray = Ray3f(o, ray.d, medium=scene.medium_at(o))
         return LightPath(
             ray=ray,
             flux=flux * inverse,

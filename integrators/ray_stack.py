@@ -36,7 +36,7 @@ class Branch:
     @property
     def ray(self) -> Ray3f:
         """The ray."""
-        return Ray3f(self.o, self.d, self.maxt, self.medium)
+        return Ray3f(self.o, self.d, maxt=self.maxt, medium=self.medium)
 
     @property
     def reference(self) -> Reference:

@@ -61,7 +61,7 @@ def walk(
     def body(lane: PathLoop) -> tuple[PathLoop]:
         # Only the first ray may have an end. As loop state it would nearly always stay infinite, and Dr.Jit traces
         # a loop again when it finds that something stays what it is.
-        way = Ray3f(lane.o, lane.d, dr.select(lane.state.depth == 0, ray.maxt, dr.inf), lane.medium)
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
         si = integrator.trace(scene, lane.state, way)
         v = integrator.advance(scene, lane.sampler, lane.state, way, si)
         reflected, depth = scene.light_through(v.shadow_ray, v.reflected), lane.state.depth

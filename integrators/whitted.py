@@ -13,7 +13,7 @@ from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
 from djpt.kernels import wide
-from djpt.records import BSDFContext, BSDFFlags, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
@@ -52,7 +52,7 @@ class Whitted(Integrator):
         self.max_depth = props.integer("max_depth", 8, low=1, high=64)
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        if all(has_flag(emitter.flags(), EmitterFlags.Infinite) for emitter in scene.emitters()):
+        if all(emitter.is_environment() for emitter in scene.emitters()):
             raise RenderError(
                 "'whitted' can't light a scene by its environment alone: add a point, spot, directional or area "
                 "light, or use 'path'"
@@ -117,7 +117,7 @@ class Whitted(Integrator):
 
     def lit(self, scene: Scene, si: SurfaceInteraction3f) -> Color3f:
         """The light of the lamps that the surface's smooth lobes send to the eye."""
-        lamps = [i for i, e in enumerate(scene.emitters()) if not has_flag(e.flags(), EmitterFlags.Infinite)]
+        lamps = [i for i, e in enumerate(scene.emitters()) if not e.is_environment()]
         total = Color3f(0)
         for lamp in lamps:
             ds, light = scene.emitter_ptr(UInt32(lamp)).sample_direction(si, MIDDLE)

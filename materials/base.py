@@ -161,7 +161,7 @@ class BSDF(Plugin):
         """
         value, pdf = self.eval_pdf(ctx, si, wo, active)
         other = TransportMode.Importance if ctx.mode == TransportMode.Radiance else TransportMode.Radiance
-        turned = dataclasses.replace(si, wi=wo)
+        turned = si.replaced(wi=wo)
         return value, pdf, self.pdf(dataclasses.replace(ctx, mode=other), turned, si.wi, active)
 
     def eval_pdf_sample(
@@ -244,5 +244,5 @@ def own_copy(x: Any) -> Any:
     if isinstance(x, bool):
         return Bool(x)
     if isinstance(x, SurfaceInteraction3f):
-        return dataclasses.replace(x, wi=Vector3f(x.wi))
+        return x.replaced(wi=Vector3f(x.wi))
     return type(x)(x) if dr.is_array_v(x) else x

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import drjit as dr
 
 from djpt.description.properties import Properties
@@ -90,7 +88,7 @@ class BlendBSDF(BSDF):
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
             ratio = dr.select(delta, ratio, dr.select(bs.pdf > 0, mixed, 0))
             pdf = dr.select(delta | (bs.pdf <= 0), pdf, mixed_pdf)
-        return dataclasses.replace(bs, pdf=pdf), ratio
+        return bs.replaced(pdf=pdf), ratio
 
     def sample(
         self,

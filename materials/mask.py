@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import drjit as dr
 
 from djpt.description.properties import Properties
@@ -57,7 +55,7 @@ class Mask(BSDF):
         null = BSDFSample3f.of(
             -si.wi, 1 - opacity, BSDFFlags.Null, sampled_component=self.nested_bsdf.component_count()
         )
-        bs: BSDFSample3f = dr.select(hit, dataclasses.replace(nested, pdf=nested.pdf * opacity), null)
+        bs: BSDFSample3f = dr.select(hit, nested.replaced(pdf=nested.pdf * opacity), null)
         return bs, dr.select(hit, weight * derivative_of_choice(opacity), derivative_of_choice(1 - opacity))
 
     def sample(

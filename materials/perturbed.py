@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -71,7 +70,7 @@ class PerturbedBSDF(BSDF):
         s = direction(dr.fma(n, -dr.dot(n, tangent), tangent), Vector3f(0, 1, 0))
         frame = Frame3f(s, dr.cross(n, s), n)
         world = Frame3f(*(si.sh_frame.to_world(axis) for axis in (frame.s, frame.t, frame.n)))
-        return frame, dataclasses.replace(si, sh_frame=world, wi=frame.to_local(si.wi))
+        return frame, si.replaced(sh_frame=world, wi=frame.to_local(si.wi))
 
     def _shadowing(self, frame: Frame3f, wo: Vector3f) -> Float:
         """The masking function of a GGX distribution that is as rough as the normal is tilted."""
@@ -102,7 +101,7 @@ class PerturbedBSDF(BSDF):
         wo = frame.to_world(bs.wo)
         ok = (wo.z * bs.wo.z > 0) & dr.any(weight != 0)
         weight = dr.select(ok, weight * self._shadowing(frame, wo), 0)
-        return dataclasses.replace(bs, wo=wo, pdf=dr.select(ok, bs.pdf, 0)), weight
+        return bs.replaced(wo=wo, pdf=dr.select(ok, bs.pdf, 0)), weight
 
     def eval_pdf(
         self, ctx: BSDFContext, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
@@ -55,7 +53,7 @@ class TwoSided(BSDF):
 
     def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
-        return dataclasses.replace(si, wi=wi)
+        return si.replaced(wi=wi)
 
     def _only(self, ctx: BSDFContext, behind: Bool) -> tuple[BSDF, BSDFContext, Bool] | None:
         """The BSDF that has the only lobe asked for, its context, and where it is seen; None if all are asked for."""
@@ -135,7 +133,7 @@ def flipped(v: Vector3f, behind: Bool) -> Vector3f:
 
 def flipped_sample(bs: BSDFSample3f, behind: Bool) -> BSDFSample3f:
     """The sample `bs`, mirrored by the surface where `behind`."""
-    return dataclasses.replace(bs, wo=flipped(bs.wo, behind))
+    return bs.replaced(wo=flipped(bs.wo, behind))
 
 
 register_bsdf("twosided", TwoSided)

@@ -65,7 +65,9 @@ class Loader:
         """Build the root, and with it all other nodes."""
         self.collect()
         with reading_once({name for name, count in self.files.items() if count > 1}):
-            return self._build("")
+            root = self._build("")
+        root.stand_alone()
+        return root
 
     def collect(self) -> None:
         """Check the form of the description, and fill `nodes` and `paths`."""

@@ -161,6 +161,9 @@ class Plugin:
             if isinstance(child, Plugin):
                 callback.put(name, child)
 
+    def stand_alone(self) -> None:
+        """Prepare for questions outside of a scene: called if the plugin is the root of a description."""
+
     def as_property(self) -> Any:
         """The result of a script's ``props[key]`` for this plugin: the plugin, or the value that it stands for."""
         return self

@@ -1,7 +1,7 @@
-"""Per-lane plugins: what `si.bsdf()` and `si.emitter()` return.
+"""Per-lane plugins: what `si.bsdf()`, `si.emitter()` and `si.shape` return.
 
 A pointer holds an index per lane and forwards each call through the scene's ensembles, so
-that scripts written against Mitsuba's `BSDFPtr` and `EmitterPtr` run unchanged.
+that scripts written against Mitsuba's `BSDFPtr`, `EmitterPtr` and `ShapePtr` run unchanged.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
+from djpt.dispatch.ensemble import Detached
+from djpt.dispatch.family import Pointer
 from djpt.dispatch.lookup import choose
 from djpt.emitters.base import Emitter
 from djpt.materials.base import BSDF
@@ -21,30 +22,29 @@ from djpt.records import (
     BSDFSample3f,
     DirectionSample3f,
     EmissionSample,
+    Observer,
+    PositionSample3f,
     Ray3f,
+    Reference,
     SurfaceInteraction3f,
     has_flag,
 )
+from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["BSDFPtr", "EmitterPtr"]
+__all__ = ["BSDFPtr", "EmitterPtr", "ShapePtr"]
 
 
-class BSDFPtr:
+class BSDFPtr(Pointer[BSDF]):
     """The BSDF of each lane's surface point. Methods as in `djpt.materials.base.BSDF`."""
-
-    def __init__(self, bsdfs: Ensemble[BSDF], lookup: Lookup, index: UInt32) -> None:
-        self._bsdfs, self._lookup, self.index = bsdfs, lookup, index
 
     def flags(self, index: int | None = None, active: Bool | bool = True) -> UInt32:
         """The `BSDFFlags` per lane; with `index` those of that lobe, 0 where there is none."""
-        flags = [flags_of(bsdf, index) for bsdf in self._bsdfs.plugins]
-        return choose(self.index, [UInt32(f) for f in flags], flags)
+        return self.number(lambda bsdf: flags_of(bsdf, index))
 
     def component_count(self, active: Bool | bool = True) -> UInt32:
         """The number of lobes per lane."""
-        counts = [bsdf.component_count() for bsdf in self._bsdfs.plugins]
-        return choose(self.index, [UInt32(n) for n in counts], counts)
+        return self.number(lambda bsdf: bsdf.component_count())
 
     def needs_differentials(self, active: Bool | bool = True) -> Bool:
         """False: no BSDF looks at the rays of neighbouring pixels."""
@@ -52,8 +52,7 @@ class BSDFPtr:
 
     def has_attribute(self, name: str, active: Bool | bool = True) -> Bool:
         """Whether the BSDF of each lane has a value of that name."""
-        known = [int(bsdf.has_attribute(name)) for bsdf in self._bsdfs.plugins]
-        return (choose(self.index, [UInt32(n) for n in known], known) != 0) & active
+        return self.holds(lambda bsdf: bsdf.has_attribute(name)) & active
 
     def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The value of that name as a colour; 0 where there is none and on inactive lanes."""
@@ -147,7 +146,7 @@ class BSDFPtr:
         `method` returns a PyTree; on lanes that aren't `active` it means nothing.
         """
         # Every surface has a BSDF, so no value is needed for "none".
-        return self._bsdfs.call(self.index, self._lookup, method, None, active)
+        return self.ensemble.call(self.index, self.lookup, method, None, active)
 
     def _reattached(
         self,
@@ -163,7 +162,7 @@ class BSDFPtr:
         What `sample` computes may have cancelled terms of value and density, and differentiates as if the
         direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
         """
-        if isinstance(self._lookup, Detached):
+        if isinstance(self.lookup, Detached):
             return weight
         value = bsdf.eval(ctx, si, bs.wo, active)
         if not dr.grad_enabled(weight, value):
@@ -181,67 +180,142 @@ def flags_of(bsdf: BSDF, index: int | None) -> int:
     return bsdf.flags(index) if index < bsdf.component_count() else 0
 
 
-class EmitterPtr:
+class EmitterPtr(Pointer[Emitter]):
     """The emitter of each lane, or none. Methods as in `djpt.emitters.base.Emitter`."""
-
-    def __init__(self, emitters: Ensemble[Emitter], lookup: Lookup, index: UInt32) -> None:
-        self._emitters, self._lookup, self.index = emitters, lookup, index
-
-    def is_valid(self) -> Bool:
-        """True where there is an emitter."""
-        return self.index < len(self._emitters)
 
     def flags(self) -> UInt32:
         """The `EmitterFlags` per lane; 0 where there is no emitter."""
-        flags = [emitter.flags() for emitter in self._emitters.plugins]
-        if not flags:
+        if not self.plugins:
             return UInt32(0)
-        return dr.select(self.is_valid(), choose(self.index, [UInt32(f) for f in flags], flags), 0)
+        return dr.select(self.is_valid(), self.number(lambda emitter: emitter.flags()), 0)
+
+    def is_environment(self) -> Bool:
+        """True where the emitter surrounds the scene."""
+        return self.holds(lambda emitter: emitter.is_environment())
+
+    def get_shape(self) -> ShapePtr:
+        """The shapes that the emitters stand in; none for those that stand alone."""
+        return self.related(ShapePtr, lambda emitter: emitter.get_shape())
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The radiance towards `si.wi`; 0 where there is no emitter and on inactive lanes."""
-        value = self._emitters.call(self.index, self._lookup, lambda e: e.eval(si, active), Color3f(0))
+        """The emitted radiance; 0 where there is no emitter and on inactive lanes."""
+        value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval(si, active), Color3f(0))
         return dr.select(active, value, 0)
 
     def sample_direction(
-        self, ref: SurfaceInteraction3f | Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer | Point3f, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         """A direction towards the emitter; weight 0 where there is none."""
-        p = ref.p if isinstance(ref, SurfaceInteraction3f) else ref
-        ds, weight = self._emitters.call(
-            self.index, self._lookup, lambda e: e.sample_direction(p, sample, active), None
-        )
+        at = observer(it)
+        ds, weight = self.ensemble.call(self.index, self.lookup, lambda e: e.sample_direction(at, sample, active), None)
         ds.emitter_index = self.index
         return ds, dr.select(self.is_valid() & active, weight, 0)
+
+    def pdf_direction(self, it: Observer | Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction`, per unit solid angle; 0 where there is no emitter."""
+        at = observer(it)
+        pdf = self.ensemble.call(self.index, self.lookup, lambda e: e.pdf_direction(at, ds, active), Float(0))
+        return dr.select(active, pdf, 0)
+
+    def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
+        """The weight of `sample_direction` times its density, at `ds`; 0 where there is no emitter."""
+        value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval_direction(it, ds, active), Color3f(0))
+        return dr.select(active, value, 0)
 
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
         """Sample a ray that leaves the emitter; weight 0 where there is none and on inactive lanes."""
-        es = self._emitters.call(
-            self.index, self._lookup, lambda e: e.sample_emission(position_sample, direction_sample, active), None
+        es = self.ensemble.call(
+            self.index, self.lookup, lambda e: e.sample_emission(position_sample, direction_sample, active), None
         )
         es.weight = dr.select(self.is_valid() & active, es.weight, 0)
         return es
 
     def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
         """The densities of `sample_emission` by position and direction; 0 where there is no emitter."""
-        position, direction = self._emitters.call(
-            self.index, self._lookup, lambda e: e.pdf_emission(d, n, uv, active), (Float(0), Float(0))
+        position, direction = self.ensemble.call(
+            self.index, self.lookup, lambda e: e.pdf_emission(d, n, uv, active), (Float(0), Float(0))
         )
         return dr.select(active, position, 0), dr.select(active, direction, 0)
 
     def sample_ray(
-        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+        self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
     ) -> tuple[Ray3f, Color3f]:
-        """Sample a ray that leaves the emitter: ray and weight of `sample_emission`."""
-        es = self.sample_emission(position_sample, direction_sample, active)
+        """Sample a ray that leaves the emitter, with Mitsuba's arguments: see `djpt.Emitter.sample_ray`."""
+        es = self.sample_emission(Point2f(sample2), Point2f(sample3), active)
+        es.ray.time = Float(time)
         return es.ray, es.weight
 
-    def pdf_direction(
-        self, ref: SurfaceInteraction3f | Point3f, ds: DirectionSample3f, active: Bool | bool = True
-    ) -> Float:
-        """The density of `sample_direction`, per unit solid angle; 0 where there is no emitter."""
-        p = ref.p if isinstance(ref, SurfaceInteraction3f) else ref
-        pdf = self._emitters.call(self.index, self._lookup, lambda e: e.pdf_direction(p, ds, active), Float(0))
-        return dr.select(active, pdf, 0)
+    def sampling_weight(self) -> Float:
+        """The emitters' `sampling_weight`; 0 where there is no emitter."""
+        weights = [Float(emitter.sampling_weight()) for emitter in self.plugins]
+        return dr.select(self.is_valid(), choose(self.index, weights), 0) if weights else Float(0)
+
+
+class ShapePtr(Pointer[Shape]):
+    """The shape of each lane, or none. Methods as in `djpt.shapes.base.Shape`; numbers are 0 where there is none."""
+
+    def bsdf(self) -> BSDFPtr:
+        """The BSDFs of the shapes."""
+        return self.related(BSDFPtr, lambda shape: shape.bsdf())
+
+    def emitter(self) -> EmitterPtr:
+        """The area lights of the shapes."""
+        return self.related(EmitterPtr, lambda shape: shape.emitter())
+
+    def is_emitter(self) -> Bool:
+        """True where the shape shines."""
+        return self.holds(lambda shape: shape.is_emitter())
+
+    def is_sensor(self) -> Bool:
+        """True where the shape carries a sensor."""
+        return self.holds(lambda shape: shape.is_sensor())
+
+    def is_mesh(self) -> Bool:
+        """True where the shape consists of triangles in memory."""
+        return self.holds(lambda shape: shape.is_mesh())
+
+    def is_medium_transition(self) -> Bool:
+        """False: shapes have no media of Mitsuba's."""
+        return Bool(False)
+
+    def shape_type(self) -> UInt32:
+        """The `djpt.ShapeType` per lane; 0 where there is no shape."""
+        return dr.select(self.is_valid(), self.number(lambda shape: shape.shape_type()), 0)
+
+    def surface_area(self) -> Float:
+        """The area."""
+        return self._ask(lambda shape: shape.surface_area(), Float(0))
+
+    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> PositionSample3f:
+        """Sample a point uniformly by area; the pdf is 0 where there is no shape."""
+        ps = self.ensemble.call(
+            self.index, self.lookup, lambda shape: shape.sample_position(time, Point2f(sample), active), None
+        )
+        ps.pdf = dr.select(self.is_valid() & active, ps.pdf, 0)
+        return ps
+
+    def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_position`, per unit area."""
+        return self._ask(lambda shape: shape.pdf_position(ps, active), Float(0))
+
+    def sample_direction(self, it: Observer, sample: Any, active: Bool | bool = True) -> DirectionSample3f:
+        """Sample a point of the shape as seen from `it`; the pdf is 0 where there is no shape."""
+        ds = self.ensemble.call(
+            self.index, self.lookup, lambda shape: shape.sample_direction(it, Point2f(sample), active), None
+        )
+        ds.pdf = dr.select(self.is_valid() & active, ds.pdf, 0)
+        return ds
+
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction`, per unit solid angle."""
+        return self._ask(lambda shape: shape.pdf_direction(it, ds, active), Float(0))
+
+    def _ask(self, method: Callable[[Shape], Any], otherwise: Any) -> Any:
+        return self.ensemble.call(self.index, self.lookup, method, otherwise)
+
+
+def observer(it: Observer | Point3f) -> Observer:
+    """A point that light is sampled for, from a record or a mere point."""
+    return Reference(it, None) if isinstance(it, Point3f) else it

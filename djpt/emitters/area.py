@@ -20,12 +20,13 @@ from djpt.records import (
     DirectionSample3f,
     EmissionSample,
     EmitterFlags,
+    Observer,
     PositionSample3f,
     Ray3f,
     SurfaceInteraction3f,
 )
 from djpt.shapes.base import towards
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Area"]
@@ -57,10 +58,10 @@ class Area(Emitter):
         self.radiance.prepare_sampling()
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("radiance", self.radiance)
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Surface)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
@@ -80,31 +81,32 @@ class Area(Emitter):
     def _sample_texture(self, sample: Point2f) -> tuple[PositionSample3f, Float]:
         """Sample a point by the brightness of the texture; also 1 / (its density per unit area)."""
         uv, pdf = self.radiance.sample_position(sample)
-        ps = self.shape.eval_parameterization(uv)
+        ps = self.shape.at_uv(uv)
         ps.pdf *= pdf
         return ps, dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0)
 
     def _pdf_texture(self, uv: Point2f, active: Bool | bool = True) -> Float:
         """The density of `_sample_texture` at `uv`, per unit area."""
-        return self.radiance.pdf_position(uv, active) * self.shape.eval_parameterization(uv).pdf
+        return self.radiance.pdf_position(uv, active) * self.shape.at_uv(uv).pdf
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return dr.select(si.wi.z > 0, self.radiance.eval(si, active), 0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
+        sample = Point2f(sample)
         if self.follows_texture:
             ps, inverse_pdf = self._sample_texture(sample)
-            ds = towards(ps, inverse_pdf, ref)
+            ds = towards(ps, inverse_pdf, it.p)
         else:
-            ds = self.shape.sample_direction(ref, sample)
+            ds = self.shape.draw_direction(it.p, sample)
         weight = dr.select(dr.dot(ds.d, ds.n) < 0, ds.weight, 0)
         return ds, self.radiance.eval(ds, active) * weight
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         if not self.follows_texture:
-            return dr.select(dr.dot(ds.d, ds.n) < 0, self.shape.pdf_direction(ref, ds), 0)
+            return dr.select(dr.dot(ds.d, ds.n) < 0, self.shape.direction_density(it.p, ds), 0)
         cos = -dr.dot(ds.d, ds.n)
         pdf = self._pdf_texture(ds.uv)
         pdf *= dr.square(ds.dist) * dr.rcp(cos)
@@ -117,7 +119,7 @@ class Area(Emitter):
         if self.follows_texture:
             ps, inverse_pdf = self._sample_texture(position_sample)
         else:
-            ps, inverse_pdf = self.shape.sample_position(position_sample), self.shape.surface_area()
+            ps, inverse_pdf = self.shape.draw_point(position_sample), self.shape.surface_area()
         local = square_to_cosine_hemisphere(direction_sample)
         return EmissionSample(
             ray=Ray3f(ps.p, Frame3f.from_normal(ps.n).to_world(local)),

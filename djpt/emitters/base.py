@@ -8,16 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.numeric import non_negative
-from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f, has_flag
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.emitters.questions import EmitterQuestions
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    SurfaceInteraction3f,
+    has_flag,
+)
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = ["Emitter"]
 
 
-class Emitter(Plugin):
+class Emitter(EmitterQuestions):
     """A source of light: its radiance, and ways to sample directions towards it and rays that leave it.
 
     The methods under "in kernels" are traced once per class, with per-lane values (see `djpt.dispatch.ensemble`).
@@ -32,10 +40,10 @@ class Emitter(Plugin):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.sampling_weight = props.float("sampling_weight", 1.0, low=0.0)
+        self.share = props.float("sampling_weight", 1.0, low=0.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         super().traverse(callback)
 
     def check_parameter(self, name: str, value: Any) -> Any:
@@ -43,7 +51,7 @@ class Emitter(Plugin):
             return non_negative(value)
         return super().check_parameter(name, value)
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         """What the light comes from: `EmitterFlags`, combined."""
         return int(EmitterFlags.Empty)
 
@@ -91,17 +99,17 @@ class Emitter(Plugin):
         raise NotImplementedError
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        """Sample a direction from the point `ref` towards the emitter, with its weight.
+        """Sample a direction from the point `it` towards the emitter, with its weight.
 
         The weight is the radiance over the density per unit solid angle; of a point, intensity / dist^2; of parallel
         light, irradiance. It is 0 where nothing can arrive. Visibility isn't considered.
         """
         raise NotImplementedError
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        """The density of `sample_direction` at `ds`, per unit solid angle at `ref`; 0 for delta emitters."""
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction` at `ds`, per unit solid angle at `it`; 0 for delta emitters."""
         raise NotImplementedError
 
     def sample_emission(
@@ -130,10 +138,3 @@ class Emitter(Plugin):
             SceneError: the emitter is on a shape whose area isn't known.
         """
         raise NotImplementedError
-
-    def sample_ray(
-        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
-        """Sample a ray that leaves the emitter: ray and weight of `sample_emission` (Mitsuba's method)."""
-        es = self.sample_emission(position_sample, direction_sample, active)
-        return es.ray, es.weight

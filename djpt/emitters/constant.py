@@ -18,8 +18,15 @@ from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.frame import Frame3f
 from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 
 __all__ = ["ConstantBackground"]
@@ -51,7 +58,7 @@ class ConstantBackground(Emitter):
         self.set_bounds(np.zeros(3), 1.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("radiance", self.radiance)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
@@ -63,19 +70,19 @@ class ConstantBackground(Emitter):
     def bounds(self) -> LightBounds | None:
         return None
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Infinite)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.radiance.eval(si, active)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        d = square_to_uniform_sphere(sample)
-        ds = DirectionSample3f(
+        d = square_to_uniform_sphere(Point2f(sample))
+        ds = DirectionSample3f.of(
             # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            ref + d,
+            it.p + d,
             -d,
             Point2f(0),
             d,
@@ -87,7 +94,7 @@ class ConstantBackground(Emitter):
         )
         return ds, self.radiance.eval(ds, active) * (4 * math.pi)
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(INV_FOUR_PI)
 
     def sample_emission(

@@ -19,9 +19,16 @@ from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import SceneError
 from djpt.frame import coordinate_system
 from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["DirectionalEmitter"]
@@ -58,8 +65,8 @@ class DirectionalEmitter(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self) -> int:
-        return int(EmitterFlags.DeltaDirection)
+    def flags(self, active: Bool | bool = True) -> int:
+        return int(EmitterFlags.Infinite | EmitterFlags.DeltaDirection)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
         self.center, self.radius = as_vector(center), as_float(radius)
@@ -76,11 +83,11 @@ class DirectionalEmitter(OrientedEmitter):
         return Color3f(0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        ds = DirectionSample3f(
+        ds = DirectionSample3f.of(
             # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            ref - self.forward,
+            it.p - self.forward,
             self.forward,
             Point2f(0),
             -self.forward,
@@ -92,7 +99,7 @@ class DirectionalEmitter(OrientedEmitter):
         )
         return ds, self.irradiance.eval(ds, active)
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
     def sample_emission(

@@ -13,8 +13,15 @@ from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["DirectionalArea"]
 
@@ -39,12 +46,12 @@ class DirectionalArea(Emitter):
         self.radiance = props.texture("radiance", 1.0, low=0.0)
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("radiance", self.radiance)
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Surface | EmitterFlags.DeltaDirection)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
@@ -62,20 +69,20 @@ class DirectionalArea(Emitter):
         return Color3f(0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         d = Vector3f(0, 0, 1)
-        ds = DirectionSample3f(ref + d, -d, Point2f(0), d, Float(1), Float(0), Float(0), Bool(False), UInt32(0))
+        ds = DirectionSample3f.of(it.p + d, -d, Point2f(0), d, Float(1), Float(0), Float(0), Bool(False), UInt32(0))
         return ds, Color3f(0)
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
     def sample_emission(
         self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
     ) -> EmissionSample:
         require_area(self.shape)
-        ps = self.shape.sample_position(position_sample)
+        ps = self.shape.draw_point(position_sample)
         return EmissionSample(
             ray=Ray3f(ps.p, ps.n),
             weight=self.radiance.eval(ps, active) * self.shape.surface_area(),

@@ -24,9 +24,16 @@ from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.kernels import aligned_floats, as_float, as_vector, maximum, minimum
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
-from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["EnvironmentMap"]
@@ -97,7 +104,7 @@ class EnvironmentMap(OrientedEmitter):
     # ---- on the host -------------------------------------------------------------------
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         callback.put("scale", self.scale, self.values["scale"])
         callback.put("data", self.data, self.tables["data"])
         callback.put("to_world", self.to_world)
@@ -144,7 +151,7 @@ class EnvironmentMap(OrientedEmitter):
         # Radiance with the density of `distribution` at the texels: a lookup gives both.
         self.texels = TensorXf(side_by_side(texels, self.distribution.at_corners[:, :-1]))
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
@@ -192,13 +199,13 @@ class EnvironmentMap(OrientedEmitter):
         return self._radiance(column, row, place, active)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
         local, uv, pdf, weight, radiance = self._sample(self.distribution, sample, active)
         d = self.local_to_world(local)
-        ds = DirectionSample3f(
+        ds = DirectionSample3f.of(
             # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
-            ref + d,
+            it.p + d,
             -d,
             uv,
             d,
@@ -210,7 +217,7 @@ class EnvironmentMap(OrientedEmitter):
         )
         return ds, radiance * weight
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return self._pdf(self.distribution, ds.d, active)
 
     def sample_emission(

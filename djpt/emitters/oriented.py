@@ -38,7 +38,7 @@ class OrientedEmitter(Emitter):
         self._place()
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("sampling_weight", self.sampling_weight)
+        callback.put("sampling_weight", self.share, attribute="share")
         for name, flags in self.values.items():
             if flags.differentiable:
                 callback.put(name, getattr(self, name), flags)

@@ -17,7 +17,14 @@ from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
 
@@ -56,19 +63,19 @@ class PointLight(Emitter):
         at = as_array(dr.detach(self.position))
         return LightBounds(at, at, np.array([0.0, 0.0, 1.0]), math.pi, math.pi / 2, self.power())
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaPosition)
 
     def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return Color3f(0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        ds, falloff = towards_point(self.position, ref)
+        ds, falloff = towards_point(self.position, it.p)
         return ds, self.intensity.eval(ds, active) * falloff
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
     def sample_emission(
@@ -102,7 +109,7 @@ def towards_point(position: Point3f, ref: Point3f) -> tuple[DirectionSample3f, F
     dist_squared = dr.squared_norm(to_light)
     inv_dist = dr.rsqrt(dist_squared)
     d = to_light * inv_dist
-    ds = DirectionSample3f(
+    ds = DirectionSample3f.of(
         position, -d, Point2f(0), d, dist_squared * inv_dist, Float(1), Float(1), Bool(True), UInt32(0)
     )
     return ds, dr.select(dist_squared > 0, dr.square(inv_dist), 0)

@@ -17,10 +17,17 @@ from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import from_point, towards_point
 from djpt.kernels import as_float
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
 from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = ["Projector"]
 
@@ -79,7 +86,7 @@ class Projector(OrientedEmitter):
         """Compute the image's extent: a bitmap of another shape keeps the field of view along x."""
         self.reach_x, self.reach_y = as_float(self._reach), as_float(self._reach / self._aspect())
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaPosition)
 
     def power(self) -> float:
@@ -97,9 +104,9 @@ class Projector(OrientedEmitter):
         return Color3f(0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        ds, falloff = towards_point(self.position, ref)
+        ds, falloff = towards_point(self.position, it.p)
         ds.uv, inv_z, lit = self._on_image(self.world_to_local(-ds.d))
         value = self.irradiance.eval(ds, lit & active) * (math.pi * self.scale * falloff * inv_z * dr.square(inv_z))
         return ds, dr.select(lit, value, 0)
@@ -112,7 +119,7 @@ class Projector(OrientedEmitter):
         lit = ahead & (dr.abs(x) <= 1) & (dr.abs(y) <= 1)
         return Point2f(dr.fma(x, -0.5, 0.5), dr.fma(y, -0.5, 0.5)), inv_z, lit
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
     def sample_emission(

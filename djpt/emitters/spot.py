@@ -18,8 +18,15 @@ from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import from_point, towards_point
 from djpt.errors import ParameterError
 from djpt.kernels import maximum, minimum
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
 
 __all__ = ["SpotLight"]
@@ -74,7 +81,7 @@ class SpotLight(OrientedEmitter):
 
     # ---- on the host -------------------------------------------------------------------
 
-    def flags(self) -> int:
+    def flags(self, active: Bool | bool = True) -> int:
         return int(EmitterFlags.DeltaPosition)
 
     def power(self) -> float:
@@ -106,12 +113,12 @@ class SpotLight(OrientedEmitter):
         return Color3f(0)
 
     def sample_direction(
-        self, ref: Point3f, sample: Point2f, active: Bool | bool = True
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
     ) -> tuple[DirectionSample3f, Color3f]:
-        ds, falloff = towards_point(self.position, ref)
+        ds, falloff = towards_point(self.position, it.p)
         return ds, self.intensity_towards(self.world_to_local(-ds.d), active) * falloff
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         return Float(0)
 
     def sample_emission(

@@ -38,13 +38,13 @@ class Geometry:
         self.contents = Contents(shapes)
         self.analytic_shapes = self.contents.analytic
         every = self.contents.shapes
-        lights = [s for s in shapes if s.emitter is not None]
+        lights = [s for s in shapes if s.emitter() is not None]
         analytic = [every[i] for i in self.analytic_shapes]
         self.unrolled = Unrolled(analytic, self.contents.bounding, lights, points, open_sky)
         self.surfaces: Ensemble[Shape] = Ensemble(analytic)
         self.triangles = self.contents.triangles()
         self._curved = [group for group in self.surfaces.groups if not group.plugins[0].faces()]
-        self._emits = [s.emitter is not None for s in analytic]
+        self._emits = [s.emitter() is not None for s in analytic]
         self._number()
         self._measure()
 
@@ -113,13 +113,13 @@ class Geometry:
         """The first hit with 0 < t < maxt. Where `through_lights`, shapes that emit are ignored."""
         t, face = self.unrolled.closest(ray, self._emits, through_lights)
         if self.triangles is None:
-            return PreliminaryIntersection3f(t, face, self.shape_of(face))
-        found = self.triangles.search(Ray3f(ray.o, ray.d, dr.select(dr.isfinite(t), t, ray.maxt)), through_lights)
+            return PreliminaryIntersection3f.found(t, face, self.shape_of(face))
+        found = self.triangles.search(Ray3f(ray.o, ray.d, maxt=dr.select(dr.isfinite(t), t, ray.maxt)), through_lights)
         hit = found.record != NONE
         t, face = dr.select(hit, found.t, t), dr.select(hit, found.record + self.first_record, face)
         # The origin that the search has moved, even where a scene needs no move: nothing is computed twice.
         near = Near(found.origin, found.near_t, found.entry, found.b, found.inside)
-        return PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
+        return PreliminaryIntersection3f.found(t, face, self.shape_of(face), near=near)
 
     def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
         """Whether anything is hit with 0 < t < maxt."""
@@ -183,8 +183,8 @@ class Geometry:
         near = Near(query.o, query.cursor.t, query.entry, query.cursor.b, query.cursor.inside)
         face = dr.select(number >= ANALYTIC, number & FACE, number + self.first_record)
         face = dr.select(number != NONE, face, 0)
-        hit = PreliminaryIntersection3f(t, face, self.shape_of(face), near=near)
-        return Ray3f(origin, query.d, Float(dr.inf)), hit
+        hit = PreliminaryIntersection3f.found(t, face, self.shape_of(face), near=near)
+        return Ray3f(origin, query.d), hit
 
     # ---- faces -------------------------------------------------------------------------
 
@@ -220,6 +220,15 @@ class Geometry:
         analytic = self._analytic_surface(ray, hit.t, hit.face, lookup, full)
         return dr.select(self.on_mesh(hit.face), mesh, analytic)
 
+    def near_again(self, ray: Ray3f, t: Float, found: Near | None) -> Near | None:
+        """A hit as the search would give it for another ray that hits the same triangle at `t`."""
+        if self.triangles is None:
+            return None
+        near = self._near(ray, t)
+        if found is not None:
+            near.inside = found.inside
+        return near
+
     def _near(self, ray: Ray3f, t: Float) -> Near:
         """A hit that no search of this geometry found, in the form that the search for triangles gives."""
         assert self.triangles is not None
@@ -243,7 +252,7 @@ class Geometry:
         result: Any = self.unrolled.frame(face) if flat else None
         for group in self._curved:
             shape = group.at(self.surfaces.slots(group, self.unrolled.shape_of(face)), lookup)
-            shines = any(plugin.emitter is not None for plugin in group.plugins)
+            shines = any(plugin.emitter() is not None for plugin in group.plugins)
             curved = shape.frame_at(p, d) if shines else shape.frame_at(p)
             # Curved faces have the lowest numbers, so this is one range test.
             here = is_one_of(face, self.unrolled.faces_of(group.indices))

@@ -60,7 +60,9 @@ class Forest:
     def _mesh_parts(self) -> list[MeshPart]:
         """The meshes of the world, and of each group."""
         meshes, bounds = self._meshes.meshes, [*self._meshes.first_face, self._meshes.face_count]
-        labels = np.array([i | (LEAF if m.emitter is None else LEAF | EMITS) for i, m in enumerate(meshes)], np.uint32)
+        labels = np.array(
+            [i | (LEAF if m.emitter() is None else LEAF | EMITS) for i, m in enumerate(meshes)], np.uint32
+        )
         return [
             MeshPart(meshes[first:last], labels[first:last], bounds[first])
             for first, last in zip(self._parts, self._parts[1:], strict=False)
@@ -72,7 +74,7 @@ class Forest:
         inverse, label, detail, side = [], [], [], []
         for i, shape in enumerate(self._solids):
             inverse.append(np.linalg.inv(shape.to_world.matrix)[:3])
-            label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter is None else EMITS) | (first + i))
+            label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter() is None else EMITS) | (first + i))
             detail.append(kind_of(shape))
             side.append(-1.0 if shape.flip_normals else 1.0)
         for i, placement in enumerate(self._placements):
@@ -92,7 +94,7 @@ class Forest:
     @property
     def emits(self) -> bool:
         """Whether any of the shapes is a light."""
-        return any(shape.emitter is not None for shape in (*self._meshes.meshes, *self._solids))
+        return any(shape.emitter() is not None for shape in (*self._meshes.meshes, *self._solids))
 
     def place(self, number: int, to_world: NDArray[np.float64]) -> None:
         """Move an instance; takes effect with the next `records`."""

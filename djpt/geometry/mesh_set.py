@@ -70,7 +70,7 @@ class MeshSet:
             self._topology = topology
         self._attributes = {name: Attribute(self.meshes, name) for mesh in self.meshes for name in mesh.attributes}
         self._areas = None
-        if any(mesh.emitter is not None for mesh in self.meshes):
+        if any(mesh.emitter() is not None for mesh in self.meshes):
             # Kernels will want it: recording them is no time to build a table.
             _ = self.areas
         for mesh, first in zip(self.meshes, self.first_face, strict=True):

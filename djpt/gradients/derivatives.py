@@ -53,9 +53,9 @@ def gradient_seed(seed: int, seed_grad: int) -> int:
 
 
 def differentiable(
-    job: Job, schedule: Schedule, parameters: list[Parameter], seed_grad: int, spp_grad: int
+    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: int, spp_grad: int
 ) -> TensorXf:
-    """The image of a job, attached to `parameters`.
+    """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 
     Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
     (0: one derived from that of the image).
@@ -70,7 +70,7 @@ def differentiable(
         with dr.suspend_grad():
             return schedule.image(job)
 
-    return attached_image(parameters, primal, derivative)
+    return attached_image(parameters, unused, primal, derivative)
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
@@ -79,6 +79,8 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
+    if not parameters:
+        return NoDerivative(samples)
     integrator = samples.integrator
     if not integrator.differentiable:
         raise RenderError(
@@ -89,9 +91,11 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     return AttachedDerivative(samples, schedule, parameters)
 
 
-def attached_image(parameters: list[Parameter], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
-    """The image `primal()`, attached to `parameters` by an estimator of its derivative."""
-    return dr.custom(ImageOp, [p.value for p in parameters], primal, derivative)
+def attached_image(
+    parameters: list[Parameter], unused: list[Any], primal: Callable[[], TensorXf], derivative: Derivative
+) -> TensorXf:
+    """The image `primal()`, attached to `parameters` by an estimator of its derivative, and to `unused` values."""
+    return dr.custom(ImageOp, [p.value for p in parameters], unused, primal, derivative)
 
 
 class Derivative(Protocol):
@@ -107,7 +111,9 @@ class Derivative(Protocol):
 class ImageOp(dr.CustomOp):
     """An image and its derivative, as an operation of Dr.Jit."""
 
-    def eval(self, values: list[Any], primal: Callable[[], TensorXf], derivative: Derivative) -> TensorXf:
+    def eval(
+        self, values: list[Any], unused: list[Any], primal: Callable[[], TensorXf], derivative: Derivative
+    ) -> TensorXf:
         self.derivative = derivative
         return primal()
 
@@ -121,6 +127,20 @@ class ImageOp(dr.CustomOp):
 
     def name(self) -> str:
         return "djpt.render"
+
+
+class NoDerivative:
+    """The derivative of an image that depends on no parameter with gradients: zero."""
+
+    def __init__(self, job: Job) -> None:
+        width, height = job.film.crop_size()
+        self.shape = (height, width, job.channel_count())
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        return []
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        return dr.zeros(TensorXf, self.shape)
 
 
 class ReplayDerivative:

@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.description.plugin import ParamFlags, Plugin
+from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
 from djpt.dispatch.tables import Buffer
@@ -24,7 +24,7 @@ from djpt.kernels import opaque
 from djpt.scene import Scene
 from djpt.types import Bool, Float, UInt32
 
-__all__ = ["Accumulator", "Leaves", "Numbering", "Parameter", "Tangents", "attached_parameters"]
+__all__ = ["Accumulator", "Leaves", "Numbering", "Parameter", "Tangents", "attached_parameters", "unused_values"]
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,34 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
                         raise RenderError(f"no gradient is available for '{owner.id()}.{leaf.attribute}'")
                     found[id(owner), leaf.attribute] = parameter
     return list(found.values())
+
+
+class AttachedValues(TraversalCallback):
+    """A traversal callback that collects all values with gradients, also of what is nested."""
+
+    def __init__(self, root: Plugin) -> None:
+        self.found: dict[int, Any] = {}
+        """The values, by identity."""
+        self._visited: set[int] = set()
+        self._visit(root)
+
+    def _visit(self, plugin: Plugin) -> None:
+        if id(plugin) not in self._visited:
+            self._visited.add(id(plugin))
+            plugin.traverse(self)
+
+    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
+        """Note a parameter: see `djpt.description.plugin.TraversalCallback.put`."""
+        if isinstance(value, Plugin):
+            self._visit(value)
+        elif dr.is_array_v(value) and dr.grad_enabled(value):
+            self.found[id(value)] = value
+
+
+def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:
+    """The values of the scene that have gradients but aren't among the `parameters` that its image depends on."""
+    used = {id(p.value) for p in parameters}
+    return [value for key, value in AttachedValues(scene).found.items() if key not in used]
 
 
 class Numbering:

@@ -48,7 +48,7 @@ def image_by_itself(
     derivative = OwnDerivative(
         integrator, scene, params, sensor, gradient_seed(seed, seed_grad), spp_grad or spp, parameters
     )
-    return attached_image(parameters, primal, derivative)
+    return attached_image(parameters, [], primal, derivative)
 
 
 class OwnDerivative:

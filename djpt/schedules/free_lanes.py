@@ -8,11 +8,11 @@ Local memory is written without selects (`djpt.llvm.masks`), and LLVM turns it i
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import drjit as dr
 
+from djpt.kernels import mapped
 from djpt.llvm.masks import all_lanes, can_unmask
 from djpt.types import Bool, UInt32
 
@@ -83,19 +83,3 @@ def numbers(record: Any) -> list[Any]:
 
     mapped(record, note)
     return found
-
-
-def mapped(record: Any, change: Callable[[Any], Any]) -> Any:
-    """A copy of a record, list, tuple or vector, with `change` applied to the arrays that it consists of."""
-    if record is None:
-        return None
-    if isinstance(record, (list, tuple)):
-        return type(record)(mapped(entry, change) for entry in record)
-    if dr.is_array_v(record):
-        return type(record)(*(mapped(c, change) for c in record)) if dr.depth_v(record) > 1 else change(record)
-    if is_dataclass(record) and not isinstance(record, type):
-        return replace(record, **{f.name: mapped(getattr(record, f.name), change) for f in fields(record)})
-    copy = type(record)()
-    for name in type(record).DRJIT_STRUCT:
-        setattr(copy, name, mapped(getattr(record, name), change))
-    return copy

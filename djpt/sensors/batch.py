@@ -67,11 +67,11 @@ class Batch(Sensor):
 
     def _add(self, props: Properties, key: str, plugin: Any) -> None:
         if plugin.kind == "shape":
-            if plugin.sensor is None:
+            if plugin.sensor() is None:
                 raise props.error(key, "is a shape without a sensor")
             require_area(plugin, "irradiancemeter")
             self._carriers.append(plugin)
-            plugin = plugin.sensor
+            plugin = plugin.sensor()
         elif plugin.on_shape:
             raise props.error(key, "must be nested in a shape; nest the shape in the batch")
         else:

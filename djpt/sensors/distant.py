@@ -16,7 +16,7 @@ from djpt.kernels import as_vector
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along, placed_apart, require_area
-from djpt.types import Bool, Float, Point2f
+from djpt.types import Bool, Point2f
 from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["Distant"]
@@ -96,11 +96,11 @@ class Distant(Sensor):
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = self.origin
         if self.target is not None:
-            o = o + self.target.sample_position(aperture_sample).p
+            o = o + self.target.draw_point(aperture_sample).p
         elif self.on_disk:
             offset = square_to_uniform_disk_concentric(aperture_sample)
             o = dr.fma(self.side_x, offset.x, dr.fma(self.side_y, offset.y, o))
-        return Ray3f(o, self.direction, Float(dr.inf))
+        return Ray3f(o, self.direction)
 
 
 register_sensor("distant", Distant)

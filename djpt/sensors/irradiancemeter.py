@@ -15,7 +15,7 @@ from djpt.frame import Frame3f
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import require_area
-from djpt.types import Bool, Float, Point2f
+from djpt.types import Bool, Point2f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["IrradianceMeter"]
@@ -53,9 +53,9 @@ class IrradianceMeter(Sensor):
             require_area(self.shape, "irradiancemeter")
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        ps = self.shape.sample_position(film_position)
+        ps = self.shape.draw_point(film_position)
         d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(aperture_sample))
-        return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d, Float(dr.inf))
+        return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d)
 
 
 register_sensor("irradiancemeter", IrradianceMeter)

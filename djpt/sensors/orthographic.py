@@ -72,7 +72,7 @@ class Orthographic(ProjectiveCamera):
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
         o = dr.fma(self.across, film_position.x, dr.fma(self.down, film_position.y, self.corner))
-        return Ray3f(o, self.direction, self.depth)
+        return Ray3f(o, self.direction, maxt=self.depth)
 
     def look_from(
         self, ref: Point3f, aperture_sample: Point2f, active: Bool | bool = True
@@ -81,7 +81,7 @@ class Orthographic(ProjectiveCamera):
         z = dr.dot(to_ref, self.direction)
         uv = Point2f(dr.dot(to_ref, self.to_column), dr.dot(to_ref, self.to_row))
         seen = (z > 0) & (z < self.depth) & (uv.x >= 0) & (uv.x < 1) & (uv.y >= 0) & (uv.y < 1)
-        ds = DirectionSample3f(
+        ds = DirectionSample3f.of(
             p=dr.fma(self.direction, -z, ref),
             n=self.direction,
             uv=uv,

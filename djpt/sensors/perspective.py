@@ -56,7 +56,7 @@ class Perspective(Central):
         d = self.through_centre(film_position)
         length_squared = dr.squared_norm(d)
         inv_length = dr.rsqrt(length_squared)
-        return Ray3f(dr.fma(d, self.near, self.origin), d * inv_length, self.depth * (length_squared * inv_length))
+        return Ray3f(dr.fma(d, self.near, self.origin), d * inv_length, maxt=self.depth * (length_squared * inv_length))
 
 
 register_sensor("perspective", Perspective)

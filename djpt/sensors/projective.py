@@ -180,7 +180,7 @@ class Central(ProjectiveCamera):
         length = length_squared * inv_length
         # dA cos / dist^2 = dw = area of the window on the plane at distance 1 times cos^3.
         importance = length * dr.square(inv_z) * self.inv_area
-        ds = DirectionSample3f(
+        ds = DirectionSample3f.of(
             p=dr.fma(m, self.near, start),
             n=self.axis,
             uv=uv,

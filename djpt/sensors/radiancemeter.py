@@ -13,7 +13,7 @@ from djpt.kernels import as_vector
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along
-from djpt.types import Bool, Float, Point2f
+from djpt.types import Bool, Point2f
 
 __all__ = ["RadianceMeter"]
 
@@ -48,7 +48,7 @@ class RadianceMeter(Sensor):
         self.direction = as_vector(direction)
 
     def ray_through(self, film_position: Point2f, aperture_sample: Point2f, active: Bool | bool = True) -> Ray3f:
-        return Ray3f(self.origin, self.direction, Float(float("inf")))
+        return Ray3f(self.origin, self.direction)
 
 
 register_sensor("radiancemeter", RadianceMeter)

@@ -91,7 +91,7 @@ class ThinLens(Central):
         length_squared = dr.squared_norm(d)
         inv_length = dr.rsqrt(length_squared)
         o = dr.fma(d, self.near, self.origin + a)
-        return Ray3f(o, d * inv_length, self.depth * (length_squared * inv_length))
+        return Ray3f(o, d * inv_length, maxt=self.depth * (length_squared * inv_length))
 
 
 register_sensor("thinlens", ThinLens)

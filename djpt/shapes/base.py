@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.numeric import non_negative
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.records import DirectionSample3f, PositionSample3f
+from djpt.shapes.questions import ShapeQuestions
 from djpt.transforms import as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -44,7 +45,7 @@ class Hit:
     """The scene-wide number of the face."""
 
 
-class Shape(Plugin):
+class Shape(ShapeQuestions):
     """A surface that rays can hit; may carry a BSDF and an area light.
 
     Two kinds of methods read a shape's `values`: `intersect` is unrolled per instance, on
@@ -60,7 +61,7 @@ class Shape(Plugin):
     has_area: ClassVar[bool] = True
     """Whether the area is known, so that points can be sampled uniformly; else only directions are."""
     has_parameterization: ClassVar[bool] = False
-    """Whether each (u, v) of the unit square belongs to one point, so that `eval_parameterization` exists."""
+    """Whether each (u, v) of the unit square belongs to one point, so that `at_uv` exists."""
     canonical: ClassVar[str | None] = None
     """The name in `djpt.geometry.canonical` of the shape that `to_world` maps to this one; None if there is none."""
     of_triangles: ClassVar[bool] = False
@@ -68,9 +69,9 @@ class Shape(Plugin):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.bsdf: Any = props.child("bsdf")
-        self.emitter: Any = props.child("emitter")
-        self.sensor: Any = props.child("sensor")
+        self._bsdf = props.child("bsdf")
+        self._emitter = props.child("emitter")
+        self._sensor = props.child("sensor")
         self.flip_normals = props.boolean("flip_normals", False)
         # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
         self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
@@ -79,12 +80,9 @@ class Shape(Plugin):
     # ---- parameters -------------------------------------------------------------
 
     def traverse(self, callback: TraversalCallback) -> None:
-        if self.bsdf is not None:
-            callback.put("bsdf", self.bsdf)
-        if self.emitter is not None:
-            callback.put("emitter", self.emitter)
-        if self.sensor is not None:
-            callback.put("sensor", self.sensor)
+        for name, nested in (("bsdf", self._bsdf), ("emitter", self._emitter), ("sensor", self._sensor)):
+            if nested is not None:
+                callback.put(name, nested)
         callback.put("silhouette_sampling_weight", self.silhouette_sampling_weight)
         self.traverse_geometry(callback)
 
@@ -98,6 +96,9 @@ class Shape(Plugin):
         if name == "silhouette_sampling_weight":
             return non_negative(value)
         return as_transform(value) if name == "to_world" else value
+
+    def stand_alone(self) -> None:
+        self.place(AxisPool())
 
     # ---- on the host: where the shape is -----------------------------------------
 
@@ -155,11 +156,11 @@ class Shape(Plugin):
         """The total area in world space."""
         raise NotImplementedError
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         """Sample a point uniformly by area: pdf = 1 / area."""
         raise NotImplementedError
 
-    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+    def at_uv(self, uv: Point2f) -> PositionSample3f:
         """The point with the texture coordinates (u, v) in the unit square, if the shape `has_parameterization`.
 
         `pdf` is the density per unit area of points whose uv are uniform: 1 / norm(dp/du x dp/dv), or 0
@@ -167,15 +168,15 @@ class Shape(Plugin):
         """
         raise NotImplementedError
 
-    def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
-        """Sample a point of the shape as seen from `ref`; by default with `sample_position`.
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+        """Sample a point of the shape as seen from `ref`; by default with `draw_point`.
 
         pdf = dist^2 / (area abs(cos)), the area density converted to solid angle at `ref`.
         """
-        return towards(self.sample_position(sample), self.surface_area(), ref)
+        return towards(self.draw_point(sample), self.surface_area(), ref)
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
-        """The density of `sample_direction` at `ds`, per unit solid angle at `ref`."""
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+        """The density of `draw_direction` at `ds`, per unit solid angle at `ref`."""
         pdf = dr.square(ds.dist) * dr.rcp(dr.abs(dr.dot(ds.d, ds.n)) * self.surface_area())
         return dr.select(dr.isfinite(pdf), pdf, 0)
 
@@ -216,7 +217,7 @@ def towards(ps: PositionSample3f, inverse_pdf: Float, ref: Point3f) -> Direction
     d = to_p * inv_dist
     weight = dr.abs(dr.dot(d, ps.n)) * dr.square(inv_dist) * inverse_pdf
     ok = (weight > 0) & (dist_squared > 0)
-    return DirectionSample3f(
+    return DirectionSample3f.of(
         ps.p,
         ps.n,
         ps.uv,

@@ -130,16 +130,16 @@ class Cone(Revolution):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         outward, v = self.radial(sample.y), dr.sqrt(sample.x)
         z = v * self.length
         p = dr.fma(outward, z * self.slope, dr.fma(self.axis_z, z, self.center))
-        return PositionSample3f(p, self._tilted(outward), Point2f(sample.y, v), dr.rcp(self.area))
+        return PositionSample3f.of(p, self._tilted(outward), Point2f(sample.y, v), dr.rcp(self.area))
 
-    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
-        ps = self.sample_position(Point2f(dr.square(uv.y), uv.x))
+    def at_uv(self, uv: Point2f) -> PositionSample3f:
+        ps = self.draw_point(Point2f(dr.square(uv.y), uv.x))
         stretch = 2 * uv.y * self.area
-        return PositionSample3f(ps.p, ps.n, uv, dr.select(stretch > 0, dr.rcp(stretch), 0))
+        return PositionSample3f.of(ps.p, ps.n, uv, dr.select(stretch > 0, dr.rcp(stretch), 0))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         across, z = self.across(p)

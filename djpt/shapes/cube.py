@@ -19,6 +19,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
+from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -60,6 +61,8 @@ class Cube(Shape):
     Normals point outwards unless `flip_normals` is set.
     """
 
+    shape_kind = ShapeType.Mesh
+    triangle_count = 12
     sides = 6
     closed = True
     canonical = "cube"
@@ -210,7 +213,7 @@ class Cube(Shape):
     def surface_area(self) -> Float:
         return 2 * (self.areas.x + self.areas.y + self.areas.z)
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         # As Mitsuba does for meshes: y picks the triangle by area (and is used again), then a
         # uniform point in it. Faces come in pairs of equal triangles in the order of FACES.
         total = self.surface_area()
@@ -232,7 +235,7 @@ class Cube(Shape):
         v = dr.select(half == 0, 1 - b2, b1)
         normal, du, dv = self._face_vectors(face)
         p = self.center + normal + dr.fma(2, u, -1) * du + dr.fma(2, v, -1) * dv
-        return PositionSample3f(p, self._outward(face), Point2f(u, v), dr.rcp(total))
+        return PositionSample3f.of(p, self._outward(face), Point2f(u, v), dr.rcp(total))
 
     def _face_vectors(self, face: UInt32) -> tuple[Vector3f, Vector3f, Vector3f]:
         """The vector from the centre to the face's centre, and half of dp/du and dp/dv."""

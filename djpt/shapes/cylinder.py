@@ -17,6 +17,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit
+from djpt.shapes.questions import ShapeType
 from djpt.shapes.revolution import Revolution, along
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
@@ -35,6 +36,7 @@ class Cylinder(Revolution):
     also those of sampled points: Mitsuba 3.9.1 samples a reflected cylinder with normals that point inwards.
     """
 
+    shape_kind = ShapeType.Cylinder
     has_parameterization = True
     canonical = "cylinder"
     values = dict.fromkeys(("center", "axis_x", "axis_y", "axis_z", "radius", "length", "side", "area"), HIDDEN)
@@ -97,13 +99,13 @@ class Cylinder(Revolution):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         n = self.radial(sample.y)
         p = dr.fma(n, self.radius, dr.fma(self.axis_z, (sample.x - 0.5) * self.length, self.center))
-        return PositionSample3f(p, n * self.side, Point2f(sample.y, sample.x), dr.rcp(self.area))
+        return PositionSample3f.of(p, n * self.side, Point2f(sample.y, sample.x), dr.rcp(self.area))
 
-    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
-        return self.sample_position(Point2f(uv.y, uv.x))
+    def at_uv(self, uv: Point2f) -> PositionSample3f:
+        return self.draw_point(Point2f(uv.y, uv.x))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         across, z = self.across(p)

@@ -17,6 +17,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit, Shape
+from djpt.shapes.questions import ShapeType
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
@@ -32,6 +33,7 @@ class Disk(Shape):
     The front, where light is emitted, is the side of the transformed +z axis; dp/du points away from the centre.
     """
 
+    shape_kind = ShapeType.Disk
     has_parameterization = True
     canonical = "disk"
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
@@ -123,16 +125,16 @@ class Disk(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         local = square_to_uniform_disk_concentric(sample)
         p = dr.fma(self.edge_u, local.x, dr.fma(self.edge_v, local.y, self.center))
-        return PositionSample3f(p, self.normal, polar_uv(local.x, local.y, dr.norm(local)), dr.rcp(self.area))
+        return PositionSample3f.of(p, self.normal, polar_uv(local.x, local.y, dr.norm(local)), dr.rcp(self.area))
 
-    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+    def at_uv(self, uv: Point2f) -> PositionSample3f:
         sin, cos = dr.sincos(2 * math.pi * uv.y)
         p = dr.fma(self.edge_u, uv.x * cos, dr.fma(self.edge_v, uv.x * sin, self.center))
         stretch = 2 * uv.x * self.area
-        return PositionSample3f(p, self.normal, uv, dr.select(stretch > 0, dr.rcp(stretch), 0))
+        return PositionSample3f.of(p, self.normal, uv, dr.select(stretch > 0, dr.rcp(stretch), 0))
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         cos, sin, r = self._polar(p)

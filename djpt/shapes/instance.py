@@ -29,9 +29,6 @@ class Instance(Shape):
     def __init__(self, props: Properties) -> None:
         # Not `Shape.__init__`: BSDFs, flips and so on belong to the group's shapes.
         Plugin.__init__(self, props)
-        self.bsdf: Any = None
-        self.emitter: Any = None
-        self.sensor: Any = None
         nested = props.children("shape")
         if len(nested) != 1 or not isinstance(nested[0][1], ShapeGroup):
             found = ", ".join(f"'{key}' ({type(shape).__name__})" for key, shape in nested) or "none"
@@ -59,6 +56,15 @@ class Instance(Shape):
     def traverse(self, callback: TraversalCallback) -> None:
         # As in Mitsuba, the group's parameters belong to the group, which is a node of the scene.
         callback.put("to_world", self.to_world)
+
+    def bsdf(self) -> None:
+        """None: BSDFs belong to the shapes of the group."""
+
+    def primitive_count(self) -> int:
+        return 0
+
+    def effective_primitive_count(self) -> int:
+        return self.group.primitive_count()
 
     def place(self, pool: AxisPool) -> None:
         """Do nothing: what kernels read of an instance belongs to the scene's geometry."""

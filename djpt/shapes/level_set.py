@@ -168,7 +168,7 @@ class LevelSet(Shape):
         axis = dr.select(dist_squared > 0, to_center * dr.rsqrt(dist_squared), Vector3f(0, 0, 1))
         return axis, dr.select(outside, sin_squared * dr.rcp(1 + cos), 2)
 
-    def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
         axis, opening = self._cone(ref)
         drop = opening * sample.x
         cos, sin = 1 - drop, dr.safe_sqrt(drop * (2 - drop))
@@ -177,15 +177,15 @@ class LevelSet(Shape):
         # The reference point may lie on this surface itself.
         a = dr.abs(ref)
         step = dr.fma(maximum(maximum(a.x, a.y), a.z), RAY_EPSILON, RAY_EPSILON)
-        zero = self.search(Ray3f(dr.fma(d, step, ref), d, Float(dr.inf)), Float(dr.inf))
+        zero = self.search(Ray3f(dr.fma(d, step, ref), d), Float(dr.inf))
         dist = dr.select(zero.found, zero.t + step, self.ball_radius + dr.norm(self.ball_center - ref))
         p = dr.fma(d, dist, ref)
         # Without a hit the normal is turned away from `ref`, so that no light comes from there.
         n = dr.select(zero.found, self.normal_at(p), d)
         weight = 2 * math.pi * opening
-        return DirectionSample3f(p, n, self.uv(p), d, dist, dr.rcp(weight), weight, Bool(False), UInt32(0))
+        return DirectionSample3f.of(p, n, self.uv(p), d, dist, dr.rcp(weight), weight, Bool(False), UInt32(0))
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         _, opening = self._cone(ref)
         return dr.rcp(2 * math.pi * opening)
 

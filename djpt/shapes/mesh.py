@@ -27,6 +27,7 @@ from djpt.shapes.meshes.measures import Measures
 from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
+from djpt.shapes.questions import ShapeType
 from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ class Mesh(MeshQueries, Shape):
     Triangles without area or with a corner that isn't finite are dropped with a warning.
     """
 
+    shape_kind = ShapeType.Mesh
     of_triangles = True
     values = dict.fromkeys(("first_face", "own_faces", "area"), HIDDEN)
     statics = ("flip_normals",)
@@ -342,6 +344,16 @@ class Mesh(MeshQueries, Shape):
         attributes = {name: values for name, (values, _) in self.attributes.items()}
         return MeshData(self.positions, self.indices, self.normals, self.texcoords, attributes)
 
+    def primitive_count(self) -> int:
+        return len(self.indices)
+
+    def _box(self, index: int | None) -> tuple[Any, Any]:
+        if index is None:
+            return super()._box(index)
+        super()._box(index)
+        corners = self.positions[self.indices[index]]
+        return corners.min(axis=0), corners.max(axis=0)
+
     def is_closed(self) -> bool:
         return is_closed(self.positions, self.indices)
 
@@ -357,10 +369,12 @@ class Mesh(MeshQueries, Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         # As in Mitsuba, y chooses the triangle by area and is stretched for use within the triangle.
-        assert self.set is not None
+        if self.set is None:
+            point: PositionSample3f = self.alone().shapes()[0].draw_point(sample)
+            return point
         index, y = self.set.areas.sample(self.first_face, self.own_faces, self.area, sample.y)
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
-        return PositionSample3f(p, n, uv, dr.rcp(self.area))
+        return PositionSample3f.of(p, n, uv, dr.rcp(self.area))

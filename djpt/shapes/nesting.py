@@ -33,11 +33,11 @@ def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
     found: list[Emitter] = []
     of_shapes: list[Emitter] = []
     for plugin in plugins:
-        if isinstance(plugin, Shape) and plugin.emitter is not None:
-            adopt(plugin, plugin.emitter)
-            if plugin.emitter in found:
+        if isinstance(plugin, Shape) and plugin.emitter() is not None:
+            adopt(plugin, plugin.emitter())
+            if plugin.emitter() in found:
                 raise SceneError(f"{plugin.id()}: a shape that emits light can't stand in the scene twice")
-            found.append(plugin.emitter)
+            found.append(plugin.emitter())
         elif isinstance(plugin, Emitter):
             (of_shapes if plugin.on_shape else found).append(plugin)
     for emitter in of_shapes:
@@ -56,8 +56,8 @@ def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
     """
     found: list[Sensor] = []
     for plugin in plugins:
-        if isinstance(plugin, Shape) and plugin.sensor is not None:
-            found.append(adopt(plugin, plugin.sensor))
+        if isinstance(plugin, Shape) and plugin.sensor() is not None:
+            found.append(adopt(plugin, plugin.sensor()))
         elif isinstance(plugin, Sensor):
             found.append(plugin)
     return found
@@ -81,7 +81,7 @@ def adopt(shape: Shape, nested: Any) -> Any:
 def numbers(shapes: Iterable[Shape], emitters: Sequence[Emitter]) -> tuple[list[BSDF], list[int], list[int]]:
     """The BSDFs of shapes, each once; per shape the number of its BSDF, and that of its emitter.
 
-    Shapes without a BSDF get one. The number of emitters stands for none.
+    The number of emitters stands for none.
     """
     bsdfs: list[BSDF] = []
     bsdf_of_shape: list[int] = []
@@ -91,19 +91,12 @@ def numbers(shapes: Iterable[Shape], emitters: Sequence[Emitter]) -> tuple[list[
             bsdf_of_shape.append(0)
             emitter_of_shape.append(len(emitters))
             continue
-        if shape.bsdf is None:
-            shape.bsdf = default_bsdf(shape)
-        if shape.bsdf not in bsdfs:
-            bsdfs.append(shape.bsdf)
-        bsdf_of_shape.append(bsdfs.index(shape.bsdf))
-        emitter_of_shape.append(len(emitters) if shape.emitter is None else emitters.index(shape.emitter))
+        bsdf = shape.bsdf()
+        if bsdf not in bsdfs:
+            bsdfs.append(bsdf)
+        bsdf_of_shape.append(bsdfs.index(bsdf))
+        emitter_of_shape.append(len(emitters) if shape.emitter() is None else emitters.index(shape.emitter()))
     return bsdfs, bsdf_of_shape, emitter_of_shape
-
-
-def default_bsdf(shape: Shape) -> BSDF:
-    """The BSDF of a shape that has none: grey 0.5, black if it emits."""
-    name = f"{shape.id()}.bsdf"
-    return black(name) if shape.emitter is not None else Diffuse(Properties("diffuse", name, {"reflectance": 0.5}))
 
 
 def black(name: str) -> BSDF:

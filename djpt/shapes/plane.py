@@ -81,7 +81,7 @@ class Plane(Shape):
         t = (self.plane_offset - o_n) * inv_n
         return Hit((t > 0) & (t < maxt), t, UInt32(numbers[0]))
 
-    def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
         height = dr.dot(ref - self.center, self.normal)
         towards = self.normal * dr.select(height > 0, Float(-1), Float(1))
         local = square_to_uniform_cone(sample, Float(0))
@@ -90,9 +90,9 @@ class Plane(Shape):
         p = dr.fma(d, dist, ref)
         ok = (dist > 0) & dr.isfinite(dist)
         pdf, weight = dr.select(ok, Float(0.5 / math.pi), 0), dr.select(ok, Float(2 * math.pi), 0)
-        return DirectionSample3f(p, Vector3f(self.normal), self._uv(p), d, dist, pdf, weight, Bool(False), UInt32(0))
+        return DirectionSample3f.of(p, Vector3f(self.normal), self._uv(p), d, dist, pdf, weight, Bool(False), UInt32(0))
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         towards = dr.dot(ds.d, self.normal) * dr.dot(ref - self.center, self.normal) < 0
         return dr.select(towards, Float(0.5 / math.pi), 0)
 

@@ -16,6 +16,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
+from djpt.shapes.questions import ShapeType
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Rectangle"]
@@ -30,6 +31,8 @@ class Rectangle(Shape):
     The front, where the shading normal points and light is emitted, is the side of the transformed +z axis.
     """
 
+    shape_kind = ShapeType.Rectangle
+    triangle_count = 2
     has_parameterization = True
     canonical = "rectangle"
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "area", "dual_u", "dual_v"), HIDDEN)
@@ -92,13 +95,13 @@ class Rectangle(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         x, y = dr.fma(2, sample.x, -1), dr.fma(2, sample.y, -1)
         p = dr.fma(self.edge_u, x, dr.fma(self.edge_v, y, self.center))
-        return PositionSample3f(p, self.normal, sample, dr.rcp(self.area))
+        return PositionSample3f.of(p, self.normal, sample, dr.rcp(self.area))
 
-    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
-        return self.sample_position(uv)
+    def at_uv(self, uv: Point2f) -> PositionSample3f:
+        return self.draw_point(uv)
 
     def uv_and_partials(self, p: Point3f, face: UInt32) -> tuple[Point2f, Vector3f, Vector3f]:
         local = p - self.center

@@ -19,6 +19,7 @@ from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
 from djpt.frame import Frame3f, coordinate_system
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
+from djpt.shapes.questions import ShapeType
 from djpt.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 
 __all__ = ["SDFGrid", "read_volume"]
@@ -42,6 +43,7 @@ class SDFGrid(LevelSet):
     Grids", JCGT 11(3), 2022.
     """
 
+    shape_kind = ShapeType.SDFGrid
     values = dict.fromkeys(PLACE, HIDDEN)
     # Every grid has kernel code of its own, since its `serial` differs.
     statics = ("flip_normals", "normals", "serial")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,16 +27,13 @@ class ShapeGroup(Shape):
 
         # Not `Shape.__init__`: a group has no BSDF, emitter, sensor or place of its own.
         Plugin.__init__(self, props)
-        self.bsdf: Any = None
-        self.emitter: Any = None
-        self.sensor: Any = None
         self.named: list[tuple[str, Shape]] = props.children("shape")
         if not self.named:
             raise SceneError(f"{props.node}: the 'shapegroup' is empty; nest the shapes to be instanced in it")
         for key, shape in self.named:
             if isinstance(shape, (ShapeGroup, Instance)):
                 raise SceneError(f"{props.node}: '{key}' is itself a group or an instance, which can't be instanced")
-            if shape.emitter is not None:
+            if shape.emitter() is not None:
                 raise SceneError(f"{props.node}: '{key}' has an emitter; what is instanced can't emit light")
 
     @property
@@ -49,6 +44,15 @@ class ShapeGroup(Shape):
     def traverse(self, callback: TraversalCallback) -> None:
         for key, shape in self.named:
             callback.put(key, shape)
+
+    def bsdf(self) -> None:
+        """None: BSDFs belong to the shapes of the group."""
+
+    def primitive_count(self) -> int:
+        return sum(shape.primitive_count() for shape in self.shapes)
+
+    def effective_primitive_count(self) -> int:
+        return 0
 
     def place(self, pool: AxisPool) -> None:
         for shape in self.shapes:

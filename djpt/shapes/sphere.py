@@ -18,6 +18,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float, as_vector
 from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
 from djpt.shapes.base import Hit, Shape
+from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
@@ -35,6 +36,7 @@ class Sphere(Shape):
     uv = (phi / 2 pi, theta / pi) in local spherical coordinates about +z.
     """
 
+    shape_kind = ShapeType.Sphere
     closed = True
     has_parameterization = True
     canonical = "sphere"
@@ -122,21 +124,21 @@ class Sphere(Shape):
     def surface_area(self) -> Float:
         return self.area
 
-    def sample_position(self, sample: Point2f) -> PositionSample3f:
+    def draw_point(self, sample: Point2f) -> PositionSample3f:
         local = square_to_uniform_sphere(sample)
         d = self.axis_x * local.x + self.axis_y * local.y + self.axis_z * local.z
         p = dr.fma(d, self.radius, self.center)
-        return PositionSample3f(p, -d if self.flip_normals else d, self._uv(local), dr.rcp(self.area))
+        return PositionSample3f.of(p, -d if self.flip_normals else d, self._uv(local), dr.rcp(self.area))
 
-    def eval_parameterization(self, uv: Point2f) -> PositionSample3f:
+    def at_uv(self, uv: Point2f) -> PositionSample3f:
         sin_phi, cos_phi = dr.sincos(2 * math.pi * uv.x)
         sin, cos = dr.sincos(math.pi * uv.y)
         d = self.axis_x * (sin * cos_phi) + self.axis_y * (sin * sin_phi) + self.axis_z * cos
         stretch = (0.5 * math.pi) * sin * self.area
         pdf = dr.select(stretch > 0, dr.rcp(stretch), 0)
-        return PositionSample3f(dr.fma(d, self.radius, self.center), -d if self.flip_normals else d, uv, pdf)
+        return PositionSample3f.of(dr.fma(d, self.radius, self.center), -d if self.flip_normals else d, uv, pdf)
 
-    def sample_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
+    def draw_direction(self, ref: Point3f, sample: Point2f) -> DirectionSample3f:
         """Sample uniformly in the cone that the sphere subtends, or, from inside, uniformly by area.
 
         The cone is sampled by points on the visible cap, without intersecting a ray:
@@ -174,7 +176,7 @@ class Sphere(Shape):
         from_area = dr.abs(dr.dot(d, n)) * self.area * dr.rcp(dr.square(dist))
         weight = dr.select(outside, solid_angle, from_area)
         ok = (dist > 0) & (weight > 0)
-        return DirectionSample3f(
+        return DirectionSample3f.of(
             p,
             -n if self.flip_normals else n,
             self._uv(self._to_local(n)),
@@ -186,7 +188,7 @@ class Sphere(Shape):
             UInt32(0),
         )
 
-    def pdf_direction(self, ref: Point3f, ds: DirectionSample3f) -> Float:
+    def direction_density(self, ref: Point3f, ds: DirectionSample3f) -> Float:
         dist_squared = dr.squared_norm(self.center - ref)
         sin_squared = dr.square(self.radius) * dr.rcp(dist_squared)
         cos = dr.safe_sqrt(1 - sin_squared)

@@ -14,8 +14,9 @@ __all__ = ["check_textures", "reads_uv"]
 def check_textures(shapes: Sequence[Shape]) -> None:
     """Raise `SceneError` if a texture of a BSDF can't be used on its shape."""
     for shape in shapes:
-        if shape.bsdf is not None:
-            for texture in textures_in(shape.bsdf):
+        bsdf = shape.bsdf()
+        if bsdf is not None:
+            for texture in textures_in(bsdf):
                 texture.require_on(shape)
 
 

@@ -46,7 +46,7 @@ def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> tuple[ND
 
 
 def ray_of(o: NDArray[np.float32], d: NDArray[np.float32], maxt: Any = np.inf) -> Ray3f:
-    return Ray3f(Point3f(*rows(o.T)), Vector3f(*rows(d.T)), floats(maxt) if np.ndim(maxt) else Float(maxt))
+    return Ray3f(Point3f(*rows(o.T)), Vector3f(*rows(d.T)), maxt=floats(maxt) if np.ndim(maxt) else Float(maxt))
 
 
 def answers(structure: Accelerator, ray: Ray3f) -> tuple[NDArray[Any], ...]:

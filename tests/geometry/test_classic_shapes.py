@@ -39,7 +39,7 @@ def load(description: dict[str, Any], **others: Any) -> Any:
 
 
 def shot(scene: Any, o: np.ndarray, d: np.ndarray) -> Any:
-    return scene.ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), Float(np.inf)))
+    return scene.ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), maxt=Float(np.inf)))
 
 
 def rays(count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
@@ -91,11 +91,13 @@ def test_closed_shapes_are_those_with_an_inside(name: str) -> None:
     assert scene.shapes()[0].closed == (name in CLOSED)
     o, d = rays(2000)
     crossings = np.zeros(2000)
-    ray = djpt.Ray3f(Point3f(o), Vector3f(d), Float(np.inf))
+    ray = djpt.Ray3f(Point3f(o), Vector3f(d), maxt=Float(np.inf))
     for _ in range(6):
         si = scene.ray_intersect(ray)
         crossings += np.array(si.is_valid())
-        ray = dr.select(si.is_valid(), si.spawn_ray(Vector3f(d)), djpt.Ray3f(Point3f(100), Vector3f(1, 0, 0), Float(0)))
+        ray = dr.select(
+            si.is_valid(), si.spawn_ray(Vector3f(d)), djpt.Ray3f(Point3f(100), Vector3f(1, 0, 0), maxt=Float(0))
+        )
     odd = np.mean(crossings % 2 == 1)
     assert odd < 5e-3 if name in CLOSED else odd > 0.02
 
@@ -124,7 +126,7 @@ def test_light_from_an_infinite_plane(height: float) -> None:
     lamp = T().translate([0, 0, height]).rotate([1, 0, 0], 180)
     above = {"type": "plane", "to_world": lamp, "emitter": {"type": "area", "radiance": 2.0}}
     scene = djpt.load_dict({"type": "scene", "floor": {"type": "rectangle"}, "lamp": above})
-    start = djpt.Ray3f(Point3f(0, 0, 0.005), Vector3f(0, 0, -1), Float(np.inf))
+    start = djpt.Ray3f(Point3f(0, 0, 0.005), Vector3f(0, 0, -1), maxt=Float(np.inf))
     si = scene.ray_intersect(start)
     ds, weight = scene.sample_emitter_direction(si, Point2f(*uniform(2**16)), True)
     assert np.array(weight * ds.d.z)[0].mean() == pytest.approx(2 * np.pi, rel=0.01)
@@ -138,7 +140,7 @@ def test_areas_and_positions(name: str) -> None:
     shape = load({**SHAPES[name], "to_world": POSE}).shapes()[0]
     assert float(shape.surface_area()[0]) == pytest.approx(areas[name], rel=1e-5)
     u, v = uniform(2**14, seed=4)
-    ps = shape.sample_position(Point2f(u, v))
+    ps = shape.sample_position(0, Point2f(u, v))
     # A quarter of a shape's uv square holds the share of the area that its partials say.
     uv, du, dv = shape.uv_and_partials(ps.p, djpt.UInt32(0)) if name != "cuboid" else (ps.uv, None, None)
     if name == "cuboid":

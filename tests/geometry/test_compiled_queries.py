@@ -46,7 +46,7 @@ def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> Ray3f:
     size = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
     o = target + size * rng.normal(size=(count, 3)) * 10 ** rng.uniform(-1, 0.5, (count, 1))
     end = np.where(rng.random(count) < 0.3, rng.uniform(0.5, 1.5, count), np.inf)
-    return Ray3f(Point3f(*o.T), Vector3f(*(target - o).T), Float(end))
+    return Ray3f(Point3f(*o.T), Vector3f(*(target - o).T), maxt=Float(end))
 
 
 def scene(ways: str, *shapes: Any, **more: Any) -> djpt.Scene:

@@ -66,7 +66,7 @@ def wide(x: Any, count: int) -> np.ndarray:
 def test_surface_is_mitsubas(description: dict[str, Any]) -> None:
     mi, scene = mitsuba(description)
     o, d = rays()
-    mine = load(description).ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), Float(np.inf)))
+    mine = load(description).ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), maxt=Float(np.inf)))
     other = scene.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
     valid, expected = np.array(mine.is_valid()), np.array(other.is_valid())
     assert np.mean(valid != expected) < 1e-3
@@ -88,7 +88,7 @@ def test_positions_are_mitsubas(description: dict[str, Any]) -> None:
     mi, scene = mitsuba(description)
     mine, other = load(description).shapes()[0], scene.shapes()[0]
     sample = uniform(4096, seed=2)
-    a = mine.sample_position(Point2f(*sample))
+    a = mine.sample_position(0, Point2f(*sample))
     b = other.sample_position(0, mi.Point2f(*(mi.Float(s) for s in sample)))
     mirrored = description["type"] == "cylinder" and description.get("to_world") is MIRRORED
     for field in ("p", "n", "uv", "pdf"):
@@ -157,7 +157,7 @@ def test_light_below_a_disk(height: float) -> None:
             "floor": {"type": "rectangle"},
         }
     )
-    si = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 1e-2), Vector3f(0, 0, -1), Float(np.inf)))
+    si = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 1e-2), Vector3f(0, 0, -1), maxt=Float(np.inf)))
     ds, weight = scene.sample_emitter_direction(si, Point2f(*uniform(2**16)), True)
     values = np.array(weight.x * ds.d.z, np.float64)
     expected = np.pi * radiance * radius**2 / (radius**2 + height**2)
@@ -170,7 +170,7 @@ def test_light_around_a_tube() -> None:
     tube = {"type": "cylinder", "p0": [0, -500, 0], "p1": [0, 500, 0], "radius": radius}
     scene = djpt.load_dict({"type": "scene", "tube": {**tube, "emitter": {"type": "area", "radiance": 2.0}},
                             "wall": {"type": "rectangle", "to_world": T().translate([0, 0, distance])}})  # fmt: skip
-    si = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 5), Vector3f(0, 0, -1), Float(np.inf)))
+    si = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 5), Vector3f(0, 0, -1), maxt=Float(np.inf)))
     si.n, si.sh_frame = -si.n, djpt.Frame3f.from_normal(-si.n)
     # A light that long is sampled badly by area: integrate over directions instead.
     from djpt.warp import square_to_cosine_hemisphere
@@ -200,7 +200,7 @@ def test_light_around_a_tube() -> None:
     ],
 )
 def test_special_rays(description: dict[str, Any], o: Any, d: Any, t: float) -> None:
-    pi = load(description).ray_intersect_preliminary(djpt.Ray3f(Point3f(*o), Vector3f(*d), Float(np.inf)))
+    pi = load(description).ray_intersect_preliminary(djpt.Ray3f(Point3f(*o), Vector3f(*d), maxt=Float(np.inf)))
     assert float(np.array(pi.t).ravel()[0]) == pytest.approx(t, rel=1e-6)
 
 
@@ -214,7 +214,7 @@ def test_an_edit_moves_the_shape(name: str) -> None:
         params["shape.to_world"] = pose
         params.update()
         edited, fresh = (
-            s.ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), Float(np.inf)))
+            s.ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), maxt=Float(np.inf)))
             for s in (scene, load({"type": name, "to_world": pose}))
         )
         valid = np.array(fresh.is_valid())

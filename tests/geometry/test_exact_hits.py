@@ -88,7 +88,7 @@ def case(name: str, pose: T, kind: str, count: int, seed: int) -> Case:
             # Points on the edge of the square of samples lie on rims; move a little beside it.
             edge = rng.integers(0, 4, count)
             sample[edge // 2, np.arange(count)] = np.where(edge % 2, 1 - 1e-4, 1e-4)
-        ps = shape.sample_position(Point2f(sample.astype(np.float32)))
+        ps = shape.sample_position(0, Point2f(sample.astype(np.float32)))
         p, n = (np.broadcast_to(np.array(x, np.float64), (3, count)).T for x in (ps.p, ps.n))
         across = np.cross(n, rng.normal(size=(count, 3)))
         across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -102,7 +102,7 @@ def case(name: str, pose: T, kind: str, count: int, seed: int) -> Case:
 
 def found(scene: Any, o: Array, d: Array) -> Array:
     """The engine's distances; infinity for a miss."""
-    ray = djpt.Ray3f(Point3f(o.T.astype(np.float32)), Vector3f(d.T.astype(np.float32)), Float(np.inf))
+    ray = djpt.Ray3f(Point3f(o.T.astype(np.float32)), Vector3f(d.T.astype(np.float32)), maxt=Float(np.inf))
     low, high = (Point3f(corner) for corner in scene.bbox())
     near, t0 = recentre(ray, low, high)
     t = scene.ray_intersect_preliminary(near).t + t0
@@ -199,7 +199,7 @@ def test_hits_that_are_searched_for(name: str) -> None:
 def test_recentring_is_needed() -> None:
     """From 10^4 sizes away some rays go wrong without it: what holds above isn't an accident."""
     c = case("cuboid", TURNED, "far", 50_000, seed=1)
-    ray = djpt.Ray3f(Point3f(c.o.T.astype(np.float32)), Vector3f(c.d.T.astype(np.float32)), Float(np.inf))
+    ray = djpt.Ray3f(Point3f(c.o.T.astype(np.float32)), Vector3f(c.d.T.astype(np.float32)), maxt=Float(np.inf))
     hit = c.scene.shapes()[0].intersect(ProjectedRay(ray), ray.maxt, range(6)).hit
     exact = np.isfinite(closest(ORACLES["cuboid"], c.matrix, c.o, c.d))
     assert np.mean(np.array(hit) != exact) > 5 * LIMIT
@@ -209,12 +209,12 @@ def test_recentring_moves_far_rays_only() -> None:
     low, high = Point3f(-1), Point3f(1)
     o = Point3f([0.5, 100, -100, 0, 1e4], [0, 0, 50, 3, 0], [0, 0, 0, 0, 0])
     d = Vector3f([1, -2, 2, 0, -1], [0, 0, 0, 1, 0], [0, 0, 0, 0, 0])
-    near, t0 = recentre(djpt.Ray3f(o, d, Float([np.inf, np.inf, np.inf, np.inf, 50.0])), low, high)
+    near, t0 = recentre(djpt.Ray3f(o, d, maxt=Float([np.inf, np.inf, np.inf, np.inf, 50.0])), low, high)
     moved = np.array(t0)
     assert (moved[[0, 3, 4]] == 0).all()  # inside, leaving, or too short to arrive
     np.testing.assert_allclose(moved[1:3], [(100 - 3**0.5) / 2, (100 - 3**0.5) / 2], rtol=1e-6)
     np.testing.assert_allclose(np.array(near.o), np.array(o + d * t0), rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(np.array(near.maxt), [np.inf, np.inf, np.inf, np.inf, 50.0])
-    infinite, t0 = recentre(djpt.Ray3f(o, d, Float(np.inf)), Point3f(np.inf), Point3f(-np.inf))
+    infinite, t0 = recentre(djpt.Ray3f(o, d, maxt=Float(np.inf)), Point3f(np.inf), Point3f(-np.inf))
     np.testing.assert_array_equal(np.array(infinite.o), np.array(o))
     assert not np.array(t0).any()

@@ -55,7 +55,7 @@ SCENES = {"mixed": mixed, "meshes": meshes, "instances": instances}
 def rays(o: Any, d: Any, maxt: Any = INF) -> Ray3f:
     """Rays from (N, 3) origins and directions."""
     o, d = (np.asarray(v, np.float32).reshape(-1, 3).T for v in (o, d))
-    return Ray3f(Point3f(o), Vector3f(d), Float(np.broadcast_to(np.float32(maxt), o.shape[1:]).copy()))
+    return Ray3f(Point3f(o), Vector3f(d), maxt=Float(np.broadcast_to(np.float32(maxt), o.shape[1:]).copy()))
 
 
 def random_rays(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -74,7 +74,7 @@ def test_points_of_a_light_are_drawn_as_by_mitsuba(
     mesh = djpt.load_dict(description)
     meshes = MeshSet([djpt.Mesh("other", *triangle()), mesh])
     sample = np.random.default_rng(2).random((2, 1000)).astype(np.float32)
-    ours = mesh.sample_position(Point2f(sample))
+    ours = mesh.sample_position(0, Point2f(sample))
     theirs = mi.load_dict(description).sample_position(0.0, mi.Point2f(sample))
     for name in ("p", "n", "uv"):
         a, b = np.array(getattr(ours, name)), np.array(getattr(theirs, name))
@@ -99,7 +99,7 @@ def test_points_of_a_light_are_uniform_in_area() -> None:
     MeshSet([mesh])
     n = 1 << 14
     u = Point2f(dr.arange(Float, n) / n, Float((dr.arange(UInt32, n) * 7919) & (n - 1)) / n)
-    p = np.array(mesh.sample_position(u).p)
+    p = np.array(mesh.sample_position(0, u).p)
     assert abs((p[2] == 5).mean() - 0.8) < 1e-3
     assert abs(p[0][p[2] == 5].mean() - 2 / 3) < 1e-2
     assert np.isfinite(p).all()

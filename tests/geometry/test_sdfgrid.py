@@ -47,7 +47,7 @@ def rays(count: int = 20000, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shot(scene: Any, o: np.ndarray, d: np.ndarray) -> Any:
-    return scene.ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), Float(np.inf)))
+    return scene.ray_intersect(djpt.Ray3f(Point3f(o), Vector3f(d), maxt=Float(np.inf)))
 
 
 @pytest.mark.parametrize("normals", ["smooth", "analytic"])

@@ -120,7 +120,7 @@ def load(name: str, **parameters: Any) -> Any:
 
 def ray(o: Array, d: Array, maxt: Any = np.inf) -> Any:
     maxt = np.broadcast_to(maxt, len(o)).astype(np.float32)
-    return djpt.Ray3f(Point3f(o.T.astype(np.float32)), Vector3f(d.T.astype(np.float32)), Float(maxt))
+    return djpt.Ray3f(Point3f(o.T.astype(np.float32)), Vector3f(d.T.astype(np.float32)), maxt=Float(maxt))
 
 
 CASES = [(name, seed) for name in LOCAL for seed in range(3)]

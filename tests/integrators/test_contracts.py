@@ -76,10 +76,10 @@ def test_light_fades_in_matter() -> None:
     glass = {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.0, "absorption": SIGMA}
     scene = djpt.load_dict({"type": "scene", "ball": {"type": "sphere", "radius": 0.5, "bsdf": glass}})
     p = Point3f([0.0, 0.1, 3.0], 0.0, 0.0)
-    ray = Ray3f(p, Vector3f(0, 0, 1), Float(dr.inf), scene.medium_at(p))
+    ray = Ray3f(p, Vector3f(0, 0, 1), medium=scene.medium_at(p))
     expected = np.exp(-SIGMA * np.array([0.5, 0.25, 0.0]))
     np.testing.assert_allclose(np.array(scene.transmittance(ray, Float(0.5, 0.25, 7.0))).T[:, 0], expected, rtol=1e-6)
-    si = scene.ray_intersect(Ray3f(p, Vector3f(0, 0, 1), Float(dr.inf), ray.medium))
+    si = scene.ray_intersect(Ray3f(p, Vector3f(0, 0, 1), medium=ray.medium))
     inward, outward = (np.array(si.target_medium(Vector3f(0, 0, sign))) for sign in (-1, 1))
     np.testing.assert_array_equal(inward[:2], np.array(ray.medium)[:2])
     assert (outward[:2] == np.array(ray.medium)[2]).all()

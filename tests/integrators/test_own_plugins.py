@@ -156,15 +156,15 @@ class Sunlight(Emitter):
     def eval(self, si: Any, active: Any = True) -> Any:
         return Color3f(0)
 
-    def sample_direction(self, ref: Any, sample: Any, active: Any = True) -> Any:
+    def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
         d = Vector3f(0, 1, 0)
-        far = ref + d * 1e3
-        ds = djpt.DirectionSample3f(
+        far = it.p + d * 1e3
+        ds = djpt.DirectionSample3f.of(
             far, -d, sample * 0, d, Float(1e3), Float(1), Float(1), Bool(True), UInt32(0)
         )  # fmt: skip
         return ds, Color3f(self.irradiance)
 
-    def pdf_direction(self, ref: Any, ds: Any, active: Any = True) -> Any:
+    def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
         return Float(0)
 
 
@@ -264,7 +264,7 @@ class Textbook(Integrator):
             return si.spawn_ray(si.to_world(bs.wo)), sampler, f, result, Point3f(si.p), bs.pdf, depth + 1, active
 
         wide = dr.zeros(Float, lanes)
-        start = djpt.Ray3f(ray.o + wide, ray.d + wide, ray.maxt + wide)
+        start = djpt.Ray3f(ray.o + wide, ray.d + wide, maxt=ray.maxt + wide)
         state = (
             start,
             sampler,
@@ -371,13 +371,13 @@ class TestDifferentiatedAOVs:
 def test_queries_from_a_script() -> None:
     """Rays by hand, as in Mitsuba's tutorials."""
     scene = djpt.load_dict(djpt.cornell_box())
-    ray = djpt.Ray3f(Point3f(0, 0, 3.9), Vector3f([0.0, 0.1, 2], [0, 0, 0], [-1, -1, 1]), Float(dr.inf))
+    ray = djpt.Ray3f(Point3f(0, 0, 3.9), Vector3f([0.0, 0.1, 2], [0, 0, 0], [-1, -1, 1]), maxt=Float(dr.inf))
     si = scene.ray_intersect(ray)
     assert np.array(si.is_valid()).tolist() == [True, True, False]
     np.testing.assert_allclose(np.array(si.wi.z)[0], np.array(si.n.z)[0], atol=1e-6)
     assert isinstance(si.bsdf().flags(), UInt32)
     assert not np.array(has_flag(si.emitter(scene).flags(), 8)).any()
-    lamp = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 0), Vector3f(0, 1, 0), Float(dr.inf)))
+    lamp = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 0), Vector3f(0, 1, 0), maxt=Float(dr.inf)))
     np.testing.assert_allclose(np.array(lamp.emitter(scene).eval(lamp)).ravel(), [18.387, 13.9873, 6.75357], rtol=1e-6)
     assert [shape.id() for shape in scene.shapes()][:2] == ["light", "floor"]
     assert len(scene.sensors()) == len(scene.emitters()) == 1

@@ -170,13 +170,12 @@ def one_number(description: dict[str, Any], name: str) -> np.ndarray:
 
 def queries(folder: Path) -> dict[str, np.ndarray]:
     """The answers of `QUERIES` to rays and points from everywhere."""
-    import drjit as dr
 
     from tests.kit.mesh_scenes import gallery
 
     scene, rng = djpt.load_dict(gallery(folder)), np.random.default_rng(SEED)
     o, d = (rng.normal(size=(3, 20_000)).astype(np.float32) for _ in range(2))
-    ray = djpt.Ray3f(djpt.Point3f(2 * o), djpt.Vector3f(d / np.linalg.norm(d, axis=0)), djpt.Float(dr.inf))
+    ray = djpt.Ray3f(djpt.Point3f(2 * o), djpt.Vector3f(d / np.linalg.norm(d, axis=0)))
     si, ray.maxt = scene.ray_intersect(ray), djpt.Float(2)
     hit = np.array(si.is_valid())
     found = [hit, np.where(hit, np.array(si.t), 0), *np.where(hit, np.array(si.n), 0)]

@@ -12,7 +12,7 @@ import pytest
 import djpt
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Point3f, Vector3f
 from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 
@@ -47,7 +47,7 @@ def seen_from(wi: Any) -> SurfaceInteraction3f:
     """A surface point in its own frame; `wi` are the columns of (3, n)."""
     z, wi = Vector3f(0, 0, 1), Vector3f(*rows(wi))
     return SurfaceInteraction3f(
-        t=Float(1),
+        t=dr.full(Float, 1, dr.width(wi)),
         p=Point3f(0),
         n=z,
         sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
@@ -55,9 +55,6 @@ def seen_from(wi: Any) -> SurfaceInteraction3f:
         dp_du=Vector3f(1, 0, 0),
         dp_dv=Vector3f(0, 1, 0),
         wi=wi,
-        shape_index=UInt32(0),
-        face=UInt32(0),
-        valid=dr.full(Bool, True, dr.width(wi)),
     )
 
 

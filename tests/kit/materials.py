@@ -16,7 +16,7 @@ from djpt.dispatch.ensemble import Attached, Group
 from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.types import Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from tests.kit.parameter_sets import slow_but_first
 
 __all__ = [
@@ -275,8 +275,6 @@ def interaction(wi: Vector3f, uv: tuple[float, float] = (0.31, 0.62), width: int
     """A surface point in its own frame."""
     z = Normal3f(0, 0, 1)
     frame = Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z)
-    shared = {"dp_du": frame.s, "dp_dv": frame.t, "shape_index": UInt32(0), "face": UInt32(0)}
-    valid = dr.full(Bool, True, width)
-    return SurfaceInteraction3f(
-        t=Float(1), p=Point3f(0), n=z, sh_frame=frame, uv=Point2f(*uv), wi=wi, valid=valid, **shared
-    )
+    shared = {"dp_du": frame.s, "dp_dv": frame.t}
+    t = dr.full(Float, 1, width)
+    return SurfaceInteraction3f(t=t, p=Point3f(0), n=z, sh_frame=frame, uv=Point2f(*uv), wi=wi, **shared)

@@ -9,7 +9,7 @@ import drjit as dr
 import djpt
 from djpt.frame import Frame3f
 from djpt.records import DirectionSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Point3f, Vector3f
 
 __all__ = ["lit", "local_frame", "looked_at", "reference"]
 
@@ -18,7 +18,7 @@ def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
     """A surface point in its own frame, seen from `wi`."""
     z = Vector3f(0, 0, 1)
     return SurfaceInteraction3f(
-        t=Float(1),
+        t=dr.full(Float, 1, width),
         p=Point3f(0),
         n=z,
         sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
@@ -26,9 +26,6 @@ def local_frame(wi: Any, width: int = 1) -> SurfaceInteraction3f:
         dp_du=Vector3f(1, 0, 0),
         dp_dv=Vector3f(0, 1, 0),
         wi=dr.normalize(Vector3f(*wi)),
-        shape_index=UInt32(0),
-        face=UInt32(0),
-        valid=dr.full(Bool, True, width),
     )
 
 
@@ -45,7 +42,7 @@ def reference() -> SurfaceInteraction3f:
 
 def looked_at(scene: Any, d: Any) -> tuple[Any, Any, Any]:
     """What a ray from the origin meets, as if sampled; the radiance of its emitter; whether there is an emitter."""
-    ray = djpt.Ray3f(Point3f(0), d, Float(dr.inf))
+    ray = djpt.Ray3f(Point3f(0), d, maxt=Float(dr.inf))
     si = scene.ray_intersect(ray)
     ds = DirectionSample3f.between(Point3f(0), ray, si)
     emitter = si.emitter(scene)

@@ -13,7 +13,7 @@ from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Attached, Group
 from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
-from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
 from tests.kit.arrays import in_numpy, rows
 
@@ -94,12 +94,10 @@ def interaction(wi: Any) -> SurfaceInteraction3f:
     """A surface point in its own frame, seen from `wi`."""
     z = Normal3f(0, 0, 1)
     frame = Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z)
-    shared = {"dp_du": frame.s, "dp_dv": frame.t, "shape_index": UInt32(0), "face": UInt32(0)}
-    valid = dr.full(Bool, True, np.shape(wi)[1])
+    shared = {"dp_du": frame.s, "dp_dv": frame.t}
+    t = dr.full(Float, 1, np.shape(wi)[1])
     p, uv = Point3f(0), Point2f(0.3, 0.6)
-    return SurfaceInteraction3f(
-        t=Float(1), p=p, n=z, sh_frame=frame, uv=uv, wi=Vector3f(*rows(wi)), valid=valid, **shared
-    )
+    return SurfaceInteraction3f(t=t, p=p, n=z, sh_frame=frame, uv=uv, wi=Vector3f(*rows(wi)), **shared)
 
 
 def mitsuba_interaction(wi: Any) -> Any:

@@ -11,7 +11,7 @@ import pytest
 import djpt
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Point2f, Vector3f
 
 __all__ = [
     "ANGLES",
@@ -63,10 +63,8 @@ def interaction(wi: Any) -> SurfaceInteraction3f:
     """A surface point in its own frame, seen from `wi`, (3, N)."""
     z, wi = Vector3f(0, 0, 1), Vector3f(wi)
     frame = Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z)
-    valid = dr.full(Bool, True, dr.width(wi))
-    return SurfaceInteraction3f(
-        Float(1), Point3f(0), z, frame, Point2f(0.3, 0.6), frame.s, frame.t, wi, UInt32(0), UInt32(0), valid
-    )
+    t = dr.full(Float, 1, dr.width(wi))
+    return SurfaceInteraction3f(t=t, n=z, sh_frame=frame, uv=Point2f(0.3, 0.6), dp_du=frame.s, dp_dv=frame.t, wi=wi)
 
 
 def from_angles(*degrees: float) -> np.ndarray:

@@ -80,16 +80,16 @@ def strength(scene: Any, es: EmissionSample) -> np.ndarray:
     if from_surface(scene):
         # Back onto the point that the ray left.
         step = 1e-2
-        ray = djpt.Ray3f(dr.fma(es.ray.d, step, es.ray.o), -es.ray.d, Float(2 * step))
+        ray = djpt.Ray3f(dr.fma(es.ray.d, step, es.ray.o), -es.ray.d, maxt=Float(2 * step))
         si = scene.ray_intersect(ray)
         radiance = si.emitter(scene).eval(si)
         near = si.valid & (dr.norm(si.p - es.ray.o) < step / 4)
         return np.where(wide(near) > 0, wide(radiance) * wide(es.cos), np.nan)
     if from_point(scene) or in_one_direction(scene):
         # Intensity / dist^2 at the distance 1, or the irradiance.
-        return wide(emitter.sample_direction(es.ray(Float(1)), Point2f(0.5))[1])
+        return wide(emitter.sample_direction(djpt.Interaction3f(p=es.ray(Float(1))), Point2f(0.5))[1])
     # An environment, looked at against the ray and past the ball.
-    si = scene.ray_intersect(djpt.Ray3f(Point3f(1e4), -es.ray.d, Float(1e-3)))
+    si = scene.ray_intersect(djpt.Ray3f(Point3f(1e4), -es.ray.d, maxt=Float(1e-3)))
     assert not np.array(si.valid).any()
     return wide(si.emitter(scene).eval(si))
 
@@ -143,7 +143,7 @@ class TestEmission:
         # From beyond the ball for an environment, which the ball would hide.
         away = Float(1.0) if from_surface(scene) else Float(100.0)
         start = es.ray(away)
-        ray = djpt.Ray3f(start, -es.ray.d, Float(1.05) if from_surface(scene) else Float(1e-3))
+        ray = djpt.Ray3f(start, -es.ray.d, maxt=Float(1.05) if from_surface(scene) else Float(1e-3))
         si = scene.ray_intersect(ray)
         ds = DirectionSample3f.between(start, ray, si)
         position, direction = scene.emitter_ptr(UInt32(0)).pdf_emission(-ds.d, ds.n, ds.uv)
@@ -217,7 +217,7 @@ def surface_p_value(scene: Any, es: EmissionSample) -> float:
     """
     shape, side = scene.shapes()[0], 2048
     grid = (np.indices((side, side)).reshape(2, -1) + np.random.default_rng(6).random((2, side * side))) / side
-    ps = shape.sample_position(Point2f(*(Float(x.astype(np.float32)) for x in grid)))
+    ps = shape.sample_position(0, Point2f(*(Float(x.astype(np.float32)) for x in grid)))
     density, _ = scene.emitter_ptr(UInt32(0)).pdf_emission(ps.n, ps.n, ps.uv)
     share = wide(density * shape.surface_area(), side * side)
     assert share.mean() == pytest.approx(1, abs=5e-3)

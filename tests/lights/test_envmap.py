@@ -15,7 +15,7 @@ import djpt
 from djpt.distributions import Hierarchical2D
 from djpt.errors import ParameterError, SceneError
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Point2f, Point3f, TensorXf, Vector3f
+from djpt.types import Point2f, TensorXf, Vector3f
 from djpt.validation import agreement
 from tests.kit.axes import unit
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
@@ -70,7 +70,7 @@ def test_density_integrates_to_one(rows: int, columns: int, kind: str) -> None:
     v = (np.arange((rows - 1) * fine[0]) + 0.5) / ((rows - 1) * fine[0])
     u = ((np.arange(columns * fine[1]) + 0.5) / fine[1] + 0.5) / columns
     v, u = np.meshgrid(v, u, indexing="ij")
-    found = np.array(emitter(texels(rows, columns, kind)).pdf_direction(Point3f(0), towards(direction(u, v))))
+    found = np.array(emitter(texels(rows, columns, kind)).pdf_direction(djpt.Interaction3f(), towards(direction(u, v))))
     integral = (found * np.sin(math.pi * v).ravel()).mean() * 2 * math.pi**2
     assert integral == pytest.approx(1, abs=1e-3)
 
@@ -80,11 +80,11 @@ def test_density_integrates_to_one(rows: int, columns: int, kind: str) -> None:
 @pytest.mark.parametrize(("rows", "columns"), SIZES)
 def test_samples_follow_the_density(rows: int, columns: int, kind: str, compensation: bool) -> None:
     sky = emitter(texels(rows, columns, kind), to_world=TURNED, mis_compensation=compensation)
-    ds, weight = sky.sample_direction(Point3f(0), Point2f(*uniform(2**17)))
-    p, integral = p_value(SPHERE, ds.d, True, lambda d: sky.pdf_direction(Point3f(0), towards(d)))
+    ds, weight = sky.sample_direction(djpt.Interaction3f(), Point2f(*uniform(2**17)))
+    p, integral = p_value(SPHERE, ds.d, True, lambda d: sky.pdf_direction(djpt.Interaction3f(), towards(d)))
     assert integral == pytest.approx(1, abs=5e-3)
     assert p > SIGNIFICANCE
-    np.testing.assert_allclose(np.array(ds.pdf), np.array(sky.pdf_direction(Point3f(0), ds)), rtol=2e-2)
+    np.testing.assert_allclose(np.array(ds.pdf), np.array(sky.pdf_direction(djpt.Interaction3f(), ds)), rtol=2e-2)
     np.testing.assert_allclose(np.array(ds.pdf * ds.weight), 1, rtol=1e-5)
     np.testing.assert_allclose(np.array(weight), np.array(sky.eval(towards(ds.d)) * ds.weight), rtol=2e-2, atol=1e-4)
 
@@ -95,7 +95,7 @@ def test_extreme_samples_stay_where_light_is() -> None:
     data[3, 5] = 1
     ends = np.float32([0, 2**-24, 0.5, 1 - 2**-24])
     u, v = (x.ravel() for x in np.meshgrid(ends, ends))
-    ds, weight = emitter(data).sample_direction(Point3f(0), Point2f(u, v))
+    ds, weight = emitter(data).sample_direction(djpt.Interaction3f(), Point2f(u, v))
     assert np.isfinite(np.array(weight)).all() and np.isfinite(np.array(ds.d)).all()
     assert (np.abs(np.array(ds.uv.x) * 16 - 5.5) <= 1 + 1e-4).all()
     assert (np.abs(np.array(ds.uv.y) * 7 - 3) <= 1 + 1e-4).all()
@@ -119,7 +119,7 @@ def test_tree_of_one_cell_and_of_long_rows() -> None:
 def test_compensated_rays_carry_all_the_light() -> None:
     data = texels(9, 16, "sun")
     rays = [
-        emitter(data, mis_compensation=bool(c)).sample_ray(*(Point2f(*uniform(256, 2, k)) for k in (1, 2)))
+        emitter(data, mis_compensation=bool(c)).sample_ray(0, 0, *(Point2f(*uniform(256, 2, k)) for k in (1, 2)))
         for c in (0, 1)
     ]
     np.testing.assert_array_equal(np.array(rays[0][1]), np.array(rays[1][1]))
@@ -146,8 +146,8 @@ def test_methods_are_mitsubas(rows: int, columns: int, keys: dict[str, Any]) -> 
         sampled, weight = other.sample_direction(it, mi.Point2f(np.array(u)))
         expected = [other.eval(si), other.pdf_direction(it, ds), sampled.d, sampled.pdf, sampled.uv, weight]
         expected = [np.array(x) for x in expected]
-    ds, weight = mine.sample_direction(Point3f(0), Point2f(*u))
-    found = [mine.eval(towards(d)), mine.pdf_direction(Point3f(0), towards(d)), ds.d, ds.pdf, ds.uv, weight]
+    ds, weight = mine.sample_direction(djpt.Interaction3f(), Point2f(*u))
+    found = [mine.eval(towards(d)), mine.pdf_direction(djpt.Interaction3f(), towards(d)), ds.d, ds.pdf, ds.uv, weight]
     for a, b in zip(found, expected, strict=True):
         # acos errs near the poles.
         assert np.isclose(np.array(a), b, rtol=1e-3, atol=1e-5 * np.abs(b).max()).mean() > 0.997
@@ -197,7 +197,9 @@ def test_no_seam(to_world: T) -> None:
         sides = []
         for offset in (-1e-5, 1e-5):
             d = Vector3f(*(matrix @ np.array(direction(np.full(400, u + offset), v))).astype(np.float32))
-            sides.append([np.array(sky.eval(towards(d))), np.array(sky.pdf_direction(Point3f(0), towards(d)))])
+            sides.append(
+                [np.array(sky.eval(towards(d))), np.array(sky.pdf_direction(djpt.Interaction3f(), towards(d)))]
+            )
         for a, b in zip(*sides, strict=True):
             np.testing.assert_allclose(a, b, rtol=2e-2, atol=2e-3)
 
@@ -207,7 +209,7 @@ def test_poles_are_finite(sign: int) -> None:
     sky = emitter(texels(17, 32))
     d = Vector3f([0, -0.0, 1e-20, 1e-7], sign, [0, 0, -1e-20, 1e-7])
     assert np.isfinite(np.array(sky.eval(towards(d)))).all()
-    assert np.isfinite(np.array(sky.pdf_direction(Point3f(0), towards(d)))).all()
+    assert np.isfinite(np.array(sky.pdf_direction(djpt.Interaction3f(), towards(d)))).all()
 
 
 def test_white_map_is_constant_light() -> None:

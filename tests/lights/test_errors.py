@@ -222,7 +222,7 @@ def test_gradients_of_angles_stay_attached() -> None:
     params.update()
     emitter = scene.emitters()[0]
     p = Point3f(*(emitter.to_world @ np.array([0.3, 0, 1.0])).tolist())
-    _, weight = emitter.sample_direction(p, Point2f(0.5))
+    _, weight = emitter.sample_direction(djpt.Interaction3f(p=p), Point2f(0.5))
     dr.backward(weight.x)
     theta, falloff = math.degrees(math.atan(0.3)), 30.0
     slope = (theta - 5) / falloff**2 * 9 / 1.09

@@ -180,8 +180,8 @@ def test_no_point_of_space_gives_nonsense(name: str) -> None:
     points = np.concatenate([[[-2, 3, 2.5], [0, 0, 0], [1e6, -1e6, 1e6]], rng.normal(0, 4, (500, 3))]).T
     p = Point3f(*rows(points))
     emitter = scene.emitter_ptr(UInt32(0))
-    ds, weight = emitter.sample_direction(p, Point2f(*uniform(503)))
-    density = emitter.pdf_direction(p, ds)
+    ds, weight = emitter.sample_direction(djpt.Interaction3f(p=p), Point2f(*uniform(503)))
+    density = emitter.pdf_direction(djpt.Interaction3f(p=p), ds)
     dr.eval(weight, density)
     found = in_numpy(weight)
     assert np.isfinite(found).all()
@@ -198,7 +198,7 @@ def test_hidden_lights_are_hidden(name: str) -> None:
     assert not np.array(weight).any()
     assert not np.array(ds.pdf).any()
     shape = scene.shapes()[0]
-    ps = shape.sample_position(Point2f(*uniform(64)))
+    ps = shape.sample_position(0, Point2f(*uniform(64)))
     _, radiance, valid = looked_at(scene, dr.normalize(ps.p))
     assert np.array(valid).any()
     assert not np.array(radiance).any()
@@ -223,7 +223,7 @@ def room(light: dict[str, Any]) -> Any:
 def rays_of(scene: Any, count: int = RAYS, seed: int = 0) -> tuple[Any, np.ndarray, list[Any]]:
     """Rays of the first emitter, their weights (3, count), and the numbers that made them."""
     u = uniform(count, 4, seed)
-    ray, weight = scene.emitter_ptr(UInt32(0)).sample_ray(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
+    ray, weight = scene.emitter_ptr(UInt32(0)).sample_ray(0, 0, Point2f(u[0], u[1]), Point2f(u[2], u[3]))
     dr.eval(ray, weight)
     return ray, np.broadcast_to(in_numpy(weight), (3, count)), u
 
@@ -352,7 +352,7 @@ def test_shapes_without_area_send_no_rays(shape: str) -> None:
     emitter = scene.emitters()[0]
     assert 0 < emitter.power() < math.inf
     with pytest.raises(djpt.SceneError, match="light: no rays can be drawn"):
-        emitter.sample_ray(Point2f(0.5), Point2f(0.5))
+        emitter.sample_ray(0, 0, Point2f(0.5), Point2f(0.5))
 
 
 # ---------------------------------------------------------------- closed forms
@@ -423,7 +423,7 @@ def test_spot_shows_its_picture_the_right_way() -> None:
     texture = {"type": "bitmap", "data": djpt.TensorXf(picture), "raw": True, "filter_type": "nearest"}
     scene = lit(light={"type": "spot", "cutoff_angle": 40.0, "beam_width": 40.0, "texture": texture})
     for x, y, value in ((-0.2, -0.2, 1), (0.2, -0.2, 2), (-0.2, 0.2, 3), (0.2, 0.2, 4)):
-        _, weight = scene.emitters()[0].sample_direction(Point3f(x, y, 1), Point2f(0.5))
+        _, weight = scene.emitters()[0].sample_direction(djpt.Interaction3f(p=Point3f(x, y, 1)), Point2f(0.5))
         assert float(weight.x[0]) * (1 + 2 * 0.04) == pytest.approx(value, rel=1e-5)
 
 
@@ -431,8 +431,8 @@ def test_a_constant_texture_dims_a_spot() -> None:
     """Mitsuba 3.9.1 refuses one in a description, and has one without effect by default."""
     spots = [{"type": "spot", "texture": texture} for texture in (1.0, {"type": "rgb", "value": [0.5, 0.25, 0]})]
     bright, dim = (lit(light=spot).emitters()[0] for spot in spots)
-    p, sample = Point3f(0.1, 0, 1), Point2f(0.3, 0.6)
-    for method in (lambda e: e.sample_direction(p, sample), lambda e: e.sample_ray(sample, sample)):
+    it, sample = djpt.Interaction3f(p=Point3f(0.1, 0, 1)), Point2f(0.3, 0.6)
+    for method in (lambda e: e.sample_direction(it, sample), lambda e: e.sample_ray(0, 0, sample, sample)):
         ratio = np.array(method(dim)[1]) / np.array(method(bright)[1])
         np.testing.assert_allclose(ratio.ravel(), [0.5, 0.25, 0], rtol=1e-6)
     assert dim.power() == pytest.approx(0.25 * bright.power())

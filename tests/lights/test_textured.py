@@ -16,7 +16,7 @@ from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.textures.bitmap import Bitmap
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Point3f, TensorXf
+from djpt.types import Float, Point2f, TensorXf
 from tests.kit.bitmaps import TEXELS, TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, Domain, p_value, uniform
 from tests.kit.emitters import RECTANGLE, UNLIKE_MITSUBA, entry
@@ -57,8 +57,8 @@ def test_points_have_their_uv(description: dict[str, Any]) -> None:
     scene = lit(shape=description, light={"type": "constant"})
     # uv other than 0 and 1, where they wrap around.
     uv = Point2f(*(0.98 * x + 0.01 for x in uniform(4096)))
-    ps = scene.shapes()[0].eval_parameterization(uv)
-    si = scene.ray_intersect(djpt.Ray3f(ps.p + 1e-2 * ps.n, -ps.n, Float(2e-2)))
+    ps = scene.shapes()[0].at_uv(uv)
+    si = scene.ray_intersect(djpt.Ray3f(ps.p + 1e-2 * ps.n, -ps.n, maxt=Float(2e-2)))
     found = np.array(si.valid)
     assert found.mean() > 0.995
     assert np.abs(np.array(si.p - ps.p))[:, found].max() < 1e-4
@@ -175,7 +175,7 @@ def test_directions_are_mitsubas(kind: str) -> None:
                         bitmap(filter_type=kind))  # fmt: skip
     other = mi.load_dict({"type": "scene", "light": described})
     sample = uniform(4096)
-    ds, weight = mine.emitters()[0].sample_direction(Point3f(0), Point2f(*sample))
+    ds, weight = mine.emitters()[0].sample_direction(djpt.Interaction3f(), Point2f(*sample))
     it = dr.zeros(mi.SurfaceInteraction3f)
     expected, value = other.emitters()[0].sample_direction(it, mi.Point2f(*sample))
     for a, b in ((ds.p, expected.p), (ds.d, expected.d), (ds.uv, expected.uv), (ds.dist, expected.dist)):
@@ -183,7 +183,10 @@ def test_directions_are_mitsubas(kind: str) -> None:
     # Where bright and dark texels meet, rounding of uv counts.
     for mine_, theirs_ in ((ds.pdf, expected.pdf), (weight, value)):
         assert np.isclose(np.array(mine_), np.array(theirs_), rtol=1e-3, atol=1e-3).mean() > 0.995
-    pdf, density = mine.emitters()[0].pdf_direction(Point3f(0), ds), other.emitters()[0].pdf_direction(it, expected)
+    pdf, density = (
+        mine.emitters()[0].pdf_direction(djpt.Interaction3f(), ds),
+        other.emitters()[0].pdf_direction(it, expected),
+    )
     assert np.isclose(np.array(pdf), np.array(density), rtol=1e-3, atol=1e-3).mean() > 0.995
 
 
@@ -195,13 +198,13 @@ def test_rays_carry_the_power(description: dict[str, Any]) -> None:
     """The mean weight is pi times the integral of radiance over area; rays start on the surface, on its front."""
     scene = lit(light=description)
     emitter, shape = scene.emitters()[0], scene.shapes()[0]
-    ray, weight = emitter.sample_ray(Point2f(*uniform(COUNT)), Point2f(*uniform(COUNT, seed=1)))
+    ray, weight = emitter.sample_ray(0, 0, Point2f(*uniform(COUNT)), Point2f(*uniform(COUNT, seed=1)))
     found = np.array(weight, np.float64)
-    ps = shape.sample_position(Point2f(*uniform(COUNT, seed=2)))
+    ps = shape.sample_position(0, Point2f(*uniform(COUNT, seed=2)))
     radiance = np.array(emitter.radiance.eval(ps), np.float64) * math.pi * float(shape.surface_area()[0])
     sigma = np.hypot(found.std(axis=1), radiance.std(axis=1)) / math.sqrt(COUNT)
     assert (np.abs(found.mean(axis=1) - radiance.mean(axis=1)) < 4 * sigma + 1e-3 * radiance.mean(axis=1)).all()
-    si = scene.ray_intersect(djpt.Ray3f(ray.o + 1e-2 * ray.d, -ray.d, Float(2e-2)))
+    si = scene.ray_intersect(djpt.Ray3f(ray.o + 1e-2 * ray.d, -ray.d, maxt=Float(2e-2)))
     hit = np.array(si.valid)
     assert hit.mean() > 0.95
     assert np.abs(np.array(si.p - ray.o))[:, hit].max() < 2e-3
@@ -215,7 +218,7 @@ def test_rays_are_mitsubas() -> None:
     place = mi.ScalarTransform4f(SHEARED.matrix.tolist())
     other = mi.load_dict({"type": "scene", "light": shining({"type": "rectangle", "to_world": place}, bitmap())})
     first, second = uniform(4096), uniform(4096, seed=1)
-    ray, weight = mine.sample_ray(Point2f(*first), Point2f(*second))
+    ray, weight = mine.sample_ray(0, 0, Point2f(*first), Point2f(*second))
     expected, value = other.emitters()[0].sample_ray(0.0, 0.5, mi.Point2f(*first), mi.Point2f(*second))
     np.testing.assert_allclose(np.array(ray.d), np.array(expected.d), atol=1e-4)
     # Mitsuba moves the origin off the surface.

@@ -15,7 +15,7 @@ from djpt.frame import Frame3f
 from djpt.materials.bumpmap import sees_tangent
 from djpt.records import BSDFContext, SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Point2f, TensorXf, UInt32, Vector3f
+from djpt.types import Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
 from tests.kit.arrays import floats
 from tests.kit.axes import unit
@@ -90,9 +90,9 @@ class Surfaces:
 
     def ours(self) -> SurfaceInteraction3f:
         frame = Frame3f(array(self.s), array(self.t), array(self.shading))
-        uv, zero = Point2f(floats(self.uv[0]), floats(self.uv[1])), UInt32(0)
+        uv = Point2f(floats(self.uv[0]), floats(self.uv[1]))
         n, du, dv, wi = (array(v) for v in (self.n, self.dp_du, self.dp_dv, self.wi))
-        return SurfaceInteraction3f(Float(1), Vector3f(0), n, frame, uv, du, dv, wi, zero, zero, Bool(True))
+        return SurfaceInteraction3f(t=1, n=n, sh_frame=frame, uv=uv, dp_du=du, dp_dv=dv, wi=wi)
 
     def theirs(self, mi: Any) -> Any:
         si = dr.zeros(mi.SurfaceInteraction3f, len(self.n))
@@ -192,8 +192,9 @@ def test_densities_count_what_is_sampled(map_: str, nested: str) -> None:
         point = one.ours()
         pick = [dr.gather(type(v), v, UInt32(i)) for v in (point.n, point.uv, point.dp_du, point.dp_dv, point.wi)]
         frame = dr.gather(Frame3f, point.sh_frame, UInt32(i))
-        zero = UInt32(0)
-        si = SurfaceInteraction3f(Float(1), Vector3f(0), pick[0], frame, *pick[1:], zero, zero, Bool(True))
+        si = SurfaceInteraction3f(
+            t=1, n=pick[0], sh_frame=frame, **dict(zip(("uv", "dp_du", "dp_dv", "wi"), pick[1:], strict=True))
+        )
         wo = square_to_uniform_sphere(Point2f(u[0], u[1]))
         value, pdf, bs, weight = bsdf.eval_pdf_sample(BSDFContext(), si, wo, u[2], Point2f(u[3], u[4]))
         again, density = bsdf.eval_pdf(BSDFContext(), si, bs.wo)
@@ -247,9 +248,8 @@ def test_bumps_face_their_slope() -> None:
     ramp = np.linspace(0, 1, 8, dtype=np.float32)[None, :, None].repeat(2, axis=0)
     bump = djpt.load_dict({"type": "bumpmap", "texture": bitmap(ramp), "nested": NESTED["diffuse"]})
     z, axes = Vector3f(0, 0, 1), (Vector3f(1, 0, 0), Vector3f(0, 1, 0))
-    zero = UInt32(0)
     si = SurfaceInteraction3f(
-        Float(1), Vector3f(0), z, Frame3f(*axes, z), Point2f(0.4, 0.5), *axes, z, zero, zero, Bool(True)
+        t=1, n=z, sh_frame=Frame3f(*axes, z), uv=Point2f(0.4, 0.5), dp_du=axes[0], dp_dv=axes[1], wi=z
     )
     slope = 8 / 7  # the texels' centres are 1 / 8 apart, their heights 1 / 7
     expected = np.array([-slope, 0, 1]) / np.hypot(slope, 1)

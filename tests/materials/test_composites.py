@@ -11,7 +11,7 @@ import pytest
 import djpt
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
-from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.validation import agreement
 from djpt.validation.bridge import to_mitsuba
 from djpt.warp import square_to_uniform_sphere
@@ -78,7 +78,7 @@ def interaction(wi: Any, uv: Any) -> SurfaceInteraction3f:
     """A surface point in its own frame, one per lane."""
     z = Normal3f(0, 0, 1)
     return SurfaceInteraction3f(
-        t=Float(1),
+        t=dr.full(Float, 1, COUNT),
         p=Point3f(0),
         n=z,
         sh_frame=Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z),
@@ -86,9 +86,6 @@ def interaction(wi: Any, uv: Any) -> SurfaceInteraction3f:
         dp_du=Vector3f(1, 0, 0),
         dp_dv=Vector3f(0, 1, 0),
         wi=Vector3f(*rows(wi)),
-        shape_index=UInt32(0),
-        face=UInt32(0),
-        valid=dr.full(Bool, True, COUNT),
     )
 
 

@@ -12,7 +12,7 @@ import pytest
 import djpt
 from djpt.frame import Frame3f
 from djpt.records import BSDFContext, SurfaceInteraction3f
-from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Float, Normal3f, Point2f, Vector3f
 from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 from tests.kit.renders import box, ours, pixels
 
@@ -23,10 +23,8 @@ def seen_from(wi: Any) -> SurfaceInteraction3f:
     """A surface point in its own frame."""
     z = Normal3f(0, 0, 1)
     frame = Frame3f(Vector3f(1, 0, 0), Vector3f(0, 1, 0), z)
-    x, y, zero = Vector3f(1, 0, 0), Vector3f(0, 1, 0), UInt32(0)
-    return SurfaceInteraction3f(
-        Float(1), Point3f(0), z, frame, Point2f(0), x, y, Vector3f(wi), zero, zero, Bool(True)
-    )  # fmt: skip
+    x, y = Vector3f(1, 0, 0), Vector3f(0, 1, 0)
+    return SurfaceInteraction3f(t=1, n=z, sh_frame=frame, dp_du=x, dp_dv=y, wi=Vector3f(wi))
 
 
 def value(bsdf: Any, wi: Any, wo: Any) -> np.ndarray:

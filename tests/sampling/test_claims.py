@@ -125,10 +125,10 @@ def test_positions_lie_on_the_surface(name: str, description: dict[str, Any]) ->
     """Sampled points are found again by a ray straight onto them, with the same normal and uv."""
     scene = lit(shape=description, light={"type": "point"})
     shape = scene.shapes()[0]
-    ps = shape.sample_position(Point2f(*uniform(4096, seed=7)))
+    ps = shape.sample_position(0, Point2f(*uniform(4096, seed=7)))
     outward = ps.n
     step = 1e-2
-    si = scene.ray_intersect(djpt.Ray3f(ps.p + outward * step, -outward, Float(2 * step)))
+    si = scene.ray_intersect(djpt.Ray3f(ps.p + outward * step, -outward, maxt=Float(2 * step)))
     found = np.array(si.valid)
     assert found.mean() > 0.995
     scale = 1 + np.abs(np.array(ps.p)).max()
@@ -154,7 +154,7 @@ def test_positions_are_uniform(name: str, description: dict[str, Any]) -> None:
     other = mi.load_dict(described)
     sample = uniform(2**16, seed=8)
     assert float(mine.surface_area()[0]) == pytest.approx(float(np.array(other.surface_area()).ravel()[0]), rel=1e-4)
-    a = np.array(mine.sample_position(Point2f(*sample)).p, np.float64)
+    a = np.array(mine.sample_position(0, Point2f(*sample)).p, np.float64)
     b = np.array(other.sample_position(0, mi.Point2f(*(mi.Float(s) for s in sample))).p, np.float64)
     scale = b.std(axis=1, keepdims=True).max()
     np.testing.assert_allclose(a.mean(axis=1), b.mean(axis=1), atol=0.02 * scale)

@@ -42,17 +42,17 @@ def test_names_and_references() -> None:
     )
     shapes = {shape.id(): shape for shape in loaded.shapes()}
     assert list(shapes) == ["early", "nested", "by_key", "by_id", "by_path", "by_deep_id"]
-    assert shapes["early"].bsdf is shapes["by_id"].bsdf and shapes["early"].bsdf.id() == "renamed"
-    assert shapes["by_path"].bsdf is shapes["nested"].bsdf and shapes["nested"].bsdf.id() == "nested.own"
-    assert shapes["by_deep_id"].bsdf is shapes["nested"].bsdf.front
-    assert shapes["by_key"].bsdf.id() == "white"
+    assert shapes["early"].bsdf() is shapes["by_id"].bsdf() and shapes["early"].bsdf().id() == "renamed"
+    assert shapes["by_path"].bsdf() is shapes["nested"].bsdf() and shapes["nested"].bsdf().id() == "nested.own"
+    assert shapes["by_deep_id"].bsdf() is shapes["nested"].bsdf().front
+    assert shapes["by_key"].bsdf().id() == "white"
 
 
 def test_one_dict_object_in_two_places_makes_two_plugins() -> None:
     shared = {"type": "diffuse"}
     loaded = djpt.load_dict(scene(a={"type": "cube", "b": shared}, c={"type": "cube", "b": shared}))
     a, c = loaded.shapes()
-    assert a.bsdf is not c.bsdf
+    assert a.bsdf() is not c.bsdf()
 
 
 def test_plugins_as_values() -> None:
@@ -64,7 +64,7 @@ def test_plugins_as_values() -> None:
             c={"type": "cube", "b": {"type": "ref", "id": "made"}},
         )
     )
-    assert [shape.bsdf for shape in loaded.shapes()] == [bsdf, bsdf]
+    assert [shape.bsdf() for shape in loaded.shapes()] == [bsdf, bsdf]
 
 
 def test_the_description_is_not_modified() -> None:

@@ -83,7 +83,7 @@ def test_values_are_mitsubas(mi: Any, params: SceneParameters) -> None:
 
 def test_parts_can_be_traversed(scene: Any) -> None:
     assert list(djpt.traverse(scene.sensors()[0]))[:2] == ["near_clip", "far_clip"]
-    assert list(djpt.traverse(scene.shapes()[0].emitter.radiance)) == ["value"]
+    assert list(djpt.traverse(scene.shapes()[0].emitter().radiance)) == ["value"]
     with pytest.raises(ParameterError, match=r"traverse: expected a plugin that djpt.load_dict made, found dict"):
         djpt.traverse({"type": "scene"})  # type: ignore[arg-type]
 
@@ -101,7 +101,7 @@ def test_a_shared_plugin_appears_under_its_first_path() -> None:
     assert [key for key in params if "reflectance" in key] == ["a.bsdf.reflectance.value"]
     params["a.bsdf.reflectance.value"] = 0.125
     params.update()
-    assert all(numbers(shape.bsdf.reflectance.value) == [0.125] * 3 for shape in loaded.shapes())
+    assert all(numbers(shape.bsdf().reflectance.value) == [0.125] * 3 for shape in loaded.shapes())
 
 
 # ---------------------------------------------------------------- the mapping

@@ -173,8 +173,8 @@ def test_plugins_of_a_package_are_traversed_and_edited(package: Any) -> None:
 def test_classes_of_a_package_are_what_scenes_are_made_of(package: Any) -> None:
     scene = wall("pigment_view")
     assert type(scene.integrator()) is package.PigmentView
-    assert type(scene.shapes()[0].bsdf) is package.Chalk
-    assert type(scene.shapes()[0].bsdf.pigment) is package.Halves
+    assert type(scene.shapes()[0].bsdf()) is package.Chalk
+    assert type(scene.shapes()[0].bsdf().pigment) is package.Halves
 
 
 def test_no_plugin_of_djpt_is_forgotten_by_its_package() -> None:

@@ -20,7 +20,7 @@ def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
         from djpt.emitters.choice.tree import TreeChoice
 
         return TreeChoice(emitters)
-    if name == "power" or any(e.sampling_weight != 1 for e in emitters):
+    if name == "power" or any(e.sampling_weight() != 1 for e in emitters):
         from djpt.emitters.choice.weighted import WeightedChoice
 
         return WeightedChoice(emitters, by_power=name == "power")

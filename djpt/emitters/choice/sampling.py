@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import drjit as dr
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.family import Family
 from djpt.dispatch.pointers import EmitterPtr
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice.base import EmitterChoice
@@ -50,12 +51,12 @@ class LightSampling:
         `sample.x` chooses and is then stretched for use in the emitter. Without emitters the weight is 0.
         """
         if not len(self.emitters):
-            nothing = DirectionSample3f(
+            nothing = DirectionSample3f.of(
                 ref.p, Normal3f(0), Point2f(0), Vector3f(0, 0, 1), Float(0), Float(0), Float(0), Bool(False), UInt32(0)
             )
             return LightSample(nothing, Color3f(0))
         index, inverse, u = self.choice.choose(ref.p, ref.n, sample.x)
-        ds, weight = self._emitter(index).sample_direction(ref.p, Point2f(u, sample.y), active)
+        ds, weight = self._emitter(index).sample_direction(ref, Point2f(u, sample.y), active)
         if self.choice.count > 1:
             probability = dr.select(inverse > 0, dr.rcp(inverse), 0)
             ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
@@ -63,7 +64,7 @@ class LightSampling:
 
     def pdf(self, ref: Reference, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample` at `ds`, per unit solid angle at `ref`."""
-        pdf = self._emitter(ds.emitter_index).pdf_direction(ref.p, ds, active)
+        pdf = self._emitter(ds.emitter_index).pdf_direction(ref, ds, active)
         if len(self.emitters) < 2:
             return pdf
         return pdf * self.choice.probability(ref.p, ref.n, ds.emitter_index)
@@ -78,7 +79,7 @@ class LightSampling:
         if len(self.emitters) == 1 and self.emitters.plugins[0].shares_lookup:
             environment = self.emitters.groups[0].at(UInt32(0), self.lookup)
             radiance, pdf, weight, d = environment.eval_or_sample(si, sample, active)
-            ds = DirectionSample3f(
+            ds = DirectionSample3f.of(
                 si.p + d, -d, Point2f(0), d, Float(dr.inf), pdf, weight, Bool(False), UInt32(0)
             )  # fmt: skip
             met = dr.select(si.is_valid(), 0, radiance)
@@ -89,4 +90,4 @@ class LightSampling:
         return MetLight(radiance, pdf), self.sample(Reference(si.p, si.n), sample, active)
 
     def _emitter(self, index: UInt32) -> EmitterPtr:
-        return EmitterPtr(self.emitters, self.lookup, index)
+        return EmitterPtr.into(Family(self.emitters, self.lookup), index)

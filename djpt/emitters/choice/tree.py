@@ -56,7 +56,7 @@ class TreeChoice(EmitterChoice):
         """Raises `SceneError` if no emitter can be chosen."""
         super().__init__(emitters)
         bounds = [emitter.bounds() for emitter in emitters]
-        weights = np.array([emitter.sampling_weight for emitter in emitters])
+        weights = np.array([emitter.sampling_weight() for emitter in emitters])
         places = np.full(self.count + 1, NOWHERE, np.uint32)
 
         from_infinity = [i for i, b in enumerate(bounds) if b is None]

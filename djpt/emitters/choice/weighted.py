@@ -24,7 +24,7 @@ class WeightedChoice(EmitterChoice):
     def __init__(self, emitters: Sequence[Emitter], by_power: bool) -> None:
         """Raises `SceneError` if all weights are 0."""
         super().__init__(emitters)
-        weights = np.array([e.sampling_weight * (e.power() if by_power else 1.0) for e in emitters])
+        weights = np.array([e.sampling_weight() * (e.power() if by_power else 1.0) for e in emitters])
         if not 0 < weights.sum() < np.inf:
             what = "sampling weights times powers" if by_power else "sampling weights"
             raise SceneError(f"no emitter can be chosen: all {what} are 0")

@@ -1,0 +1,91 @@
+"""What scripts ask a scene about its emitters, with Mitsuba's arguments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.dispatch.pointers import EmitterPtr, observer
+from djpt.emitters.choice.base import EmitterChoice
+from djpt.emitters.choice.sampling import LightSampling
+from djpt.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+
+__all__ = ["LightQuestions"]
+
+
+class LightQuestions:
+    """The part of a scene that chooses an emitter and asks it."""
+
+    @property
+    def light_sampling(self) -> LightSampling:
+        """The emitters, the way to choose among them, and the way to read their values."""
+        raise NotImplementedError
+
+    @property
+    def emitter_choice(self) -> EmitterChoice:
+        """The way to choose an emitter."""
+        raise NotImplementedError
+
+    def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
+        """The part of `light` that arrives along the segment of a `shadow_ray`."""
+        raise NotImplementedError
+
+    def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
+        """The ray from `si` to the emitter sample `ds`."""
+        raise NotImplementedError
+
+    def emitter_ptr(self, index: UInt32) -> EmitterPtr:
+        """The emitters with the numbers `index`, per lane."""
+        raise NotImplementedError
+
+    def sample_emitter(self, sample: Any, active: Bool | bool = True) -> tuple[UInt32, Float, Float]:
+        """Choose an emitter by a uniform number: its number, 1 / probability, and a fresh uniform number."""
+        index, inverse, left = self.emitter_choice.choose(Point3f(0), None, Float(sample))
+        return index, inverse, left
+
+    def pdf_emitter(self, index: Any, active: Bool | bool = True) -> Float:
+        """The probability that `sample_emitter` gives the emitter with the number `index`."""
+        return self.emitter_choice.probability(Point3f(0), None, UInt32(index))
+
+    def sample_emitter_direction(
+        self, ref: Observer, sample: Point2f, test_visibility: bool = True, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """Choose an emitter, sample a direction towards it; weight = radiance / pdf.
+
+        `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then stretched
+        for use in the emitter. With `test_visibility` the weight is 0 behind surfaces, and includes absorption.
+        """
+        light = self.light_sampling.sample(Reference(ref.p, ref.n), Point2f(sample), active)
+        ds, weight = light.ds, light.weight
+        if test_visibility:
+            weight = self.light_through(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
+        ds.home = {self: ()}
+        return ds, weight
+
+    def pdf_emitter_direction(
+        self, ref: Observer | Point3f, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> Float:
+        """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`.
+
+        Of a mere point the normal isn't known: an `emitter_choice` that looks at it needs more.
+        """
+        at = observer(ref)
+        return self.light_sampling.pdf(Reference(at.p, at.n), ds, active)
+
+    def eval_emitter_direction(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
+        """What arrives from the emitter of `ds` in its direction, whatever stands between.
+
+        That is the radiance; of a point, intensity / dist^2; of parallel light, the irradiance.
+        """
+        return self.emitter_ptr(ds.emitter_index).eval_direction(ref, ds, active)
+
+    def sample_emitter_ray(
+        self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f, EmitterPtr]:
+        """Choose an emitter by `sample1` and sample a ray that leaves it; the weight includes the choice."""
+        index, inverse, left = self.sample_emitter(sample1, active)
+        emitter = self.emitter_ptr(index)
+        ray, weight = emitter.sample_ray(time, left, sample2, sample3, active)
+        return ray, weight * dr.select(active, inverse, 0), emitter

@@ -1,0 +1,40 @@
+"""Hits of rays that carry gradients: where a moved ray meets the same surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.types import Float, Point3f, Vector3f
+
+__all__ = ["distance_on_plane", "distance_to", "is_attached"]
+
+
+def is_attached(ray: Ray3f) -> bool:
+    """Whether hits of the ray depend on anything that is being differentiated."""
+    return bool(dr.grad_enabled(ray.o) or dr.grad_enabled(ray.d))
+
+
+def distance_on_plane(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f, n: Vector3f) -> Float:
+    """The distance of a hit, with its derivative by the ray, from the hit's point and normal (both detached).
+
+    A moved ray meets a surface where, to first order, it meets the tangent plane:
+
+        t = <n, p - o> / <n, d>.
+    """
+    t = dr.dot(n, p - ray.o) * dr.rcp(dr.dot(n, ray.d))
+    return with_derivative(pi, t)
+
+
+def distance_to(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f) -> Float:
+    """The distance of a hit, with its derivative by the ray, if the point itself stays: norm(p - o) / norm(d)."""
+    return with_derivative(pi, dr.norm(p - ray.o) * dr.rcp(dr.norm(ray.d)))
+
+
+def with_derivative(pi: PreliminaryIntersection3f, t: Float) -> Float:
+    """The distance that was found, with the derivative of `t` where something was hit."""
+    found = dr.detach(pi.t)
+    attached: Any = dr.replace_grad(found, t)  # type: ignore[func-returns-value]
+    return dr.select(found < dr.inf, attached, found)

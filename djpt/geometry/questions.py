@@ -1,0 +1,141 @@
+"""What scripts ask a scene about rays, with Mitsuba's arguments."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.family import NONE, Family
+from djpt.dispatch.pointers import ShapePtr
+from djpt.geometry.aggregate import Geometry
+from djpt.geometry.attached import distance_on_plane, distance_to, is_attached
+from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
+from djpt.records.homes import note_latest
+from djpt.types import Bool
+
+__all__ = ["RayQuestions"]
+
+
+class RayQuestions:
+    """The part of a scene that intersects rays for those who want whole records."""
+
+    geometry: Geometry
+    lookup: Lookup
+    _families: dict[Any, Family[Any]]
+
+    def closest_hit(
+        self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
+    ) -> PreliminaryIntersection3f:
+        """The face that a ray hits first, and the distance."""
+        raise NotImplementedError
+
+    def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
+        """The surface point of a preliminary intersection."""
+        raise NotImplementedError
+
+    def ray_intersect_preliminary(
+        self, ray: Ray3f, coherent: Bool | bool = False, *reordering: Any, active: Bool | bool = True
+    ) -> PreliminaryIntersection3f:
+        """The first hit with 0 < t < maxt, with Mitsuba's fields.
+
+        `coherent`, and what Mitsuba takes to reorder threads, are accepted and change nothing.
+        """
+        given = dr.detach(ray)
+        near, entry = self.geometry.approach(given)
+        pi = self.closest_hit(near, last_mask(reordering, active))
+        surface = self.geometry.surface(near, pi, self.lookup, full=True)
+        pi.t = pi.t + entry
+        pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
+        pi.prim_uv = surface.prim_uv
+        pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
+        if pi.near is None or pi.near.inside is None:
+            pi.nearby = ()
+        self.own(pi)
+        return pi
+
+    def ray_intersect(
+        self,
+        ray: Ray3f,
+        ray_flags: int | Bool | bool = RayFlags.All,
+        coherent: Bool | bool = False,
+        *reordering: Any,
+        active: Bool | bool = True,
+        **reorder: Any,
+    ) -> SurfaceInteraction3f:
+        """The first surface point with 0 < t < maxt, with all its fields.
+
+        If the ray carries gradients, so does the point: as the ray moves, it moves on the surface. With
+        `RayFlags.FollowShape` it stays, and only its distance changes. A mask as the second argument means `active`, as
+        in Mitsuba. `coherent`, and what Mitsuba takes to reorder threads, are accepted and change nothing.
+        """
+        flags = RayFlags.All
+        if isinstance(ray_flags, bool) or dr.is_mask_v(ray_flags):
+            active = cast("Bool | bool", ray_flags)
+        else:
+            flags = RayFlags(int(cast(int, ray_flags)))
+        given = dr.detach(ray) if is_attached(ray) else ray
+        near, entry = self.geometry.approach(given)
+        pi = self.closest_hit(near, last_mask(reordering, active))
+        if given is not ray:
+            pi.t = pi.t + entry
+            return self._attached_interaction(ray, pi, flags)
+        si = self.surface_interaction(near, pi)
+        si.found_at(si.t + entry, si.is_valid())
+        self.own(si)
+        return si
+
+    def ray_test(self, ray: Ray3f, coherent: Bool | bool = True, active: Bool | bool = True) -> Bool:
+        """True where anything is hit with 0 < t < maxt; a single mask after the ray means `active`."""
+        return self.geometry.any_hit(self.geometry.approach(dr.detach(ray))[0], active & coherent)
+
+    def own(self, record: PreliminaryIntersection3f | SurfaceInteraction3f) -> None:
+        """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
+        record.home = {self: ()}
+        note_latest(self)
+
+    def surface_interaction_of(
+        self, pi: PreliminaryIntersection3f, ray: Ray3f, ray_flags: int = RayFlags.All, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The surface point of a hit of `ray`: see `ray_intersect`."""
+        hit = PreliminaryIntersection3f.found(dr.select(active, pi.t, dr.inf), pi.face, pi.shape_index, pi.near)
+        if is_attached(ray):
+            return self._attached_interaction(ray, hit, int(ray_flags))
+        si = self.surface_interaction(ray, hit)
+        self.own(si)
+        return si
+
+    def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
+        """The surface point of a hit, with its derivatives by the ray."""
+        still = dr.detach(ray)
+        fixed = self.geometry.surface(still, pi, self.lookup, full=True)
+        if flags & RayFlags.FollowShape:
+            si = self.surface_interaction(still, pi)
+            si.t = distance_to(ray, pi, dr.detach(fixed.p))
+            si.wi = dr.select(si.is_valid(), si.sh_frame.to_local(-ray.d), -ray.d)
+        else:
+            t = distance_on_plane(ray, pi, dr.detach(fixed.p), dr.detach(fixed.n))
+            near = self.geometry.near_again(ray, t, pi.near)
+            si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
+        self.own(si)
+        return si
+
+    def shape_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
+        """The shape at `si`; none on a miss."""
+        if "shapes" not in self._families:
+            self._families["shapes"] = Family(Ensemble(self.geometry.contents.shapes), self.lookup)
+        return ShapePtr.into(self._families["shapes"], dr.select(si.is_valid(), si.shape_index, NONE))
+
+    def _family(self, ensemble: Ensemble[Any]) -> Family[Any]:
+        """The plugins of an ensemble, for pointers: the same object for each, so that pointers can be compared."""
+        key = id(ensemble)
+        if key not in self._families:
+            self._families[key] = Family(ensemble, self.lookup)
+        return self._families[key]
+
+
+def last_mask(reordering: tuple[Any, ...], active: Bool | bool) -> Bool | bool:
+    """The lanes that are active: the last of the arguments after `coherent` if it is a mask, or else `active`."""
+    last = reordering[-1] if len(reordering) in (1, 4) else active
+    return last if isinstance(last, bool) or dr.is_mask_v(last) else active

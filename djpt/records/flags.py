@@ -1,0 +1,119 @@
+"""The flags and settings of queries; their values are Mitsuba's."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, replace
+from typing import Any
+
+__all__ = ["ALL_COMPONENTS", "BSDFContext", "BSDFFlags", "EmitterFlags", "RayFlags", "TransportMode", "has_flag"]
+
+
+class BSDFFlags(enum.IntFlag):
+    """Properties of a BSDF's lobes; the values are Mitsuba's."""
+
+    Empty = 0x0
+    Null = 0x1
+    DiffuseReflection = 0x2
+    DiffuseTransmission = 0x4
+    GlossyReflection = 0x8
+    GlossyTransmission = 0x10
+    DeltaReflection = 0x20
+    DeltaTransmission = 0x40
+    Anisotropic = 0x1000
+    SpatiallyVarying = 0x2000
+    NonSymmetric = 0x4000
+    FrontSide = 0x8000
+    BackSide = 0x10000
+    Reflection = 0xAA
+    Transmission = 0x155
+    Diffuse = 0x6
+    Glossy = 0x18
+    Smooth = 0x1E
+    Delta = 0x61
+    All = 0x1FF
+
+
+class EmitterFlags(enum.IntFlag):
+    """Properties of an emitter; the values are Mitsuba's."""
+
+    Empty = 0x0
+    DeltaPosition = 0x1
+    DeltaDirection = 0x2
+    Delta = 0x3
+    Infinite = 0x4
+    Surface = 0x8
+    SpatiallyVarying = 0x10
+
+
+class RayFlags(enum.IntFlag):
+    """The fields of a surface interaction that are computed, and what their derivatives follow; Mitsuba's values.
+
+    djpt computes the fields of `All` whatever is asked for, since Dr.Jit drops what isn't used.
+    """
+
+    Empty = 0x0
+    Minimal = 0x1
+    UV = 0x2
+    dPdUV = 0x4
+    ShadingFrame = 0x8
+    dNGdUV = 0x10
+    dNSdUV = 0x20
+    FollowShape = 0x80
+    """The point moves with the shape, whatever the ray does: its derivative by the ray is 0."""
+    DetachShape = 0x100
+    """Derivatives by the shape are left out; those by the ray stay."""
+    All = 0xE
+    AllNonDifferentiable = 0x10E
+
+
+def has_flag(flags: Any, flag: int) -> Any:
+    """True where `flags` shares a bit with `flag`; works on ints and on `UInt32`."""
+    return (flags & int(flag)) != 0
+
+
+class TransportMode(enum.IntEnum):
+    """The quantity that a path carries."""
+
+    Radiance = 0
+    Importance = 1
+
+
+ALL_COMPONENTS = 0xFFFFFFFF
+"""The value of `BSDFContext.component` that stands for all lobes."""
+
+
+@dataclass
+class BSDFContext:
+    """What BSDFs are asked for: the direction of transport, and lobes.
+
+    It is structure: kernels are traced for it.
+    """
+
+    mode: TransportMode = TransportMode.Radiance
+    """From the camera (radiance) or from the light (importance)."""
+    type_mask: int = int(BSDFFlags.All)
+    """The `BSDFFlags` of the lobes that are asked for."""
+    component: int = ALL_COMPONENTS
+    """The number of the only lobe that is asked for; by default all are."""
+
+    def __post_init__(self) -> None:
+        self.mode, self.type_mask = TransportMode(int(self.mode)), int(self.type_mask)
+        self.component = ALL_COMPONENTS if self.component is None else int(self.component) & ALL_COMPONENTS
+
+    @property
+    def asks_for_all(self) -> bool:
+        """Whether no lobe is left out."""
+        return self.component == ALL_COMPONENTS and not int(BSDFFlags.All) & ~self.type_mask
+
+    def is_enabled(self, type: BSDFFlags | int, component: int = 0) -> bool:
+        """Whether the lobe number `component`, of the type `type`, is asked for."""
+        return not int(type) & ~self.type_mask and self.component in (ALL_COMPONENTS, component)
+
+    def of_part(self, first: int) -> BSDFContext:
+        """The context for a nested BSDF whose lobes are numbered from `first` on in the BSDF around it."""
+        return self if self.component == ALL_COMPONENTS else replace(self, component=self.component - first)
+
+    def reverse(self) -> None:
+        """Turn the direction of transport round."""
+        self.mode = TransportMode(1 - self.mode)

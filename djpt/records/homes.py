@@ -1,0 +1,38 @@
+"""The Python object that a record belongs to, in a form that Dr.Jit carries through its operations."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+from djpt.errors import RenderError
+
+__all__ = ["Home", "at_home", "latest_home", "note_latest", "only"]
+
+Home = dict[Any, tuple[()]]
+"""A reference to a scene: it is the only key. Dr.Jit keeps the keys of dicts whatever it does with their values."""
+
+_latest: list[weakref.ref[Any]] = []
+
+
+def note_latest(scene: Any) -> None:
+    """Make `scene` the one that records made by `dr.zeros` belong to: the last one made or asked for hits."""
+    _latest[:] = [weakref.ref(scene)]
+
+
+def latest_home() -> Home:
+    """The home of records made by `dr.zeros`, so that they fit into loops and selects with those of hits."""
+    scene = _latest[0]() if _latest else None
+    return {} if scene is None else {scene: ()}
+
+
+def at_home(record: Any) -> Any:
+    """The scene that a record belongs to; raise `RenderError` if there is none."""
+    for scene in record.home:
+        return scene
+    raise RenderError(f"this {type(record).__name__} belongs to no scene: it wasn't found by a ray")
+
+
+def only(entries: tuple[Any, ...]) -> Any:
+    """The entry of a field that may be missing, or None."""
+    return entries[0] if entries else None

@@ -1,0 +1,186 @@
+"""Records as scripts make and use them: the same call has the same result as in Mitsuba."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import RenderError
+from tests.scripting.kit import numbers, same
+
+RAYS = [
+    "m.Ray3f()",
+    "m.Ray3f([1, 2, 3], [0, 0, 1])",
+    "m.Ray3f([1, 2, 3], [0, 0, 1], 5)",
+    "m.Ray3f([1, 2, 3], [0, 0, 1], 5, [])",
+    "m.Ray3f([1, 2, 3], [0, 0, 1], 7, 5, [])",
+    "m.Ray3f(o=[1, 2, 3], d=[0, 0, 1], time=2, wavelengths=[])",
+    "m.Ray3f(m.Ray3f([1, 2, 3], [0, 0, 1], 7, 5, []))",
+    "m.Ray3f(m.Ray3f([1, 2, 3], [0, 0, 1], 7, 5, []), 2)",
+    "m.Ray3f([[1, 2], 2, 3], m.Vector3f(0, 0, 1), m.Float(1, 2))",
+    "m.Ray2f([1, 2], [0, 1], 5)",
+    "m.RayDifferential3f([1, 2, 3], [0, 0, 1], 5, [])",
+    "m.RayDifferential3f(m.Ray3f([1, 2, 3], [0, 0, 1], 7, 5, []))",
+]
+
+
+@pytest.mark.parametrize("call", RAYS)
+def test_rays_are_made_as_in_mitsuba(call: str, mi: Any) -> None:
+    mine, other = eval(call, {"m": djpt}), eval(call, {"m": mi})
+    for name in ("o", "d", "time") if "()" not in call else ("time",):
+        same(getattr(mine, name), getattr(other, name))
+    # Where Mitsuba has the largest float, djpt has infinity.
+    same(dr.minimum(mine.maxt, 3.4028234e38), other.maxt)
+    assert len(mine.wavelengths) == len(other.wavelengths) == 0
+
+
+def test_a_ray_is_a_copy_of_what_it_was_made_of() -> None:
+    o = djpt.Point3f(1, 2, 3)
+    ray = djpt.Ray3f(o, [0, 0, 1])
+    ray.o += 1
+    assert numbers(o) == [1, 2, 3] and numbers(ray.o) == [2, 3, 4] and numbers(ray(2)) == [2, 3, 6]
+
+
+def test_wavelengths_are_refused() -> None:
+    with pytest.raises(RenderError, match=r"light is RGB, so records have no wavelengths: give \[\], found \[500\]"):
+        djpt.Ray3f([0, 0, 0], [0, 0, 1], 0, [500])
+
+
+FIELDS = {
+    "Ray3f": {"o": [1, 2, 3], "d": [4, 5, 6], "maxt": 7, "time": 8},
+    "Interaction3f": {"t": 1, "time": 2, "p": [1, 2, 3], "n": [4, 5, 6]},
+    "SurfaceInteraction3f": {
+        "t": 1, "time": 2, "p": [1, 2, 3], "n": [4, 5, 6], "uv": [7, 8], "dp_du": [1, 0, 0], "dp_dv": [0, 1, 0],
+        "dn_du": [2, 0, 0], "dn_dv": [0, 2, 0], "duv_dx": [1, 2], "duv_dy": [3, 4], "wi": [0, 0, 1], "prim_index": 5,
+    },
+    "MediumInteraction3f": {"t": 1, "p": [1, 2, 3], "wi": [0, 0, 1], "sigma_t": [1, 2, 3], "mint": 0.5},
+    "PreliminaryIntersection3f": {"t": 1, "prim_uv": [1, 2], "prim_index": 3, "shape_index": 4},
+    "PositionSample3f": {"p": [1, 2, 3], "n": [4, 5, 6], "uv": [7, 8], "time": 1, "pdf": 2, "delta": True},
+    "DirectionSample3f": {"p": [1, 2, 3], "uv": [7, 8], "pdf": 2, "d": [0, 0, 1], "dist": 4},
+    "BSDFSample3f": {"wo": [0, 0, 1], "pdf": 2, "eta": 1.5, "sampled_type": 3, "sampled_component": 1},
+}  # fmt: skip
+
+
+def filled(m: Any, name: str) -> Any:
+    # Not of `name()`, whose fields Mitsuba leaves without memory.
+    record = dr.zeros(getattr(m, name))
+    for field, value in FIELDS[name].items():
+        setattr(record, field, value)
+    return record
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_fields_take_lists_and_numbers(name: str, mi: Any) -> None:
+    mine, other = filled(djpt, name), filled(mi, name)
+    for field in FIELDS[name]:
+        same(getattr(mine, field), getattr(other, field))
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_zeros_gather_select_scatter_copy(name: str, mi: Any) -> None:
+    """Each of Dr.Jit's operations on records, in both."""
+    results = []
+    for m in (djpt, mi):
+        kind, one = getattr(m, name), filled(m, name)
+        if name == "Ray3f":
+            one.time = 0  # a ray with a time doesn't mix with rays without one
+        if name == "DirectionSample3f":
+            one.time, one.delta = 0, False
+        zeros = dr.zeros(kind, 3)
+        mixed = dr.select(m.Bool(True, False, True), one, zeros)
+        taken = dr.gather(kind, mixed, m.UInt32(2, 1))
+        dr.scatter(zeros, one, m.UInt32(1))
+        copy = kind(mixed)
+        third = kind()
+        third.assign(mixed)
+        masked = dr.zeros(kind, 3)
+        masked[m.Bool(False, True, True)] = one
+        results.append((dr.zeros(kind, 3), mixed, taken, zeros, copy, third, masked))
+    assert [dr.width(mine) for mine in results[0]] == [3, 3, 2, 3, 3, 3, 3]
+    for mine, other in zip(*results, strict=True):
+        for field in FIELDS[name]:
+            same(getattr(mine, field), getattr(other, field))
+
+
+@pytest.mark.parametrize("name", ["Interaction3f", "SurfaceInteraction3f", "PreliminaryIntersection3f"])
+def test_new_interactions_are_not_valid(name: str) -> None:
+    kind = getattr(djpt, name)
+    record = kind()
+    assert numbers(record.is_valid()) == [False] and numbers(dr.zeros(kind, 2).is_valid()) == [False, False]
+    record.t = 1
+    assert numbers(record.is_valid()) == [True]
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_records_are_shown_like_mitsubas(name: str, mi: Any) -> None:
+    """Frames apart, which have a form of their own."""
+    mine, other = repr(filled(djpt, name)), repr(filled(mi, name))
+    assert mine.split("[")[0] == other.split("[")[0]
+    shown = {line.split("=")[0] for line in mine.splitlines() if line.startswith("  ") and line[2] != " "}
+    listed = {line.split("=")[0] for line in other.splitlines() if line.startswith("  ") and line[2] != " "}
+    assert shown - listed <= {"  sh_frame"} and listed - shown <= {
+        "  sh_frame", "  shape", "  instance", "  wavelengths", "  medium", "  valid",
+    }  # fmt: skip
+
+
+def test_flags_have_mitsubas_values(mi: Any) -> None:
+    for flag in mi.RayFlags:
+        assert int(getattr(djpt.RayFlags, flag.name)) == int(flag)
+    for mode in ("Radiance", "Importance"):
+        assert int(getattr(djpt.TransportMode, mode)) == getattr(mi.TransportMode, mode).value
+    for kind in mi.ShapeType:
+        assert int(getattr(djpt.ShapeType, kind.name)) == int(kind)
+
+
+@pytest.mark.parametrize("differentials", [True, False])
+def test_derivatives_of_uv_from_pixel_to_pixel(differentials: bool, mi: Any) -> None:
+    found = []
+    for m in (djpt, mi):
+        ray = m.RayDifferential3f([0.4, 0.2, 0.7], [0.3, 0.7, 0.7])
+        ray.o_x, ray.o_y = ray.o + m.Vector3f(0.1, 0, 0), ray.o + m.Vector3f(0, 0.1, 0)
+        ray.d_x, ray.d_y, ray.has_differentials = m.Vector3f(0.31, 0.7, 0.7), ray.d, differentials
+        ray.scale_differential(0.5)
+        si = dr.zeros(m.SurfaceInteraction3f)
+        si.p, si.dp_du, si.dp_dv = ray(10), [0.55, 0.85, 0.42], [0.15, 0.55, 0.39]
+        si.n = dr.normalize(dr.cross(si.dp_du, si.dp_dv))
+        si.t = 0
+        si.compute_uv_partials(ray)
+        found.append([si.duv_dx, si.duv_dy])
+    for mine, other in zip(*found, strict=True):
+        same(mine, other, 1e-4)
+
+
+def test_the_shading_frame_is_made_orthonormal(mi: Any) -> None:
+    found = []
+    for m in (djpt, mi):
+        si = dr.zeros(m.SurfaceInteraction3f, 2)
+        frame = si.sh_frame
+        frame.n = dr.normalize(m.Vector3f(0.1, 0.2, 1))
+        si.sh_frame, si.dp_du = frame, m.Vector3f([1, 0], [0.5, 0], [0.2, 0])
+        si.initialize_sh_frame()
+        found.append([si.sh_frame.s, si.sh_frame.t, si.to_local([1, 2, 3]), si.to_world(si.to_local([1, 2, 3]))])
+    for mine, other in zip(*found, strict=True):
+        same(mine, other, 1e-5)
+
+
+def test_interactions_are_loop_state() -> None:
+    """A loop that starts without a hit, as scripts write it, keeps the scene that its hits belong to."""
+    scene = djpt.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    ray = djpt.Ray3f([[0, 0.2, 5], 0, -3], [0, 0, 1])
+
+    def body(i: Any, si: Any) -> Any:
+        return i + 1, scene.ray_intersect(ray)
+
+    _, si = dr.while_loop((djpt.UInt32(0, 0, 0), dr.zeros(djpt.SurfaceInteraction3f, 3)), lambda i, si: i < 2, body)
+    assert numbers(si.is_valid()) == [True, True, False]
+    assert numbers(si.shape == scene.shapes()[0]) == [True, True, False]
+    assert np.allclose(numbers(si.bsdf().eval_diffuse_reflectance(si))[:2], 0.5)
+
+
+def test_an_interaction_without_a_scene_says_so() -> None:
+    with pytest.raises(RenderError, match="this SurfaceInteraction3f belongs to no scene: it wasn't found by a ray"):
+        djpt.SurfaceInteraction3f().bsdf()
