@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,12 @@ from numpy.typing import NDArray
 from djpt.distributions.grid_functions import PARAMETERS, add_grid_functions
 from djpt.images.color import LUMINANCE
 from djpt.kernels import aligned_floats
-from djpt.llvm.host import Run, host_functions
+from djpt.llvm.host import HostFunctions
 
 __all__ = ["cell_masses", "corner_table", "halve", "luminance", "side_by_side"]
 
-SMALL = 1 << 12
-"""Grids of fewer cells are worked on by NumPy, which needs no functions to be compiled."""
+FUNCTIONS = HostFunctions(add_grid_functions, PARAMETERS, small=1 << 12, few=1 << 12)
+"""What works on grids of many cells; others are left to NumPy."""
 
 Numbers = NDArray[np.float64]
 Table = NDArray[np.float32]
@@ -25,7 +24,7 @@ Table = NDArray[np.float32]
 def luminance(texels: NDArray[Any]) -> Numbers:
     """The weights of texels (H, W, 1 or 3) that are cells themselves, as in Mitsuba, at least 0; (H, W)."""
     rows, columns, channels = texels.shape
-    run = functions(rows * columns)
+    run = FUNCTIONS.for_size(rows * columns)
     if run is not None and channels == 3 and texels.dtype == np.float32 and texels.strides[1:] == (12, 4):
         weights = np.empty((rows, columns))
         run("weigh", texels, np.array(LUMINANCE, np.float64), weights, np.array([rows, columns]), texels.strides[0])
@@ -39,7 +38,7 @@ def luminance(texels: NDArray[Any]) -> Numbers:
 def cell_masses(numbers: Numbers) -> Numbers:
     """The averages (rows, columns) of the numbers (rows + 1, columns + 1) at the corners of cells."""
     rows, columns = numbers.shape[0] - 1, numbers.shape[1] - 1
-    run = functions(rows * columns)
+    run = FUNCTIONS.for_size(rows * columns)
     if run is None:
         return (numbers[:-1, :-1] + numbers[:-1, 1:] + numbers[1:, :-1] + numbers[1:, 1:]) / 4
     masses = np.empty((rows, columns))
@@ -53,7 +52,8 @@ def corner_table(numbers: Numbers) -> Table:
     They are in the order upper left, upper right, lower left, lower right.
     """
     rows, columns = numbers.shape[0] - 1, numbers.shape[1] - 1
-    single, table, run = numbers.astype(np.float32), aligned_floats((rows, columns, 4)), functions(rows * columns)
+    single, table = numbers.astype(np.float32), aligned_floats((rows, columns, 4))
+    run = FUNCTIONS.for_size(rows * columns)
     if run is not None:
         run("gather_corners", np.ascontiguousarray(single), table, rows, columns)
         return table
@@ -73,7 +73,7 @@ def halve(mass: Numbers, nodes: Table) -> Numbers:
         nodes: contiguous, half as many rows and columns (or one), with 4 numbers each, all 0.
     """
     rows, columns = mass.shape
-    run = functions(mass.size)
+    run = FUNCTIONS.for_size(mass.size)
     if run is not None and rows > 1 and columns > 1:
         totals = np.empty((rows // 2, columns // 2))
         run("halve", np.ascontiguousarray(mass), nodes, totals, rows // 2, columns // 2)
@@ -92,21 +92,10 @@ def halve(mass: Numbers, nodes: Table) -> Numbers:
 def side_by_side(texels: NDArray[Any], numbers: Numbers) -> Table:
     """Texels (H, W, 3) and numbers (H, W) as a table (H, W, 4), in aligned memory."""
     rows, columns, _ = texels.shape
-    table, run = aligned_floats((rows, columns, 4)), functions(rows * columns)
+    table, run = aligned_floats((rows, columns, 4)), FUNCTIONS.for_size(rows * columns)
     if run is not None and texels.dtype == np.float32 and texels.strides[1:] == (12, 4) and numbers.strides[1] == 8:
         strides = np.array([texels.strides[0], numbers.strides[0]])
         run("join", texels, numbers, table, np.array([rows, columns]), strides)
         return table
     table[..., :3], table[..., 3] = texels, numbers
     return table
-
-
-def functions(cells: int) -> Run | None:
-    """The compiled functions, for a grid of so many cells; None if NumPy is to be used."""
-    return compiled_functions() if cells >= SMALL else None
-
-
-@cache
-def compiled_functions() -> Run | None:
-    """The functions, compiled at the first call."""
-    return host_functions(add_grid_functions, PARAMETERS)

@@ -11,10 +11,29 @@ from numpy.typing import NDArray
 from djpt.llvm.compiler import CompilationError, compiled
 from djpt.llvm.ir import Module
 
-__all__ = ["Run", "host_functions"]
+__all__ = ["HostFunctions", "Run", "host_functions"]
 
 Run = Callable[..., int]
 """Calls a function by its name, with arrays, which become addresses, and integers; gives its result."""
+
+
+class HostFunctions:
+    """Functions that are compiled once there is enough for them to do."""
+
+    def __init__(self, add: Callable[[Module], None], parameters: Mapping[str, int], small: int, few: int) -> None:
+        """`add` and `parameters` are for `host_functions`; `few` jobs of a size below `small` aren't worth it."""
+        self._add, self._parameters, self.small, self.few = add, parameters, small, few
+        self._run: Run | None = None
+        self._asked, self._small_jobs = False, 0
+
+    def for_size(self, size: int) -> Run | None:
+        """What runs the functions, for a job of some size; None if that is better done without, or has to be."""
+        if size < self.small and self._small_jobs < self.few:
+            self._small_jobs += 1
+            return None
+        if not self._asked:
+            self._asked, self._run = True, host_functions(self._add, self._parameters)
+        return self._run
 
 
 def host_functions(add: Callable[[Module], None], parameters: Mapping[str, int]) -> Run | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 import warnings
 from pathlib import Path
@@ -14,9 +15,11 @@ from hypothesis import strategies as st
 
 import djpt
 from djpt.errors import DjptError, FileError, SceneError
+from djpt.llvm.host import HostFunctions
 from djpt.shapes.mesh_file import MeshFile
-from djpt.shapes.meshes import obj_compiled
+from djpt.shapes.meshes import normals, obj_compiled
 from djpt.shapes.meshes.data import MeshData
+from djpt.shapes.meshes.normal_functions import PARAMETERS, add_normal_functions
 from djpt.shapes.meshes.obj import read_carefully, read_obj
 from djpt.shapes.meshes.obj_compiled import read_compiled
 from djpt.shapes.meshes.ply import read_ply
@@ -243,7 +246,7 @@ UNKNOWN = [
 @pytest.fixture
 def from_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small files are read by compiled functions, too, from the first on."""
-    monkeypatch.setattr(obj_compiled, "FEW", 0)
+    monkeypatch.setattr(obj_compiled.FUNCTIONS, "few", 0)
 
 
 def assert_equal(found: MeshData, expected: MeshData) -> None:
@@ -287,10 +290,27 @@ def test_no_obj_file_whatsoever_is_read_in_two_ways(words: list[str]) -> None:
 
 
 def test_small_obj_files_compile_nothing_unless_they_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(obj_compiled, "small_files", iter(range(100)))
-    found = [read_compiled(KNOWN[0].encode()) for _ in range(obj_compiled.FEW + 2)]
-    assert found[: obj_compiled.FEW] == [None] * obj_compiled.FEW
-    assert None not in found[obj_compiled.FEW :]
+    few = obj_compiled.FUNCTIONS.few
+    monkeypatch.setattr(obj_compiled, "FUNCTIONS", copy.copy(obj_compiled.FUNCTIONS))
+    monkeypatch.setattr(obj_compiled.FUNCTIONS, "_small_jobs", 0)
+    found = [read_compiled(KNOWN[0].encode()) for _ in range(few + 2)]
+    assert found[:few] == [None] * few
+    assert None not in found[few:]
+
+
+@pytest.mark.parametrize("count", [1, 7, 9000])
+def test_compiled_functions_compute_the_same_normals(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    rng = np.random.default_rng(count)
+    positions = rng.normal(size=(count // 2 + 3, 3)).astype(np.float32)
+    positions[0] = [1e-30, 1e30, 0]
+    # Some triangles have no area, and some vertices no triangle.
+    indices = rng.integers(0, len(positions) - 1, (count, 3)).astype(np.uint32)
+    results = []
+    for few in (0, 1 << 60):
+        monkeypatch.setattr(normals, "FUNCTIONS", HostFunctions(add_normal_functions, PARAMETERS, 1 << 60, few))
+        results.append([normals.weighted_normals(positions, indices), normals.face_areas(positions, indices)])
+    for compiled, plain in zip(*results, strict=True):
+        assert (compiled.dtype, compiled.shape, compiled.tobytes()) == (plain.dtype, plain.shape, plain.tobytes())
 
 
 def test_a_file_that_several_shapes_name_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

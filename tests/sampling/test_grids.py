@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from djpt.distributions import Hierarchical2D, grids
+from djpt.distributions.grid_functions import PARAMETERS, add_grid_functions
+from djpt.llvm.host import HostFunctions
 
 
 def both(monkeypatch: pytest.MonkeyPatch, build: Callable[[], Any]) -> list[Any]:
     """What is built by compiled functions, and by NumPy."""
     results = []
     for small in (0, 1 << 60):
-        monkeypatch.setattr(grids, "SMALL", small)
+        functions = HostFunctions(add_grid_functions, PARAMETERS, small, few=1 << 60)
+        monkeypatch.setattr(grids, "FUNCTIONS", functions)
         results.append(build())
     return results
 
@@ -24,7 +27,7 @@ SIZES = [(1, 1), (1, 5), (4, 1), (2, 2), (7, 9), (33, 64)]
 
 
 def test_functions_can_be_compiled_here() -> None:
-    assert grids.compiled_functions() is not None
+    assert grids.FUNCTIONS.for_size(1 << 20) is not None
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -13,7 +13,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHUNK", "face_areas", "length", "weighted_normals"]
+from djpt.llvm.host import HostFunctions, Run
+from djpt.shapes.meshes.normal_functions import PARAMETERS, add_normal_functions
+
+__all__ = ["CHUNK", "FUNCTIONS", "face_areas", "length", "weighted_normals"]
+
+FUNCTIONS = HostFunctions(add_normal_functions, PARAMETERS, small=4096, few=16)
+"""What works on many triangles, or on many meshes; others are left to NumPy, which gives the same to the last bit."""
 
 CHUNK = 1 << 13
 """Triangles that are handled at a time: what is computed on the way stays in a core's own cache."""
@@ -24,8 +30,12 @@ Rows = NDArray[np.float64]
 
 def face_areas(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> NDArray[np.float64]:
     """The areas of triangles, (F,) float64; NaN or infinite where a corner is."""
-    points = positions.T.astype(np.float64)
     result = np.empty(len(indices))
+    run = FUNCTIONS.for_size(len(indices))
+    if run is not None:
+        run("areas", floats(positions), np.ascontiguousarray(indices), result, 0, len(indices))
+        return result
+    points = positions.T.astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         for start in range(0, len(indices), CHUNK):
             part = slice(start, start + CHUNK)
@@ -36,11 +46,34 @@ def face_areas(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> N
 
 def weighted_normals(positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> NDArray[np.float32]:
     """The unit normals of all vertices, (V, 3) float32; zero for vertices without triangles."""
+    run = FUNCTIONS.for_size(len(indices))
+    if run is not None:
+        return compiled_normals(run, floats(positions), np.ascontiguousarray(indices))
     points = positions.T.astype(np.float64)
     total = np.zeros(points.shape)
     for start in range(0, len(indices), CHUNK):
         add_normals(total, points, indices[start : start + CHUNK])
     return np.ascontiguousarray(normalised(total).T, np.float32)
+
+
+def compiled_normals(run: Run, positions: NDArray[np.float32], indices: NDArray[np.uint32]) -> NDArray[np.float32]:
+    """Do what `weighted_normals` does by compiled functions; the arc cosine remains NumPy's."""
+    totals, result = np.zeros(positions.shape), np.empty(positions.shape, np.float32)
+    size = min(CHUNK, len(indices))
+    normals, angles = np.empty((size, 3)), np.empty(3 * size)
+    for start in range(0, len(indices), CHUNK):
+        end = min(start + CHUNK, len(indices))
+        run("corner_cosines", positions, indices, normals, angles, start, end)
+        used = angles[: 3 * (end - start)]
+        np.arccos(np.clip(used, -1, 1, out=used), out=used)
+        run("add_normals", indices, normals, angles, totals, start, end)
+    run("unit_normals", totals, result, len(totals))
+    return result
+
+
+def floats(positions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The numbers as compiled functions read them."""
+    return np.ascontiguousarray(positions, np.float32)
 
 
 def add_normals(total: Rows, points: Rows, indices: NDArray[np.uint32]) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from functools import cache
-from itertools import count
-
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.llvm.host import Run, host_functions
+from djpt.llvm.host import HostFunctions
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.obj_functions import (
     CORNERS,
@@ -23,14 +20,11 @@ from djpt.shapes.meshes.obj_functions import (
 
 __all__ = ["read_compiled"]
 
-SMALL, FEW = 1 << 15, 16
-"""A process that reads few files, none of them with more bytes, needn't compile functions."""
-
 PARAMETERS = {"measure": 3, "scan": 9, "merge": 8, "pick": 6, "cut": 4}
 """The functions, and how many parameters each has."""
 
-small_files = count()
-"""How many small files were met."""
+FUNCTIONS = HostFunctions(add_obj_functions, PARAMETERS, small=1 << 15, few=16)
+"""What reads large files, or many."""
 
 POWERS = np.array([float(10**k) for k in range(EXACT_POWERS + 1)])
 
@@ -41,12 +35,10 @@ def read_compiled(data: bytes) -> MeshData | None:
     That is so for files that have a mistake, continued lines or very long numbers, for the first few if they are small,
     and without LLVM.
     """
-    if len(data) <= SMALL and next(small_files) < FEW:
-        return None
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     # A backslash at the end of a line continues it.
-    run = None if b"\\\n" in data else functions()
+    run = None if b"\\\n" in data else FUNCTIONS.for_size(len(data))
     if run is None:
         return None
     data += b"\n"
@@ -74,9 +66,3 @@ def read_compiled(data: bytes) -> MeshData | None:
     positions, texcoords, normals = columns
     assert positions is not None
     return MeshData(positions, indices, normals, texcoords)
-
-
-@cache
-def functions() -> Run | None:
-    """The functions, compiled at the first call; None without LLVM."""
-    return host_functions(add_obj_functions, PARAMETERS)
