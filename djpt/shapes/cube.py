@@ -198,9 +198,9 @@ class Cube(Shape):
         plus = {axis: i for i, ((axis, sign), _, _) in enumerate(FACES) if sign > 0}
         minus = {axis: i for i, ((axis, sign), _, _) in enumerate(FACES) if sign < 0}
         candidates = [
-            dr.select(forward[a] == inside, UInt32(numbers[plus[a]]), UInt32(numbers[minus[a]])) for a in range(3)
+            dr.select(forward[a] ^ inside, UInt32(numbers[minus[a]]), UInt32(numbers[plus[a]])) for a in range(3)
         ]
-        first = [dr.select(inside, far == leave[a], near == enter[a]) for a in range(2)]
+        first = [t == dr.select(inside, leave[a], enter[a]) for a in range(2)]
         number = dr.select(first[0], candidates[0], dr.select(first[1], candidates[1], candidates[2]))
         return Hit(hit, t, number)
 
