@@ -14,13 +14,16 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.kernels import opaque, own_copy
-from djpt.types import Bool, UInt32
+from djpt.kernels import float_in, opaque, own_copy
+from djpt.types import Bool, Int32, UInt32
 
 __all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "choose", "is_one_of"]
 
 MAX_CHAIN = 16
 """Longest select chain; beyond it a table is gathered."""
+
+WORD = 32
+"""Bits of a word: smaller sets fit into one."""
 
 
 def runs(members: Iterable[int]) -> list[tuple[int, int]]:
@@ -53,6 +56,24 @@ def is_in_runs(index: UInt32, ranges: Iterable[tuple[int, int]]) -> Bool:
     return result
 
 
+def is_in_table(index: UInt32, ranges: list[tuple[int, int]], size: int) -> Bool:
+    """True where `index` is in one of the ranges; numbers that aren't below `size` get any answer."""
+    if size > WORD or is_single(ranges):
+        return is_in_runs(index, ranges)
+    return sign_word(index, ranges) < 0
+
+
+def is_single(ranges: list[tuple[int, int]]) -> bool:
+    """Whether the ranges hold one number at most: then one comparison finds it."""
+    return not ranges or (len(ranges) == 1 and ranges[0][0] == ranges[0][1])
+
+
+def sign_word(index: UInt32, ranges: Iterable[tuple[int, int]]) -> Int32:
+    """Words that are negative where `index`, below `WORD`, is in one of the ranges: the set's bits, shifted."""
+    bits = sum(1 << (WORD - 1 - n) for low, high in ranges for n in range(low, high + 1))
+    return Int32(UInt32(bits) << index)
+
+
 def same_rows(identity: Iterable[Hashable]) -> list[list[int]]:
     """Indices grouped by identity, the largest group first."""
     groups: dict[Hashable, list[int]] = {}
@@ -68,7 +89,7 @@ def choose(index: UInt32, rows: Sequence[Any], identity: Sequence[Hashable] | No
     object). The row that most indices share is the chain's default. Indices beyond the table
     give an unspecified row.
     """
-    return chosen(index, rows, plan([id(row) for row in rows] if identity is None else identity))
+    return chosen(index, rows, plan([id(row) for row in rows] if identity is None else identity), len(rows))
 
 
 Plan = list[tuple[int, list[tuple[int, int]]]]
@@ -80,11 +101,11 @@ def plan(identity: Iterable[Hashable]) -> Plan:
     return [(group[0], runs(group)) for group in same_rows(identity)]
 
 
-def chosen(index: UInt32, rows: Sequence[Any] | Mapping[int, Any], order: Plan) -> Any:
-    """The row ``rows[index]`` per lane, by a chain of selects in the given order."""
+def chosen(index: UInt32, rows: Sequence[Any] | Mapping[int, Any], order: Plan, size: int) -> Any:
+    """The row ``rows[index]`` per lane, by a chain of selects in the given order; indices are below `size`."""
     result = rows[order[0][0]]
     for row, ranges in order[1:]:
-        result = dr.select(is_in_runs(index, ranges), rows[row], result)
+        result = dr.select(is_in_table(index, ranges, size), rows[row], result)
     return result
 
 
@@ -123,7 +144,7 @@ class Rows:
 
     def at(self, index: UInt32) -> Any:
         """The row at `index`."""
-        return chosen(index, self._rows, self._order) if self._flat is None else self._flat.at(index)
+        return chosen(index, self._rows, self._order, len(self._rows)) if self._flat is None else self._flat.at(index)
 
 
 class Numbers:
@@ -140,7 +161,8 @@ class Numbers:
             return dr.gather(UInt32, self._long, inside(index, len(self.values) - 1))
         if not self.values:
             return UInt32(0)
-        return chosen(index, {row: UInt32(self.values[row]) for row, _ in self._order}, self._order)
+        rows = {row: UInt32(self.values[row]) for row, _ in self._order}
+        return chosen(index, rows, self._order, len(self.values))
 
 
 class Members:
@@ -148,7 +170,7 @@ class Members:
 
     def __init__(self, members: Iterable[int], size: int) -> None:
         """Build the set of `members`, some of the numbers 0 .. size - 1."""
-        members = set(members)
+        members, self._size = set(members), size + 1
         self._runs = runs(members)
         long = len(self._runs) > MAX_CHAIN
         # One number beyond the last stands for "none of them" (an emitter index may say so).
@@ -158,7 +180,15 @@ class Members:
         """True where `index` is in the set."""
         if self._long is not None:
             return dr.gather(UInt32, self._long, index) != 0
-        return is_in_runs(index, self._runs)
+        return is_in_table(index, self._runs, self._size)
+
+    def negated(self, index: UInt32, value: Any) -> Any:
+        """The vector -`value` where `index` is in the set, else `value`."""
+        if self._size > WORD:
+            return dr.select(self.contain(index), -value, value)
+        sign = UInt32(sign_word(index, self._runs)) & 0x80000000
+        words: list[Any] = [dr.reinterpret_array(UInt32, x) for x in value]
+        return type(value)(*(float_in(word ^ sign) for word in words))
 
 
 def inside(index: UInt32, last: int) -> UInt32:

@@ -201,7 +201,7 @@ class Unrolled:
     def frame(self, number: UInt32) -> tuple[Vector3f, Frame3f]:
         """Geometric normal and shading frame of a flat face."""
         n, s = self._normals.at(number), self._tangents.at(number)
-        geometric = n if self._turned is None else dr.select(self._turned.contain(number), -n, n)
+        geometric = n if self._turned is None else self._turned.negated(number, n)
         return geometric, Frame3f(s, dr.cross(n, s), n)
 
 
@@ -217,8 +217,8 @@ class Directions:
     def at(self, number: UInt32) -> Vector3f:
         """The direction of a face; there must be flat faces."""
         assert self._axes is not None
-        v = self._axes.at(number)
-        return dr.select(self._negative.contain(number), -v, v)
+        direction: Vector3f = self._negative.negated(number, self._axes.at(number))
+        return direction
 
 
 def _host_point(p: Point3f) -> np.ndarray:
