@@ -25,18 +25,21 @@ from djpt.types import Float, Vector3f
 __all__ = ["Axis", "AxisPool", "ProjectedRay", "SignedAxis"]
 
 ALIGNED = 2e-7
-"""Unit directions closer than this are one axis: float32 can't tell them apart."""
+"""Unit directions closer than this are one axis, and smaller components are 0: float32 can't tell them apart."""
 
 
 class Axis:
     """A unit direction, up to its sign.
 
-    Coordinate axes are known at trace time, unless `movable`: an axis that came into being by an
-    edit stays a value even if it happens to be one, so that the next edit compiles nothing.
+    Coordinate axes are known at trace time, and so are single components that are 0: those of upright boxes, turned
+    about the vertical. Not so if the axis is `movable`: one that came into being by an edit stays a value even if it
+    happens to be aligned, so that the next edit compiles nothing.
     """
 
     def __init__(self, direction: NDArray[np.float64], movable: bool = False) -> None:
         self.users = 0
+        self.zeros = () if movable else tuple(k for k in range(3) if abs(direction[k]) < ALIGNED)
+        """The components that are known to be 0."""
         self.assign(direction)
         unit = np.eye(3)[int(np.argmax(np.abs(direction)))]
         aligned = not movable and np.abs(direction - unit).max() < ALIGNED
@@ -45,13 +48,22 @@ class Axis:
             self.vector = Vector3f(*(float(x) for x in unit))
 
     def assign(self, direction: NDArray[np.float64]) -> None:
-        """Take a new direction; only for axes of a single shape, whose kernels read `vector` as a value."""
+        """Take a new direction that fits; only for axes of a single shape, whose kernels read `vector` as a value."""
         self.direction = direction
-        self.vector = Vector3f(*(as_float(x) for x in direction))
+        self.vector = Vector3f(*(Float(0) if k in self.zeros else as_float(direction[k]) for k in range(3)))
+
+    def fits(self, direction: NDArray[np.float64]) -> bool:
+        """Whether the axis can take a new direction without a change of structure."""
+        return self.coordinate is None and all(abs(direction[k]) < ALIGNED for k in self.zeros)
 
     def dot(self, v: Vector3f) -> Float:
         """The component of `v` along the axis."""
-        return dr.dot(self.vector, v) if self.coordinate is None else v[self.coordinate]
+        if self.coordinate is not None:
+            return v[self.coordinate]
+        if not self.zeros:
+            return dr.dot(self.vector, v)
+        i, j = (k for k in range(3) if k not in self.zeros)
+        return dr.fma(self.vector[j], v[j], self.vector[i] * v[i])
 
 
 class SignedAxis:
@@ -122,7 +134,7 @@ class AxisPool:
                 if signed.axis is axis
             ]
             agree = all(np.abs(w - wanted[0]).max() < ALIGNED for w in wanted)
-            if axis.coordinate is None and axis.users == len(wanted) and agree:
+            if axis.users == len(wanted) and agree and axis.fits(wanted[0]):
                 axis.assign(wanted[0])
 
     def _keep(self, direction: NDArray[np.float64], previous: SignedAxis) -> SignedAxis | None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from djpt.dispatch.lookup import Members, Numbers, Rows
 from djpt.frame import Frame3f
-from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
+from djpt.geometry.axes import Axis, AxisPool, ProjectedRay, SignedAxis
 from djpt.records import Ray3f
 from djpt.shapes.base import Face, Shape
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
@@ -211,14 +211,22 @@ class Directions:
     def __init__(self, signed: Sequence[SignedAxis | None]) -> None:
         present = [x for x in signed if x is not None]
         axes = [(x or present[0]).axis for x in signed] if present else []
-        self._axes = Rows([axis.vector for axis in axes], [id(axis) for axis in axes]) if axes else None
+        # One table for each component: many share a 0 that is known when kernels are traced.
+        self._components = [component_rows(axes, k) for k in range(3)] if axes else []
         self._negative = Members([i for i, x in enumerate(signed) if x is not None and x.negative], len(signed))
 
     def at(self, number: UInt32) -> Vector3f:
         """The direction of a face; there must be flat faces."""
-        assert self._axes is not None
-        direction: Vector3f = self._negative.negated(number, self._axes.at(number))
+        axis = Vector3f(*(component.at(number) for component in self._components))
+        direction: Vector3f = self._negative.negated(number, axis)
         return direction
+
+
+def component_rows(axes: Sequence[Axis], k: int) -> Rows:
+    """A table of component `k` of axes; equal ones that are known when kernels are traced are one row."""
+    values = [axis.vector[k] for axis in axes]
+    known = [value.state == dr.VarState.Literal for value in values]
+    return Rows(values, [(x[0],) if fixed else id(axis) for axis, x, fixed in zip(axes, values, known, strict=True)])
 
 
 def _host_point(p: Point3f) -> np.ndarray:

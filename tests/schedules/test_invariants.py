@@ -242,6 +242,7 @@ ENDS_ALIGNMENT = {
     "box tumbled": ("small-box", T().rotate([1, 2, 3], 40), T().rotate([3, 1, 2], 10)),
     "box sheared": ("small-box", T().scale([0.7, 1.2, 0.9]), T().scale([0.9, 1.2, 0.7])),
     "wall turned": ("back", T().rotate([0, 1, 0], 3), T().rotate([0, 1, 0], 2)),
+    "upright box tilted": ("large-box", T().rotate([0, 0, 1], 5), T().rotate([1, 0, 0], 7)),
 }
 
 
