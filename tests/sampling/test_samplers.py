@@ -12,7 +12,8 @@ from scipy import stats
 import djpt
 from djpt.description import registry
 from djpt.samplers import SampleIndex
-from djpt.types import UInt32
+from djpt.samplers.independent import MULTIPLIER, IndependentStream
+from djpt.types import PCG32, UInt32, UInt64
 from tests.kit.arrays import in_numpy
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box, ours, pixels, theirs
@@ -192,6 +193,19 @@ def test_independent_streams_are_independent() -> None:
     table = np.array([np.array(stream.next_1d()) for _ in range(6)], np.float64)
     between = np.corrcoef(np.concatenate([table, np.roll(table, 1, axis=1)]))
     assert np.abs(between - np.eye(12)).max() < 6 / 256
+
+
+def test_independent_streams_are_those_of_dr_jit() -> None:
+    """The same numbers as from the generator with 64-bit words, also where halves overflow."""
+    random = np.random.default_rng(3)
+    start, sequence = (UInt32(random.integers(0, 2**32, 4096, dtype=np.uint32)) for _ in range(2))
+    start[0], sequence[0] = 0xFFFFFFFF, 0xFFFFFFFF
+    start[1], sequence[1] = 0, 0
+    stream, theirs = IndependentStream.seeded(start, sequence), PCG32()
+    theirs.inc = (UInt64(sequence) << 1) | 1
+    theirs.state = (theirs.inc + UInt64(start)) * MULTIPLIER + theirs.inc
+    for _ in range(5):
+        np.testing.assert_array_equal(np.array(stream.next_1d()), np.array(theirs.next_float32()))
 
 
 def test_inactive_lanes_draw_nothing() -> None:
