@@ -25,6 +25,7 @@ from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
+from djpt.schedules.free_lanes import run_free
 from djpt.schedules.job import Job
 from djpt.schedules.lanes import Lanes
 from djpt.types import Bool, Color3f, Float, UInt32
@@ -73,34 +74,33 @@ def run(
         sums=mode.start(),
     )
 
-    def body(lane: Lane) -> tuple[Lane]:
+    def body(lane: Lane) -> Lane:
         leaves, view = mode.view(scene, values, numbering)
         si = integrator.trace(scene, lane.path, lane.ray)
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
             arrived = view.light_through(v.shadow_ray, v.reflected)
-        lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, lane.again)
+        second = lane.again & (lane.k < lanes.end)
+        lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, second)
 
         ended = ~v.active
-        finished = ended & lane.again
+        finished = ended & second
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
         next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
         delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
         fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
-        return (
-            Lane(
-                ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
-                sampler=dr.select(ended, fresh, lane.sampler),
-                path=dr.detach(v.state).restarted(ended, integrator.start(scene)),
-                radiance=dr.select(finished, 0, lane.radiance),
-                again=lane.again ^ ended,
-                k=k,
-                slot=next_slot,
-                delta=delta,
-                sums=sums,
-            ),
+        return Lane(
+            ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
+            sampler=dr.select(ended, fresh, lane.sampler),
+            path=dr.detach(v.state).restarted(ended, integrator.start(scene)),
+            radiance=dr.select(finished, 0, lane.radiance),
+            again=lane.again ^ ended,
+            k=k,
+            slot=next_slot,
+            delta=delta,
+            sums=sums,
         )
 
-    (end,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label=mode.label)
+    end = run_free(start, lambda lane: lane.k < lanes.end, body, count, mode.label)
     return end.sums, end.k

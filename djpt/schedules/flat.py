@@ -23,6 +23,7 @@ from djpt.llvm.lanes import small_blocks
 from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.called_sums import CalledSums, reader, usable
+from djpt.schedules.free_lanes import run_free
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
 from djpt.schedules.passes import filtered_image, summed_image
@@ -123,11 +124,12 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         si = integrator.trace(scene, lane.path, lane.ray)
         v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
         here = v.emitted + scene.light_through(v.shadow_ray, v.reflected)
-        ready, held = ~v.active, None
+        running = lane.k < lanes.end
+        ready, held = ~v.active & running, None
         valid: Any = v.valid
         if lane.held is not None:
             here, valid = dr.select(lane.held, 0, here), dr.select(lane.held, lane.valid, v.valid)
-            ready = (ready | lane.held) & (lane.k < lanes.end)
+            ready = ready | (lane.held & running)
         radiance = lane.radiance + here
 
         # The path has ended: hand over the sample, start the next one.
@@ -150,15 +152,14 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
         )
         return after, waiting
 
-    def body(lane: Lane) -> tuple[Lane]:
+    def body(lane: Lane) -> Lane:
         waiting = None
         for _ in range(sink.steps):
             lane, waiting = step(lane, waiting)
         lane.sink = sink.close(lane.sink, waiting)
-        return (lane,)
+        return lane
 
-    (finished,) = dr.while_loop((start,), lambda lane: lane.k < lanes.end, body, label="flat")
-    return finished.sink
+    return run_free(start, lambda lane: lane.k < lanes.end, body, width, "flat").sink
 
 
 def radiance_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:

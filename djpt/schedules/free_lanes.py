@@ -1,0 +1,101 @@
+"""Loops whose lanes compute on after their end, because that is cheaper than to stop them.
+
+Dr.Jit keeps the state of lanes that have left a loop by a select for each variable, and so both the old and the new
+state in registers until then. Of the two dozen variables of a path few matter once its lane has done its samples.
+Local memory is written without selects (`djpt.llvm.masks`), and LLVM turns it into registers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+import drjit as dr
+
+from djpt.llvm.masks import all_lanes, can_unmask
+from djpt.types import Bool, UInt32
+
+__all__ = ["run_free"]
+
+T = TypeVar("T", bound=Any)
+
+
+def run_free(start: T, condition: Callable[[T], Bool], body: Callable[[T], T], lanes: int, label: str) -> T:
+    """Run a loop over the dataclass `start`, whose arrays have `lanes` lanes, and return it as it is at the end.
+
+    Lanes go on until none fulfils the `condition`. So `body` itself must keep the results of those that don't, and
+    they must not come to fulfil it again. What it writes to arrays is masked as in any loop.
+    """
+    if not can_unmask():
+        (end,) = dr.while_loop((start,), condition, lambda state: (body(state),), label=label)
+        return end
+    memory = Memory(start, lanes)
+    (arrays,) = dr.while_loop(
+        (memory.allocated(),),
+        lambda arrays: condition(memory.read(arrays)),
+        lambda arrays: (memory.write(arrays, body(memory.read(arrays))),),
+        label=label,
+    )
+    return memory.read(arrays)
+
+
+class Memory:
+    """A record in the local memory of each lane: an array for each type of number."""
+
+    def __init__(self, record: Any, lanes: int) -> None:
+        """Make room for records like `record`."""
+        self._record, self._lanes = record, lanes
+        self._types = [type(number) for number in numbers(record)]
+        self._kinds = list(dict.fromkeys(self._types))
+
+    def allocated(self) -> list[Any]:
+        """Arrays that hold the record."""
+        arrays = [dr.alloc_local(kind, self._types.count(kind)) for kind in self._kinds]
+        return self.write(arrays, self._record)
+
+    def read(self, arrays: list[Any]) -> Any:
+        """The record in the arrays."""
+        with all_lanes(self._lanes):
+            found = iter([arrays[kind].read(place) for kind, place in self._places()])
+        return mapped(self._record, lambda _: next(found))
+
+    def write(self, arrays: list[Any], record: Any) -> list[Any]:
+        """Write a record to the arrays and return them."""
+        with all_lanes(self._lanes):
+            for (kind, place), number in zip(self._places(), numbers(record), strict=True):
+                arrays[kind].write(number, place)
+        return arrays
+
+    def _places(self) -> list[tuple[int, UInt32]]:
+        """The array of each number, and its place there."""
+        before = [self._types[:i].count(kind) for i, kind in enumerate(self._types)]
+        return [(self._kinds.index(kind), UInt32(n)) for kind, n in zip(self._types, before, strict=True)]
+
+
+def numbers(record: Any) -> list[Any]:
+    """The arrays without components of a record."""
+    found: list[Any] = []
+
+    def note(number: Any) -> Any:
+        found.append(number)
+        return number
+
+    mapped(record, note)
+    return found
+
+
+def mapped(record: Any, change: Callable[[Any], Any]) -> Any:
+    """A copy of a record, list, tuple or vector, with `change` applied to the arrays that it consists of."""
+    if record is None:
+        return None
+    if isinstance(record, (list, tuple)):
+        return type(record)(mapped(entry, change) for entry in record)
+    if dr.is_array_v(record):
+        return type(record)(*(mapped(c, change) for c in record)) if dr.depth_v(record) > 1 else change(record)
+    if is_dataclass(record) and not isinstance(record, type):
+        return replace(record, **{f.name: mapped(getattr(record, f.name), change) for f in fields(record)})
+    copy = type(record)()
+    for name in type(record).DRJIT_STRUCT:
+        setattr(copy, name, mapped(getattr(record, name), change))
+    return copy
