@@ -40,11 +40,14 @@ ALIKE = 1e-5
 
 
 class HostTransform(Transform):
-    """A transform of float64 numbers, immutable."""
+    """A transform of float64 numbers, immutable.
+
+    The inverse is always computed; an `inverse_transpose` that is given has to agree.
+    """
 
     __slots__ = ("_matrix",)
 
-    def __init__(self, matrix: Any = None) -> None:
+    def __init__(self, matrix: Any = None, inverse_transpose: Any = None) -> None:
         n = self.size
         value = np.eye(n) if matrix is None else as_array(matrix_of(matrix))
         if value.shape != (n, n):
@@ -54,6 +57,10 @@ class HostTransform(Transform):
             raise SceneError(f"must be affine: the last row of the matrix is {value[-1].tolist()}, not {last}")
         value.flags.writeable = False
         self._matrix = value
+        if inverse_transpose is not None and not np.allclose(
+            as_array(inverse_transpose).T @ value, np.eye(n), atol=1e-3
+        ):
+            raise SceneError("inverse_transpose isn't the transposed inverse of the matrix")
 
     @property
     def matrix(self) -> Matrix:
