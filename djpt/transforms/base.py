@@ -82,6 +82,8 @@ class Transform:
 
     def __matmul__(self, other: Any) -> Any:
         """Compose with a transform (which is applied first), or apply to points or a ray."""
+        if type(other) is type(self):
+            return self._product(self, other)
         if isinstance(other, Transform):
             kind = self._kind_of_product(other)
             return kind._product(kind._of(self), kind._of(other))

@@ -168,6 +168,11 @@ def test_a_changed_transform_is_ambiguous() -> None:
     t.matrix = djpt.Matrix4f([[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     with pytest.raises(AmbiguityError):
         t @ x
+    turned = djpt.Transform4f().rotate(UNIT, dr.opaque(djpt.Float, 30))
+    turned @ x
+    turned.matrix[0, 3] = djpt.Float(5)
+    with pytest.raises(AmbiguityError):
+        turned @ x
     assert t.update() is t
     assert_same(t.inverse().matrix, djpt.Transform4f().translate([-5, 0, 0]).matrix)
     other = djpt.Transform4f()
