@@ -65,6 +65,10 @@ class Frame3f:
             raise SceneError("Frame3f: takes no axis, the normal, or all three axes")
         self.s, self.t, self.n = as_vector(s), as_vector(t), as_vector(n)
 
+    def assign(self, other: Frame3f) -> None:
+        """Take over the axes of another frame."""
+        self.s, self.t, self.n = other.s, other.t, other.n
+
     @staticmethod
     def from_normal(n: Normal3f) -> Frame3f:
         """The frame of `coordinate_system(n)`."""

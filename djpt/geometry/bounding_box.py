@@ -21,6 +21,7 @@ class BoundingBox:
     Args:
         min: the smallest corner, numbers in any form, or another box; default: +inf, which makes the box empty.
         max: the largest corner; default: `min`, or -inf.
+        p: a point that is both corners, in place of `min`.
     """
 
     Point: ClassVar[Any]
@@ -33,7 +34,8 @@ class BoundingBox:
             cls.size = dr.size_v(cls.Point)
             cls.DRJIT_STRUCT = {"min": cls.Point, "max": cls.Point} if dr.is_jit_v(cls.Point) else {}
 
-    def __init__(self, min: Any = None, max: Any = None) -> None:
+    def __init__(self, min: Any = None, max: Any = None, *, p: Any = None) -> None:
+        min = p if min is None else min
         if min is None:
             min, max = dr.inf, -dr.inf
         elif isinstance(min, BoundingBox):
@@ -95,8 +97,9 @@ class BoundingBox:
             index, best = dr.select(found, k, index), dr.select(found, sides[k], best)
         return index
 
-    def contains(self, p: Any, strict: bool = False) -> Bool:
+    def contains(self, p: Any = None, strict: bool = False, *, bbox: Any = None) -> Bool:
         """Whether a point, or another box, lies in the box; `strict` leaves out the faces."""
+        p = p if bbox is None else bbox
         low, high = p if isinstance(p, BoundingBox) else (as_point(self.Point, p),) * 2
         return dr.all((low > self.min) & (high < self.max) if strict else (low >= self.min) & (high <= self.max))
 

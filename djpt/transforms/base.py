@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import inspect
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
@@ -26,6 +28,12 @@ class Chained:
         self.build = build
         self.__doc__ = build.__doc__
 
+    @cached_property
+    def signature(self) -> inspect.Signature:
+        """The parameters of the method: those of `build` without the class."""
+        _, *parameters = inspect.signature(self.build).parameters.values()
+        return inspect.Signature(parameters)
+
     def __get__(self, instance: Any, owner: type[Any]) -> Callable[..., Any]:
         def chained(*args: Any, **kwargs: Any) -> Any:
             try:
@@ -35,6 +43,7 @@ class Chained:
             return right if instance is None else instance @ right
 
         chained.__name__, chained.__doc__ = self.build.__name__, self.__doc__
+        chained.__signature__ = self.signature  # type: ignore[attr-defined]
         return chained
 
 
@@ -69,13 +78,15 @@ class Transform:
     matrix: Any
     inverse_transpose: Any
 
-    def __init__(self, matrix: Any = None) -> None:
+    def __init__(self, matrix: Any = None, inverse_transpose: Any = None) -> None:
         raise NotImplementedError
 
     # ---- composing ---------------------------------------------------------------------
 
     def __matmul__(self, other: Any) -> Any:
         """Compose with a transform (which is applied first), or apply to points or a ray."""
+        if type(other) is type(self):
+            return self._product(self, other)
         if isinstance(other, Transform):
             kind = self._kind_of_product(other)
             return kind._product(kind._of(self), kind._of(other))
@@ -143,9 +154,14 @@ class Transform:
         """The same as `transform_vector`."""
         return self.transform_vector(v)
 
-    def transform_affine(self, p: Any) -> Any:
-        """The same as the operator ``@``."""
-        return self @ p
+    def transform_affine(self, p: Any = None, *, v: Any = None, n: Any = None, ray: Any = None) -> Any:
+        """The same as the operator ``@``; by name, `v` are vectors and `n` normals."""
+        given = [x for x in (p, v, n, ray) if x is not None]
+        if len(given) != 1:
+            raise SceneError(f"transform_affine: takes one of p, v, n and ray, found {len(given)}")
+        if v is not None:
+            return self.transform_vector(v)
+        return self @ given[0] if n is None else self.transform_normal(n)
 
     def _transform_ray(self, ray: Any) -> Any:
         """`ray` with origin and direction transformed, and those of its differentials, if it has some."""

@@ -27,6 +27,7 @@ __all__ = [
     "is_unit",
     "rotation",
     "rotation_of_plane",
+    "treats_alike",
     "warn_of_length",
 ]
 
@@ -64,11 +65,14 @@ def is_far_from_flat(linear: list[list[float]]) -> bool:
 
 
 class HostTransform(Transform):
-    """A transform of float64 numbers, immutable."""
+    """A transform of float64 numbers, immutable.
+
+    The inverse is always computed; an `inverse_transpose` that is given has to agree.
+    """
 
     __slots__ = ("_matrix",)
 
-    def __init__(self, matrix: Any = None) -> None:
+    def __init__(self, matrix: Any = None, inverse_transpose: Any = None) -> None:
         n = self.size
         if matrix is None:
             self._matrix = IDENTITIES[n]
@@ -81,6 +85,10 @@ class HostTransform(Transform):
             raise SceneError(f"must be affine: the last row of the matrix is {value[-1].tolist()}, not {last}")
         value.flags.writeable = False
         self._matrix = value
+        if inverse_transpose is not None and not np.allclose(
+            as_array(inverse_transpose).T @ value, np.eye(n), atol=1e-3
+        ):
+            raise SceneError("inverse_transpose isn't the transposed inverse of the matrix")
 
     @property
     def matrix(self) -> Matrix:
@@ -168,10 +176,7 @@ class HostTransform(Transform):
         return found
 
     def _treats_alike(self) -> bool:
-        linear, corner = self._matrix[:-1, :-1], self._matrix[-1]
-        if self._matrix[:-1, -1].any() or corner[:-1].any() or corner[-1] != 1:
-            return False
-        return _is_similarity(linear)
+        return treats_alike(self._matrix)
 
     # ---- asking ------------------------------------------------------------------------
 
@@ -237,8 +242,14 @@ def float_type(value: Any) -> Any:
     return type(value) if dr.is_float_v(value) else dr.float32_array_t(type(value))
 
 
-def _is_similarity(linear: Matrix) -> bool:
-    """Whether a matrix is a rotation or reflection with a uniform scale."""
+def treats_alike(matrix: Matrix) -> bool:
+    """Whether a transform maps points, vectors and the directions of normals alike.
+
+    It must not translate, and turn or mirror with a uniform scale.
+    """
+    linear, corner = matrix[:-1, :-1], matrix[-1]
+    if matrix[:-1, -1].any() or corner[:-1].any() or corner[-1] != 1:
+        return False
     squared = linear @ linear.T
     scale = squared.trace() / len(squared)
     return bool((np.abs(squared - scale * np.eye(len(squared))) <= ALIKE * scale).all())
@@ -258,8 +269,7 @@ class SpatialHostTransform(HostTransform):
         The axis must have unit length. Another one gives the matrix that Mitsuba makes of it, which scales and shears,
         and a warning.
         """
-        warn_of_length(axis, "rotate", 4)
-        return rotation(axis, angle)
+        return rotation(axis, angle, "rotate", 4)
 
     @Chained
     def look_at(kind: Any, origin: Any, target: Any, up: Any) -> Matrix:
@@ -354,17 +364,21 @@ class ScalarTransform3f(HostTransform):
         return ScalarTransform4f(matrix)
 
 
-def rotation(axis: Any, angle: Any) -> Matrix:
+def rotation(axis: Any, angle: Any, place: str, stacklevel: int) -> Matrix:
     """The 4x4 matrix that turns space by `angle` degrees about `axis`; if that isn't a unit vector, Mitsuba's matrix.
+
+    `place` and `stacklevel` tell the warning about such an axis where it is.
 
     Raises:
         SceneError: the axis is zero.
     """
     direction, radians = as_vector(axis), math.radians(as_number(angle))
-    length = np.linalg.norm(direction)
+    length = float(np.linalg.norm(direction))
     if length == 0:
         raise SceneError("the axis has length 0")
-    unit = is_unit(direction)
+    unit = is_unit(length)
+    if not unit:
+        warn_of_length(length, place, stacklevel + 1)
     x, y, z = direction / length if unit else direction
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     sine, cosine = math.sin(radians), math.cos(radians)
@@ -378,20 +392,18 @@ def rotation(axis: Any, angle: Any) -> Matrix:
     return matrix
 
 
-def is_unit(axis: Matrix) -> bool:
-    """Whether an axis has the length 1, in the precision of rounded numbers."""
-    return bool(abs(np.linalg.norm(axis) - 1) < 1e-3)
+def is_unit(length: float) -> bool:
+    """Whether an axis of this length is a unit vector, in the precision of rounded numbers."""
+    return abs(length - 1) < 1e-3
 
 
-def warn_of_length(axis: Any, place: str, stacklevel: int) -> None:
-    """Warn if `rotation` about `axis` isn't a rotation."""
-    direction = as_vector(axis)
-    if not is_unit(direction) and direction.any():
-        warnings.warn(
-            f"{place}: the axis has the length {np.linalg.norm(direction):.4g}, so Mitsuba's matrix also scales and "
-            "shears; for a rotation give an axis of length 1",
-            stacklevel=stacklevel,
-        )
+def warn_of_length(length: float, place: str, stacklevel: int) -> None:
+    """Warn that the rotation about an axis of this length isn't one."""
+    warnings.warn(
+        f"{place}: the axis has the length {length:.4g}, so Mitsuba's matrix also scales and shears; "
+        "for a rotation give an axis of length 1",
+        stacklevel=stacklevel,
+    )
 
 
 def rotation_of_plane(angle: Any) -> Matrix:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
@@ -11,10 +12,8 @@ from djpt.description.numeric import as_type, describe
 from djpt.errors import SceneError
 from djpt.transforms.base import Chained, Transform, matrix_of
 from djpt.transforms.host import (
-    HostTransform,
-    ScalarTransform3f,
-    ScalarTransform4f,
     is_unit,
+    treats_alike,
     warn_of_length,
 )
 from djpt.types import Array3f, Bool, Matrix4f, backend
@@ -68,9 +67,7 @@ class LaneTransform(Transform):
                 self.update()
             else:
                 self._inverse_transpose = kind.Matrix(inverse_transpose)
-        self._alike = matrix is None or (
-            matrix._treats_alike() if isinstance(matrix, Transform) else self._is_seen_to_treat_alike()
-        )
+        self._declare_alike(matrix is None or (isinstance(matrix, LaneTransform) and matrix._treats_alike()))
 
     @classmethod
     def _converted(cls, value: Any) -> Any:
@@ -93,8 +90,6 @@ class LaneTransform(Transform):
     @matrix.setter
     def matrix(self, value: Any) -> None:
         self._matrix = self._converted(value)
-        # Nothing is known of a matrix that Dr.Jit or a script puts in place.
-        self._alike = False
 
     @property
     def inverse_transpose(self) -> Any:
@@ -104,7 +99,7 @@ class LaneTransform(Transform):
     @inverse_transpose.setter
     def inverse_transpose(self, value: Any) -> None:
         self._inverse_transpose = type(self).Matrix(value)
-        self._alike = False
+        self._declare_alike(False)
 
     def update(self) -> Self:
         """Compute `inverse_transpose` from the matrix."""
@@ -123,14 +118,15 @@ class LaneTransform(Transform):
         """Become equal to another transform of the same size."""
         copied = type(self)(other)
         self._matrix, self._inverse_transpose = copied._matrix, copied._inverse_transpose
-        self._alike = copied._alike
+        self._declare_alike(copied._treats_alike())
 
     def __setitem__(self, mask: Any, value: Any) -> None:
         """Become equal to another transform on the lanes where `mask` is true."""
         other = self._of(value)
-        self._alike = self._alike and other._alike
+        alike = self._treats_alike() and other._treats_alike()
         self._matrix = dr.select(mask, other._matrix, self._matrix)
         self._inverse_transpose = dr.select(mask, other._inverse_transpose, self._inverse_transpose)
+        self._declare_alike(alike)
 
     # ---- building, from the right ----------------------------------------------------
 
@@ -138,7 +134,7 @@ class LaneTransform(Transform):
     def _made(cls, matrix: Any, inverse_transpose: Any, alike: bool = False) -> Self:
         """A transform of which the inverse is known; `alike` says whether it treats points, vectors, normals alike."""
         made = cls(cls.Matrix(matrix), cls.Matrix(inverse_transpose))
-        made._alike = made._alike or alike
+        made._declare_alike(alike)
         return made
 
     @classmethod
@@ -173,14 +169,15 @@ class LaneTransform(Transform):
     @classmethod
     def _product(cls, left: Self, right: Self) -> Self:
         a, b, c, d = left._matrix, right._matrix, left.inverse_transpose, right.inverse_transpose
+        alike = left._treats_alike() and right._treats_alike()
         if cls.projective:
-            return cls._made(a @ b, c @ d, left._alike and right._alike)
+            return cls._made(a @ b, c @ d, alike)
         n = cls.size - 1
         top = [[dot(a[i], b, j, n) for j in range(n)] + [dot(a[i], b, n, n, a[i, n])] for i in range(n)]
         linear = [[dot(c[i], d, j, n) for j in range(n)] + [0] for i in range(n)]
         corner = [dot(c[n], d, j, n, d[n, j]) for j in range(n)]
         last = [0] * n + [1]
-        return cls._made([*top, last], [*linear, [*corner, 1]], left._alike and right._alike)
+        return cls._made([*top, last], [*linear, [*corner, 1]], alike)
 
     def transform_point(self, p: Any) -> Any:
         """Apply to points; divides by the last coordinate if the transform is projective."""
@@ -211,24 +208,32 @@ class LaneTransform(Transform):
             rows.append(total)
         return self.Vector(*rows)
 
-    def _treats_alike(self) -> bool:
-        return self._alike
+    def _declare_alike(self, alike: bool) -> None:
+        """Note that the present matrix treats points, vectors and normals alike, or that nothing is known of it.
 
-    def _is_seen_to_treat_alike(self) -> bool:
-        """The same, told from the entries if they are numbers that Python knows."""
-        entries = [[self._matrix[i, j] for j in range(self.size)] for i in range(self.size)]
+        The note is a copy, which edits of the matrix don't reach.
+        """
+        self._alike = type(self).Matrix(self._matrix) if alike else None
+
+    def _treats_alike(self) -> bool:
+        if self._alike is not None:
+            noted, present = (dr.detail.collect_indices(m) for m in (self._alike, self._matrix))
+            if noted == present:
+                return True
+        # Numbers that Python knows speak for themselves.
+        n, m = self.size - 1, self._matrix
+        if not all(is_known(m[i, n]) and m[i, n][0] == 0 for i in range(n)):
+            return False
+        entries = [[m[i, j] for j in range(n + 1)] for i in range(n + 1)]
         if not all(is_known(x) for row in entries for x in row):
             return False
-        try:
-            return host_class(self)([[x[0] for x in row] for row in entries])._treats_alike()
-        except SceneError:
-            return False
+        return treats_alike(np.array([[x[0] for x in row] for row in entries], np.float64))
 
     # ---- asking ------------------------------------------------------------------------
 
     def inverse(self) -> Self:
         """The inverse transform; not finite where the transform is singular."""
-        return self._made(self.inverse_transpose.T, self._matrix.T, self._alike)
+        return self._made(self.inverse_transpose.T, self._matrix.T, self._treats_alike())
 
     def translation(self) -> Any:
         """The image of the origin."""
@@ -269,11 +274,6 @@ def is_known(x: Any) -> bool:
     return bool(x.state == dr.VarState.Literal and dr.width(x) == 1 and not dr.grad_enabled(x))
 
 
-def host_class(transform: LaneTransform) -> type[HostTransform]:
-    """The class of affine transforms of the same size on the host."""
-    return ScalarTransform4f if transform.size == 4 else ScalarTransform3f
-
-
 def diagonal(entries: list[Any]) -> list[list[Any]]:
     """The rows of a diagonal matrix."""
     return [[x if i == j else 0 for j in range(len(entries))] for i, x in enumerate(entries)]
@@ -300,9 +300,11 @@ class SpatialLaneTransform(LaneTransform):
         and a warning if its numbers are known to Python.
         """
         x, y, z = a = kind._vector(axis)
-        unit = not all(is_known(component) for component in a) or is_unit(np.array([c[0] for c in a]))
+        known = all(is_known(component) for component in a)
+        length = math.hypot(*(component[0] for component in a)) if known else 1.0
+        unit = is_unit(length)
         if not unit:
-            warn_of_length([c[0] for c in a], "rotate", 4)
+            warn_of_length(length, "rotate", 4)
         sine, cosine = dr.sincos(dr.deg2rad(kind._number(angle)))
         cross = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
         # O. Rodrigues: R = cos(a) I + sin(a) K + (1 - cos(a)) x x^T

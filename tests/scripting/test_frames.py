@@ -56,6 +56,8 @@ def test_no_arguments() -> None:
     frame = djpt.Frame3f()
     frame.s, frame.t, frame.n = (djpt.Vector3f(row) for row in np.eye(3))
     assert dr.all(frame == djpt.Frame3f([0, 0, 1]))
+    frame.assign(djpt.Frame3f([1, 0, 0]))
+    assert dr.all(frame == djpt.Frame3f([1, 0, 0]))
 
 
 def test_comparison(mi: Any) -> None:

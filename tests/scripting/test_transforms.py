@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import drjit as dr
@@ -167,6 +168,11 @@ def test_a_changed_transform_is_ambiguous() -> None:
     t.matrix = djpt.Matrix4f([[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     with pytest.raises(AmbiguityError):
         t @ x
+    turned = djpt.Transform4f().rotate(UNIT, dr.opaque(djpt.Float, 30))
+    turned @ x
+    turned.matrix[0, 3] = djpt.Float(5)
+    with pytest.raises(AmbiguityError):
+        turned @ x
     assert t.update() is t
     assert_same(t.inverse().matrix, djpt.Transform4f().translate([-5, 0, 0]).matrix)
     other = djpt.Transform4f()
@@ -333,3 +339,33 @@ def test_transforms_of_the_plane_in_descriptions(mi: Any) -> None:
             assert_same(found.matrix, turned.matrix)
         assert_same(djpt.traverse(djpt.load_string(djpt.to_xml(texture)))["to_uv"].matrix, turned.matrix)
     assert turned.expand().extract() == turned
+
+
+@pytest.mark.parametrize("name", ["Transform4f", "ScalarTransform4f"])
+def test_what_is_meant_by_name(name: str) -> None:
+    t = getattr(djpt, name)().translate([1, 2, 3]).scale([1, 2, 1])
+    x = djpt.Vector3f(1, 2, 3)
+    assert_same(t.transform_affine(v=x), t.transform_vector(x))
+    assert_same(t.transform_affine(n=x), t.transform_normal(x))
+    assert_same(t.transform_affine(p=[1, 2, 3]), t.transform_point(np.array([1, 2, 3])))
+    assert_same(t.transform_affine(ray=djpt.Ray3f(x, x)).d, t.transform_vector(x))
+    for arguments in ({}, {"v": x, "n": x}):
+        with pytest.raises(SceneError, match="transform_affine: takes one of p, v, n and ray"):
+            t.transform_affine(**arguments)
+    assert (
+        [*inspect.signature(t.rotate).parameters]
+        == [*inspect.signature(type(t).rotate).parameters]
+        == ["axis", "angle"]
+    )
+
+
+@pytest.mark.parametrize("name", ["Transform4f", "ScalarTransform4f", "ScalarProjectiveTransform4f"])
+def test_a_matrix_with_its_inverse(name: str) -> None:
+    kind = getattr(djpt, name)
+    t = kind().translate([1, 2, 3]).scale([1, 2, 1])
+    again = kind(t.matrix, t.inverse_transpose)
+    assert again == t
+    assert_same(again.inverse_transpose, t.inverse_transpose)
+    if not t.on_lanes:
+        with pytest.raises(SceneError, match="isn't the transposed inverse"):
+            kind(t.matrix, t.matrix)

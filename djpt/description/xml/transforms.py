@@ -10,7 +10,7 @@ from djpt.description.xml.source import Element
 from djpt.description.xml.values import check_attributes, number, numbers, vector
 from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
-from djpt.transforms.host import rotation, warn_of_length
+from djpt.transforms.host import rotation
 
 __all__ = ["OPERATIONS", "transform"]
 
@@ -48,8 +48,7 @@ def _scale(element: Element) -> ScalarTransform4f:
 def _rotate(element: Element) -> ScalarTransform4f:
     """A rotation; what Mitsuba makes of an axis without unit length, for files that contain one."""
     axis, angle = vector(element, 0.0, "angle"), number(element, element.attributes["angle"])
-    warn_of_length(axis, f"{element.place}: <rotate>", 2)
-    return ScalarTransform4f(rotation(axis, angle))
+    return ScalarTransform4f(rotation(axis, angle, f"{element.place}: <rotate>", 2))
 
 
 def _look_at(element: Element) -> ScalarTransform4f:
