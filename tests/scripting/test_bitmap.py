@@ -151,15 +151,15 @@ def test_errors_say_what_is_possible(make: Any, message: str) -> None:
 CONVERSIONS = [
     choice
     for number, choice in enumerate(itertools.product(FORMATS, TYPES, FORMATS, TYPES, (False, True), (False, True)))
-    if number % 23 == 0
+    if number % 61 == 0
 ]
 
 
-@pytest.mark.parametrize("group", range(8))
+@pytest.mark.parametrize("group", range(4))
 @pytest.mark.parametrize("transform", ["Empty", "Premultiply", "Unpremultiply"])
 def test_conversions_give_mitsubas_numbers(mi: Any, group: int, transform: str) -> None:
     """Whole numbers differ by one where Mitsuba's noise does; its curve of sRGB is exact to 4e-5."""
-    for number, (form, kind, wanted, target, before, after) in enumerate(CONVERSIONS[group::8]):
+    for number, (form, kind, wanted, target, before, after) in enumerate(CONVERSIONS[group::4]):
         flags = {"srgb_gamma": before, "premultiplied_alpha": number % 2 == 0}
         ours, theirs = both(mi, numbers(form, kind, number), form, **flags)
         a = ours.convert(Bitmap.PixelFormat[wanted], Type[target], after, Bitmap.AlphaTransform[transform])
@@ -236,9 +236,12 @@ FILTERS: list[dict[str, Any] | None] = [
 ]
 
 
-@pytest.mark.parametrize("description", FILTERS, ids=str)
+@pytest.mark.parametrize(
+    ("description", "kind"),
+    [*((description, "Float32") for description in FILTERS), (None, "Float64"), (None, "Float16")],
+    ids=str,
+)
 @pytest.mark.parametrize("boundary", list(FilterBoundaryCondition))
-@pytest.mark.parametrize("kind", ["Float32", "Float64", "Float16"])
 def test_other_sizes_have_mitsubas_pixels(
     mi: Any, description: dict[str, Any] | None, boundary: FilterBoundaryCondition, kind: str
 ) -> None:
