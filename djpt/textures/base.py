@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import drjit as dr
-
 from djpt.description.allowed import Allowed
 from djpt.description.plugin import Plugin
 from djpt.types import Bool, Color3f, Float, Point2f, Vector2f
@@ -28,10 +26,6 @@ class Texture(Plugin):
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
         """The colour at `si`."""
         raise NotImplementedError
-
-    def eval_3(self, si: Any, active: Bool | bool = True) -> Color3f:
-        """The same as `eval`."""
-        return self.eval(si, active)
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
         """The scalar at `si`; of a colour what Mitsuba takes: the luminance of texels, the mean of an rgb."""
@@ -57,18 +51,6 @@ class Texture(Plugin):
     def mean(self) -> Float:
         """The average over the texture's domain and channels."""
         raise NotImplementedError
-
-    def max(self) -> float:
-        """The largest number that the texture shows, read on the host."""
-        raise NotImplementedError(f"a {type(self).__name__} texture doesn't know its largest value")
-
-    def is_spatially_varying(self) -> bool:
-        """Whether the texture isn't the same everywhere."""
-        return not self.is_constant
-
-    def resolution(self) -> Any:
-        """The numbers of texels along u and v, a `drjit.scalar.Array2i`; 1 x 1 for textures without texels."""
-        return dr.scalar.Array2i(1, 1)
 
     def used_by(self, kind: str) -> None:
         """Learn the kind of the plugin that uses the texture, before `restrict`: light and paint differ in colour."""

@@ -47,9 +47,6 @@ class UniformTexture(Texture):
     def mean(self) -> Float:
         return self.value
 
-    def max(self) -> float:
-        return float(as_array(dr.detach(self.value)))
-
     def restrict(self, allowed: Allowed, where: str) -> None:
         allowed.require(as_array(dr.detach(self.value)), where)
         self._allowed = self._allowed.within(allowed)

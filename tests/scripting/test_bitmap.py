@@ -412,6 +412,27 @@ def test_textures_and_lights_take_bitmaps() -> None:
     np.testing.assert_array_equal(djpt.traverse(light)["data"].numpy()[:, 1:-1], numbers("RGB", "Float32"))
 
 
+def test_formats_of_textures_are_mitsubas_precisions() -> None:
+    bitmap = Bitmap(numbers("RGB", "UInt16"))
+    texels = {
+        (form, srgb): djpt.traverse(djpt.load_dict({"type": "bitmap", "bitmap": bitmap, "format": form}))[
+            "data"
+        ].numpy()
+        for srgb in (False, True)
+        if bitmap.set_srgb_gamma(srgb) is None
+        for form in ("auto", "variant", "float16", "fp16", "uint8")
+    }
+    for srgb in (False, True):
+        exact = texels["variant", srgb]
+        np.testing.assert_array_equal(texels["auto", srgb], exact)
+        np.testing.assert_array_equal(texels["float16", srgb], exact.astype(np.float16))
+        np.testing.assert_array_equal(texels["fp16", srgb], texels["float16", srgb])
+        bitmap.set_srgb_gamma(srgb)
+        stored = bitmap.convert(component_format=Type.UInt8, srgb_gamma=srgb)
+        decoded = stored.convert(component_format=Type.Float32, srgb_gamma=False)
+        np.testing.assert_allclose(texels["uint8", srgb], decoded, rtol=1e-6)
+
+
 def test_verbs_make_and_write_bitmaps(tmp_path: Path) -> None:
     image = djpt.TensorXf(numbers("RGBA", "Float32"))
     bitmap = djpt.util.convert_to_bitmap(image)
