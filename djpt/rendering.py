@@ -187,10 +187,15 @@ def make_job(
     return job
 
 
-def find_sensor(scene: Scene, sensor: Any) -> Sensor:
-    """The sensor to render: one of the scene, by number, or another one, which is told how large the scene is."""
+def require_scene(scene: Any) -> None:
+    """Raise `RenderError` unless `scene` is one."""
     if not isinstance(scene, Scene):
         raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
+
+
+def find_sensor(scene: Scene, sensor: Any) -> Sensor:
+    """The sensor to render: one of the scene, by number, or another one, which is told how large the scene is."""
+    require_scene(scene)
     sensors = scene.sensors()
     if not isinstance(sensor, Sensor):
         number = whole(sensor)
@@ -211,6 +216,7 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
 
 def find_integrator(scene: Scene, integrator: Any) -> Integrator:
     """The integrator that was asked for, or the scene's, or else `path`."""
+    require_scene(scene)
     integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
         hint = "; load it with djpt.load_dict first" if isinstance(integrator, dict) else ""

@@ -29,8 +29,12 @@ __all__ = [
 ]
 
 
+SINGLE = (".exr", ".hdr", ".pfm")
+"""The formats of linear numbers that have no double precision."""
+
+
 def write_bitmap(filename: str | os.PathLike[str], data: Any, write_async: bool = True, quality: int = -1) -> None:
-    """Write an image, as 8-bit sRGB if the format is one for displays (png, jpg, ...), otherwise as it is.
+    """Write an image: 8-bit sRGB to formats for displays (png, jpg, ...), to others what is there, at most float32.
 
     Args:
         filename: Of the file.
@@ -42,7 +46,10 @@ def write_bitmap(filename: str | os.PathLike[str], data: Any, write_async: bool 
         SceneError: `data` isn't an image, or has channels that aren't colours and the format is one for displays.
         FileError: the file can't be written.
     """
-    bitmap = convert_to_bitmap(data, uint8_srgb=Path(filename).suffix.lower() in DISPLAY_FORMATS)
+    suffix = Path(filename).suffix.lower()
+    bitmap = convert_to_bitmap(data, uint8_srgb=suffix in DISPLAY_FORMATS)
+    if suffix in SINGLE and bitmap.component_format() is Type.Float64:
+        bitmap = bitmap.convert(component_format=Type.Float32)
     bitmap.write(filename, quality=quality)
 
 

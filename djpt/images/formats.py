@@ -130,7 +130,8 @@ def _read_hdr(path: Path) -> Pixels:
     # By exponent; exact in single precision, as are the products. Exponent 0 is black.
     scale = np.ldexp(np.float32(1), np.arange(256, dtype=np.int32) - 136)
     scale[0] = 0
-    return np.multiply(rgbe[..., :3], scale[rgbe[..., 3]][..., None], dtype=np.float32)
+    colors = np.multiply(rgbe[..., :3], scale[rgbe[..., 3]][..., None], dtype=np.float32)
+    return colors @ XYZ_TO_RGB.T.astype(np.float32) if b"\nFORMAT=32-bit_rle_xyze" in header else colors
 
 
 def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:

@@ -164,8 +164,12 @@ def save_stored(path: Path, image: Stored, suffix: str | None = None, quality: i
         raise FileError(f"can't write '{path}': unknown format '{suffix[1:]}'; possible: {known}")
     check_writable(path.with_suffix(suffix))
     pixels, types, counts = image.pixels, TYPES[suffix], FORMATS[suffix].channels
-    if suffix == ".pfm" and pixels.shape[2] == 4:
+    if suffix in (".hdr", ".pfm") and pixels.shape[2] == 4:  # without alpha
         pixels = pixels[..., :3]
+    if suffix != ".exr" and image.names is not None and image.names[:1] == ("X",):
+        raise FileError(
+            f"can't write '{path}': {suffix[1:]} holds no XYZ colours; convert the image to RGB, or write exr"
+        )
     if str(pixels.dtype) not in types:
         raise FileError(
             f"can't write '{path}': {suffix[1:]} holds numbers of type {' or '.join(types)}, found {pixels.dtype}; "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, overload
 
 import drjit as dr
 import numpy as np
@@ -36,6 +36,30 @@ class BitmapData(BitmapKinds):
     _premultiplied: bool
     _struct: Struct
     _metadata: Metadata
+
+    @overload
+    def __init__(
+        self,
+        pixel_format: PixelFormat,
+        component_format: Type,
+        size: Any,
+        channel_count: int = 0,
+        channel_names: Sequence[str] = (),
+    ) -> None: ...
+
+    @overload
+    def __init__(self, bitmap: BitmapData, /) -> None: ...
+
+    @overload
+    def __init__(self, path: str | os.PathLike[str], format: FileFormat = FileFormat.Auto) -> None: ...
+
+    @overload
+    def __init__(self, stream: IO[bytes], format: FileFormat = FileFormat.Auto) -> None: ...
+
+    @overload
+    def __init__(
+        self, array: Any, pixel_format: PixelFormat | None = None, channel_names: Sequence[str] = ()
+    ) -> None: ...
 
     def __init__(self, *args: Any, **keywords: Any) -> None:
         first = args[0] if args else None

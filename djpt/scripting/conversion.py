@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import SceneError
-from djpt.images.srgb import decoded, encoded
-from djpt.scripting.structs import Field, Flags, Struct
+from djpt.images.srgb import decoded, encoded, from_srgb, shares, to_srgb8
+from djpt.scripting.structs import Field, Flags, Struct, Type
 
 __all__ = ["StructConverter", "convert_fields"]
 
@@ -115,8 +115,8 @@ def converted(
         not field.flags & (Flags.Weight | Flags.Alpha) and has(source, Flags.Alpha) and has(target, Flags.Alpha)
     )
     alpha_changes = with_alpha and bool(changed & Flags.PremultipliedAlpha)
-    if not (alpha_changes or weight is not None or changed & (Flags.Normalized | Flags.Gamma)):
-        if given.type is field.type:
+    if not (alpha_changes or weight is not None or changed & Flags.Gamma):
+        if given.type is field.type and not changed & Flags.Normalized:
             return column
         if field.type.dtype.kind == "f" and given.type.dtype.kind == "f":
             with np.errstate(over="ignore"):
@@ -136,6 +136,8 @@ def converted(
 
 def number(field: Field, column: Numbers) -> npt.NDArray[np.float32]:
     """The numbers of a field in single precision, in [0, 1] if they are normalized."""
+    if field.flags & Flags.Normalized and column.dtype in (np.uint8, np.uint16):
+        return shares(column)
     value = column.astype(np.float32)
     if field.flags & Flags.Normalized:
         value *= np.float32(1 / np.iinfo(field.type.dtype).max)
@@ -144,12 +146,16 @@ def number(field: Field, column: Numbers) -> npt.NDArray[np.float32]:
 
 def linear(field: Field, column: Numbers) -> npt.NDArray[np.float32]:
     """The numbers of a field in single precision, without the curve of sRGB."""
+    if field.flags & Flags.Gamma and field.flags & Flags.Normalized and column.dtype in (np.uint8, np.uint16):
+        return from_srgb(column.reshape(1, -1, 1)).reshape(column.shape)
     value = number(field, column)
     return decoded(value).astype(np.float32) if field.flags & Flags.Gamma else value
 
 
 def stored(field: Field, value: npt.NDArray[np.float32], encode: bool = True) -> Numbers:
     """Linear numbers in the form of a field: NaN becomes 0 in whole numbers, which are rounded to nearest."""
+    if encode and field.flags & Flags.Gamma and field.flags & Flags.Normalized and field.type is Type.UInt8:
+        return to_srgb8(value.reshape(1, -1, 1)).reshape(value.shape)
     if encode and field.flags & Flags.Gamma:
         value = encoded(value).astype(np.float32)
     dtype = field.type.dtype

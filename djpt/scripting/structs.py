@@ -119,6 +119,7 @@ class Struct:
     Args:
         pack: Whether no bytes are left out between fields; or another `Struct`, or a structured NumPy dtype, to copy.
         byte_order: Of all fields.
+        dtype: Another name of `pack` for a dtype.
     """
 
     Type = Type
@@ -126,7 +127,8 @@ class Struct:
     ByteOrder = ByteOrder
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, pack: Any = False, byte_order: Order = Order.Native) -> None:
+    def __init__(self, pack: Any = False, byte_order: Order = Order.Native, dtype: Any = None) -> None:
+        pack = pack if dtype is None else dtype
         native = Order.LittleEndian if sys.byteorder == "little" else Order.BigEndian
         self._order = native if byte_order is Order.Native else byte_order
         self._fields: list[Field] = []
@@ -144,11 +146,20 @@ class Struct:
         for name, (kind, offset, *_) in (dtype.fields or {}).items():
             self._fields.append(Field(name, Type.of(kind), offset))
 
-    def append(self, name: str | Field, type: Kind = Kind.Invalid, flags: int = 0, value: float = 0.0) -> Struct:
-        """Add a field at the next free place (one that is given whole keeps its own); returns the record."""
-        if isinstance(name, Field):
-            self._fields.append(replace(name, blend=list(name.blend)))
+    def append(
+        self,
+        name: str | Field = "",
+        type: Kind = Kind.Invalid,
+        flags: int = 0,
+        value: float = 0.0,
+        field: Field | None = None,
+    ) -> Struct:
+        """Add a field at the next free place; one given whole, also as `name`, keeps its own. Returns the record."""
+        whole = name if isinstance(name, Field) else field
+        if whole is not None:
+            self._fields.append(replace(whole, blend=list(whole.blend)))
             return self
+        assert isinstance(name, str)
         size = type.dtype.itemsize
         place = max((entry.offset + entry.type.dtype.itemsize for entry in self), default=0)
         if not self._pack:
