@@ -124,11 +124,11 @@ class RoughPlastic(SharedWorkBSDF):
 
     def coat_at(self, index: UInt32, active: Bool | bool) -> Point2f:
         """An entry of the table, attached to alpha and eta."""
-        entry = self.coat.at(index, active)
+        entry = knots_at(self.coat, index, active)
         if dr.grad_enabled(self.alpha):
-            entry = dr.fma(self.coat_by_alpha.at(index, active), self.alpha - dr.detach(self.alpha), entry)
+            entry = dr.fma(knots_at(self.coat_by_alpha, index, active), self.alpha - dr.detach(self.alpha), entry)
         if dr.grad_enabled(self.eta):
-            entry = dr.fma(self.coat_by_eta.at(index, active), self.eta - dr.detach(self.eta), entry)
+            entry = dr.fma(knots_at(self.coat_by_eta, index, active), self.eta - dr.detach(self.eta), entry)
         return entry
 
     def transmittance_of_coat(self, cos: Float, active: Bool | bool) -> Float:
@@ -144,6 +144,14 @@ class RoughPlastic(SharedWorkBSDF):
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.diffuse_reflectance.eval(si, active)
+
+
+def knots_at(table: Any, index: UInt32, active: Bool | bool) -> Point2f:
+    """Two neighbouring knots of a table, or of the tensor that stands in its place outside of kernels."""
+    if dr.is_tensor_v(table):
+        return dr.gather(Point2f, table.array, index, active)
+    entry: Point2f = table.at(index, active)
+    return entry
 
 
 class RoughPlasticAtPoint:

@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["EXPORTS", "SUBMODULES"]
 
 EXPORTS: dict[str, str] = {
-    "djpt.scripting.angles": "coordinate_system dir_to_sph sph_to_dir",
+    "djpt.scripting.angles": "dir_to_sph sph_to_dir",
     "djpt.scripting.distributions_1d": "ContinuousDistribution DiscreteDistribution IrregularContinuousDistribution",
     "djpt.scripting.distributions_2d": "DiscreteDistribution2D",
     "djpt.scripting.distributions_conditional": "ConditionalIrregular1D ConditionalRegular1D",
