@@ -1,19 +1,12 @@
-"""Directions, angles and bases."""
+"""Directions and their spherical coordinates."""
 
 from __future__ import annotations
 
 import drjit as dr
 
-from djpt import frame
 from djpt.types import Float, Point2f, Vector3f, converting
 
-__all__ = ["coordinate_system", "dir_to_sph", "sph_to_dir"]
-
-
-@converting
-def coordinate_system(n: Vector3f) -> tuple[Vector3f, Vector3f]:
-    """Two tangents `s`, `t` such that (s, t, n) is a right-handed orthonormal basis: see `djpt.frame`."""
-    return frame.coordinate_system(n)
+__all__ = ["dir_to_sph", "sph_to_dir"]
 
 
 @converting

@@ -185,11 +185,13 @@ class ChiSquareTest:
         place = self.domain.map_backward(values)
         low, extents = self._range()
         shares = [(x - a) / b for x, a, b in zip(place, low, extents, strict=True)]
-        if not dr.all(inside(shares[0]) & inside(shares[1])):
+        counts = Float(weights) != 0
+        within = inside(shares[0]) & inside(shares[1])
+        if not dr.all(within | ~counts):
             self._reject("samples lie outside of the domain")
         column, row = (UInt32(dr.clip(s * n, 0, n - 1)) for s, n in zip(shares, self.res, strict=True))
         self.histogram = dr.zeros(Float, self.res[0] * self.res[1])
-        dr.scatter_add(self.histogram, Float(weights), row * self.res[0] + column)
+        dr.scatter_add(self.histogram, Float(weights), row * self.res[0] + column, within & counts)
         self.histogram_sum = float(np.sum(self.histogram.numpy(), dtype=np.float64)) / self.sample_count
         self._check("histogram", self.histogram, self.histogram_sum)
 

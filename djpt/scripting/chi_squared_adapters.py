@@ -16,7 +16,7 @@ from djpt.description.scene_files import load_string
 from djpt.errors import DjptError
 from djpt.records import BSDFContext, DirectionSample3f, SurfaceInteraction3f
 from djpt.scripting.microfacet import MicrofacetDistribution
-from djpt.types import Bool, Float, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Float, Point2f, Vector3f
 
 __all__ = ["BSDFAdapter", "EmitterAdapter", "MicrofacetAdapter", "PhaseFunctionAdapter", "SpectrumAdapter"]
 
@@ -74,13 +74,13 @@ def EmitterAdapter(emitter_type: str, extra: Any) -> Functions:
 
     def sample(numbers: Any, *arguments: Any) -> Vector3f:
         emitter = plugin("emitter", emitter_type, extra, arguments)
-        return emitter.sample_direction(Point3f(0), numbers, Bool(True))[0].d
+        return emitter.sample_direction(dr.zeros(SurfaceInteraction3f), numbers, Bool(True))[0].d
 
     def density(wo: Vector3f, *arguments: Any) -> Float:
         emitter = plugin("emitter", emitter_type, extra, arguments)
         ds = dr.zeros(DirectionSample3f, dr.width(wo))
         ds.d = wo
-        return emitter.pdf_direction(Point3f(0), ds, Bool(True))
+        return emitter.pdf_direction(dr.zeros(SurfaceInteraction3f), ds, Bool(True))
 
     return sample, density
 

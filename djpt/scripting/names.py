@@ -15,7 +15,7 @@ EXPORTS: dict[str, str] = {
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
     "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
-    "djpt.scripting.angles": "coordinate_system dir_to_sph sph_to_dir",
+    "djpt.scripting.angles": "dir_to_sph sph_to_dir",
     "djpt.scripting.arguments": "ArgParser",
     "djpt.scripting.arrays": " ".join(ARRAYS),
     "djpt.scripting.bitmap": "Bitmap",

@@ -49,7 +49,7 @@ class Bitmap(UVTexture):
     for 8-bit images (Mitsuba keeps those as bytes unless told otherwise). An edit may change its size.
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "resolution": HIDDEN, "average": HIDDEN}
+    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "extent": HIDDEN, "average": HIDDEN}
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
     children = ("distribution",)
     statics = ("channels", "filter_type", "wrap_mode", "tents")
@@ -75,7 +75,7 @@ class Bitmap(UVTexture):
     def _measure(self) -> None:
         """Compute what kernels know of the texels as a whole: their resolution and average."""
         height, width, self.channels = self.data.shape
-        self.resolution = Vector2f(as_float(width), as_float(height))
+        self.extent = Vector2f(as_float(width), as_float(height))
         if is_readable():
             colour = mean_texel(numbers_of(self.data))
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
@@ -149,7 +149,7 @@ class Bitmap(UVTexture):
         (s, t), corners = self._corners(si, active)
         f00, f10, f01, f11 = (self._scalar(corner) for corner in corners)
         gradient = Vector2f(lerp(f10 - f00, f11 - f01, t), lerp(f01 - f00, f11 - f10, s))
-        return self.chain(gradient * self.resolution)
+        return self.chain(gradient * self.extent)
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
@@ -205,7 +205,7 @@ class Bitmap(UVTexture):
 
     def _lookup(self, si: Any, active: Bool | bool) -> Any:
         if self.filter_type == "nearest":
-            x, y = self.uv(si) * self.resolution
+            x, y = self.uv(si) * self.extent
             return self._texel(self._wrap(dr.floor(x), 0), self._wrap(dr.floor(y), 1), active)
         (s, t), (f00, f10, f01, f11) = self._corners(si, active)
         return lerp(lerp(f00, f10, s), lerp(f01, f11, s), t)
@@ -217,7 +217,7 @@ class Bitmap(UVTexture):
 
     def _around(self, uv: Point2f) -> tuple[Point2f, list[UInt32], list[UInt32]]:
         """The shares, columns and rows of the texels about `uv`, for `_corners`."""
-        place = dr.fma(uv, self.resolution, -0.5)
+        place = dr.fma(uv, self.extent, -0.5)
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
         rows = [self._wrap(first.y + k, 1) for k in range(2)]
@@ -227,7 +227,7 @@ class Bitmap(UVTexture):
 
     def _wrap(self, i: Float, axis: int) -> UInt32:
         """The number of a texel along an axis; `i` is whole, but may lie outside."""
-        count = self.resolution[axis]
+        count = self.extent[axis]
         if self.wrap_mode == "repeat":
             i = remainder(i, count)
         elif self.wrap_mode == "mirror":
@@ -237,7 +237,7 @@ class Bitmap(UVTexture):
         return UInt32(minimum(maximum(i, 0), count - 1))
 
     def _texel(self, x: UInt32, y: UInt32, active: Bool | bool) -> Any:
-        index = y * UInt32(self.resolution.x) + x
+        index = y * UInt32(self.extent.x) + x
         if dr.is_tensor_v(self.data):  # outside of kernels there is no table
             return dr.gather(Float if self.channels == 1 else Color3f, self.data.array, index, active)
         return self.data.at(index, active)

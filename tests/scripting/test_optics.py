@@ -32,8 +32,6 @@ CALLS: list[Callable[[Any], Any]] = [
     lambda m: m.refract(WI, TILTED, -0.9, 0.7),
     lambda m: m.refract(wi=WI, cos_theta_t=-0.9, eta_ti=0.7),
     lambda m: m.refract(WI, m=TILTED, cos_theta_t=-0.9, eta_ti=0.7),
-    lambda m: m.coordinate_system(WI),
-    lambda m: m.coordinate_system([0.6, 0.0, -0.8]),
     lambda m: m.sph_to_dir([0, 1, 3], [0, -2, 1]),
     lambda m: m.dir_to_sph([[0, 0, 0.6, 1e-4], [0, 0, -0.64, 0], [1, -1, 0.48, 1]]),
     lambda m: m.luminance([1, 2, 3]),
