@@ -18,11 +18,7 @@ OPTIX = "NVIDIA's closed OptiX library, for Mitsuba's CUDA variants only."
 REASONS: dict[str, str] = {
     "mueller": POLARISATION,
     "mueller.*": POLARISATION,
-    "*polarized": POLARISATION,
-    "depolarizer": POLARISATION,
     "srgb_model_*": SPECTRAL,
-    "sample_rgb_spectrum": SPECTRAL,
-    "pdf_rgb_spectrum": SPECTRAL,
     "Stream": STREAMS,
     "Stream.*": STREAMS,
     "DummyStream*": STREAMS,

@@ -104,7 +104,7 @@ def test_each_verdict() -> None:
         RED = 1
         BLUE = 3
 
-    theirs = module(Ray=Ray, Colour=Colour, VERSION=3, mueller_polarized=lambda: 0, gone=lambda: 0)
+    theirs = module(Ray=Ray, Colour=Colour, VERSION=3, mueller=lambda: 0, gone=lambda: 0)
     ours = SimpleNamespace(Ray=Ours, Colour=Hue, VERSION=4)
     assert verdicts(findings(theirs, ours)) == {
         "Ray": "here",
@@ -115,7 +115,7 @@ def test_each_verdict() -> None:
         "Colour.RED": "here",
         "Colour.BLUE": "different",
         "VERSION": "different",
-        "mueller_polarized": "left out",
+        "mueller": "left out",
         "gone": "absent",
     }
 
