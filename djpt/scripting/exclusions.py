@@ -24,8 +24,6 @@ REASONS: dict[str, str] = {
     "Texture.spectral_resolution": SPECTRAL,
     "Texture.wavelength_range": SPECTRAL,
     "TexturePtr.*spectrum": SPECTRAL,
-    "TexturePtr.spectral_resolution": SPECTRAL,
-    "TexturePtr.wavelength_range": SPECTRAL,
     "Stream": STREAMS,
     "Stream.*": STREAMS,
     "DummyStream*": STREAMS,
