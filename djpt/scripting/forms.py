@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from inspect import Parameter, Signature
 from typing import Any, TypeVar
 
 from djpt.errors import ArgumentError
@@ -41,6 +42,16 @@ def forms(*lists: str) -> Callable[[Function], Function]:
             calls = " or ".join(f"({', '.join(needed + optional)})" for needed, optional in known)
             raise ArgumentError(f"{function.__qualname__}() takes {calls}; found {len(given)} arguments {[*keywords]}")
 
+        call.__signatures__ = [signature(needed, optional, method) for needed, optional in known]  # type: ignore[attr-defined]
         return call  # type: ignore[return-value]
 
     return decorate
+
+
+def signature(needed: list[str], optional: list[str], method: bool) -> Signature:
+    """The signature of one form, for `djpt.validation.names` and other readers."""
+    kind = Parameter.POSITIONAL_OR_KEYWORD
+    own = [Parameter("self", kind)] if method else []
+    return Signature(
+        [*own, *(Parameter(name, kind) for name in needed), *(Parameter(name, kind, default=None) for name in optional)]
+    )

@@ -42,9 +42,9 @@ EXPORTS: dict[str, str] = {
         "set_logger"
     ),
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
-    "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback register_medium register_phase",
+    "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
     "djpt.scripting.plugin_kinds": (
-        "Endpoint Medium PhaseFunction Volume register_medium register_phasefunction register_volume"
+        "Endpoint Medium PhaseFunction Volume register_medium register_phase register_phasefunction register_volume"
     ),
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (

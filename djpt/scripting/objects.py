@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import enum
-from typing import Any, NoReturn
+from typing import Any
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import home_of, kind_of, lookup
-from djpt.errors import SceneError
 
-__all__ = ["Object", "ObjectType", "PluginManager", "TraversalCallback", "register_medium", "register_phase"]
+__all__ = ["Object", "ObjectType", "PluginManager", "TraversalCallback"]
 
 
 Object = Plugin
@@ -78,21 +77,3 @@ class PluginManager:
 
 
 _manager = PluginManager()
-
-
-def register_medium(name: str, constructor: Any) -> NoReturn:
-    """Refuse: djpt has no participating media that scatter light.
-
-    Raises:
-        SceneError: always.
-    """
-    raise SceneError(f"register_medium: '{name}' can't be a plugin: djpt has no media that scatter light")
-
-
-def register_phase(name: str, constructor: Any) -> NoReturn:
-    """Refuse: djpt has no phase functions.
-
-    Raises:
-        SceneError: always.
-    """
-    raise SceneError(f"register_phase: '{name}' can't be a plugin: djpt has no media that scatter light")

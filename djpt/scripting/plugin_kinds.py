@@ -15,6 +15,7 @@ __all__ = [
     "PhaseFunction",
     "Volume",
     "register_medium",
+    "register_phase",
     "register_phasefunction",
     "register_volume",
 ]
@@ -67,16 +68,20 @@ def unsupported(what: str) -> DjptError:
     )
 
 
-def register_medium(name: str, factory: Any) -> None:
+def register_medium(name: str, constructor: Any) -> None:
     """Raise `DjptError`: there are no scattering media yet."""
     raise unsupported("media")
 
 
-def register_phasefunction(name: str, factory: Any) -> None:
+def register_phase(name: str, constructor: Any) -> None:
     """Raise `DjptError`: there are no phase functions yet."""
     raise unsupported("phase functions")
 
 
-def register_volume(name: str, factory: Any) -> None:
+register_phasefunction = register_phase
+"""A former name of `register_phase`."""
+
+
+def register_volume(name: str, constructor: Any) -> None:
     """Raise `DjptError`: there are no volumes yet."""
     raise unsupported("volumes")

@@ -108,9 +108,9 @@ def test_names_of_objects() -> None:
     assert thing.id() == djpt.Object(thing).id() == "thing"
 
 
-@pytest.mark.parametrize("register", [djpt.register_medium, djpt.register_phase])
+@pytest.mark.parametrize("register", [djpt.register_medium, djpt.register_phase, djpt.register_volume])
 def test_media_are_refused(register: Any) -> None:
-    with pytest.raises(DjptError, match="'fog' can't be a plugin: djpt has no media that scatter light"):
+    with pytest.raises(DjptError, match=r"djpt has no (media|phase functions|volumes): matter can absorb light"):
         register("fog", lambda props: None)
 
 

@@ -7,12 +7,13 @@ import inspect
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, overload
 
 import pytest
 
 import djpt
 from djpt.scripting.exclusions import REASONS
+from djpt.scripting.forms import forms
 from djpt.validation.names import Finding, Verdict, counts, findings, read_names, render_page
 from djpt.validation.names.__main__ import PAGE
 from djpt.validation.names.compare import MISSING, look_up
@@ -104,7 +105,7 @@ def test_each_verdict() -> None:
         RED = 1
         BLUE = 3
 
-    theirs = module(Ray=Ray, Colour=Colour, VERSION=3, mueller_polarized=lambda: 0, gone=lambda: 0)
+    theirs = module(Ray=Ray, Colour=Colour, VERSION=3, mueller=lambda: 0, gone=lambda: 0)
     ours = SimpleNamespace(Ray=Ours, Colour=Hue, VERSION=4)
     assert verdicts(findings(theirs, ours)) == {
         "Ray": "here",
@@ -115,7 +116,7 @@ def test_each_verdict() -> None:
         "Colour.RED": "here",
         "Colour.BLUE": "different",
         "VERSION": "different",
-        "mueller_polarized": "left out",
+        "mueller": "left out",
         "gone": "absent",
     }
 
@@ -156,3 +157,18 @@ def test_every_reason_is_needed(found: list[Finding]) -> None:
     excluded = [f.name.path for f in found if f.verdict is Verdict.EXCLUDED]
     assert counts(found)[Verdict.EXCLUDED] == len(excluded)
     assert [pattern for pattern in REASONS if not any(fnmatchcase(path, pattern) for path in excluded)] == []
+
+
+def test_forms_and_overloads_are_read() -> None:
+    @forms("a b", "a c | d")
+    def function(*, a: int, b: int = 0, c: int = 0, d: int = 0) -> None: ...
+
+    class Thing:
+        @overload
+        def __init__(self, x: int) -> None: ...
+        @overload
+        def __init__(self, y: str, z: int) -> None: ...
+        def __init__(self, *arguments: Any, **named: Any) -> None: ...
+
+    assert [str(s) for s in signatures(function, bound=False)] == ["(a, b)", "(a, c, d=None)"]
+    assert [len(s.parameters) for s in signatures(Thing, bound=False)] == [1, 2]

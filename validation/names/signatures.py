@@ -7,7 +7,7 @@ import inspect
 import re
 import sys
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from inspect import Parameter, Signature
 from types import FunctionType, MethodType
 from typing import Any
@@ -28,13 +28,13 @@ def signatures(function: Any, *, bound: bool) -> list[Signature]:
         function: anything that can be called.
         bound: whether the first parameter is the object, to be left out.
     """
-    if inspect.isclass(function) and declared_overloads(function.__init__):
-        return signatures(function.__init__, bound=True)
+    if inspect.isclass(function) and (overloads := declared_overloads(function.__init__)):
+        return [without_first(s) for s in overloads]
     records = getattr(function, "__nb_signature__", None)
     if isinstance(records, tuple):
         found = [parse(record[0]) for record in records]
     elif overloads := declared_overloads(function):
-        found = [inspect.signature(overload) for overload in overloads]
+        found = overloads
     else:
         try:
             found = [inspect.signature(function)]
@@ -43,11 +43,14 @@ def signatures(function: Any, *, bound: bool) -> list[Signature]:
     return [without_first(s) for s in found] if bound else found
 
 
-def declared_overloads(function: Any) -> list[Callable[..., Any]]:
-    """The declarations of a function by ``typing.overload``; none before Python 3.11."""
+def declared_overloads(function: Any) -> list[Signature]:
+    """The forms that a function declares: by `djpt.scripting.forms`, or by ``typing.overload`` (Python 3.11 on)."""
+    forms: list[Signature] | None = getattr(function, "__signatures__", None)
+    if forms is not None:
+        return forms
     if sys.version_info < (3, 11) or not isinstance(function, (FunctionType, MethodType)):
         return []
-    return list(typing.get_overloads(function))
+    return [inspect.signature(overload) for overload in typing.get_overloads(function)]
 
 
 def parse(text: str) -> Signature:

@@ -41,8 +41,9 @@ def public_names(mitsuba: ModuleType) -> list[PublicName]:
 
 
 def in_module(module: ModuleType, prefix: str, seen: set[int]) -> Iterator[PublicName]:
-    """The names of a module and of all in it."""
+    """The names of a module and of all in it; what a file of Python imports from another isn't its own."""
     seen.add(id(module))
+    imports_count = not str(getattr(module, "__file__", "")).endswith(".py") or hasattr(module, "__path__")
     for name in sorted(dir(module)):
         if name.startswith("_") or name in LEFT_OUT:
             continue
@@ -51,6 +52,8 @@ def in_module(module: ModuleType, prefix: str, seen: set[int]) -> Iterator[Publi
             if value.__name__.startswith("mitsuba.") and id(value) not in seen:
                 yield PublicName(path, value, "module")
                 yield from in_module(value, f"{path}.", seen)
+        elif not imports_count and getattr(value, "__module__", module.__name__) != module.__name__:
+            continue
         elif inspect.isclass(value):
             if is_theirs(value):
                 yield from in_class(value, path, seen)
