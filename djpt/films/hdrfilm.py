@@ -41,7 +41,9 @@ class HDRFilm(Film):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.pixel_format = props.string("pixel_format", "rgb", choices=tuple(CHANNELS))
+        self.pixel_format = props.string("pixel_format", "rgb").lower()
+        if self.pixel_format not in CHANNELS:
+            props.string("pixel_format", choices=tuple(CHANNELS))  # which says what is possible
         props.string("component_format", "float16", choices=("float16", "float32", "uint32"))
         self._extension = EXTENSIONS[props.string("file_format", "openexr", choices=tuple(EXTENSIONS))]
         props.boolean("banner", False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -81,6 +82,13 @@ class ProjectiveCamera(Sensor):
         """The distance of the far plane along the optical axis."""
         return self._far_clip
 
+    def projection_transform(self) -> Any:
+        """The map of camera space to the crop window: see `djpt.scripting.projections`.
+
+        The shift of a principal point is left out.
+        """
+        raise NotImplementedError
+
     def near_share(self) -> float:
         return self._near_clip / (self._far_clip - self._near_clip)
 
@@ -129,6 +137,13 @@ class Central(ProjectiveCamera):
                 raise ParameterError(f"must lie in (0, 180), found {number:g}")
             return Float(number)
         return super().check_parameter(name, value)
+
+    def projection_transform(self) -> Any:
+        film = self.film()
+        window = (film.size(), film.crop_size(), film.crop_offset())
+        # For scripts only: the renderer needs no such matrix.
+        projection = importlib.import_module("djpt").perspective_projection
+        return projection(*window, self.x_fov, self._near_clip, self._far_clip)
 
     def image_shift(self) -> NDArray[np.float64] | None:
         """The shift of the image's centre, in image widths and heights; None if there is none."""

@@ -165,7 +165,6 @@ class Bitmap(UVTexture):
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
-        self._prepare_outside()
         if self.distribution is None:
             like = self._sampled()
             return super().sample_position(sample, active) if like is None else like.sample_position(sample, active)
@@ -176,11 +175,6 @@ class Bitmap(UVTexture):
         uv = Point2f(self._inside(place.x), self._inside(place.y))
         return uv, self.pdf_position(uv, active)
 
-    def _prepare_outside(self) -> None:
-        """Build the distribution for scripts that ask the texture itself, before any light has."""
-        if self.distribution is None and dr.is_tensor_v(self.data) and is_readable():
-            self.prepare_sampling()
-
     def _inside(self, u: Float) -> Float:
         """Move a coordinate into the unit square, which tents of texels at the border reach out of."""
         if not self.tents:
@@ -190,7 +184,6 @@ class Bitmap(UVTexture):
         return dr.select(u < 0, -u, dr.select(u > 1, 2 - u, u))
 
     def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
-        self._prepare_outside()
         if self.distribution is None:
             like = self._sampled()
             return super().pdf_position(uv, active) if like is None else like.pdf_position(uv, active)
