@@ -114,7 +114,7 @@ class HDRFilm(Film):
 
     def _prepared(self) -> ImageBlock:
         if self._storage is None:
-            raise RenderError(f"{self.id()}: the film holds no image yet: render, or call film.prepare(aovs) first")
+            raise RenderError(f"{self.id()}: the film holds no image yet: render, or call film.prepare() first")
         return self._storage
 
     def put_block(self, block: ImageBlock) -> None:

@@ -43,7 +43,7 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback register_medium register_phase",
-    "djpt.scripting.projections": "orthographic_projection perspective_projection",
+    "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.plugin_kinds": (
         "Endpoint Medium PhaseFunction Volume register_medium register_phasefunction register_volume"
     ),

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.numeric import as_number
+from djpt.description.properties import Properties
 from djpt.scripting.transforms import ProjectiveTransform4f
+from djpt.sensors.projective import horizontal_fov
 from djpt.types import Matrix4f
 
-__all__ = ["orthographic_projection", "perspective_projection"]
+__all__ = ["orthographic_projection", "parse_fov", "perspective_projection"]
 
 
 def perspective_projection(
@@ -43,6 +45,14 @@ def orthographic_projection(
     depth = 1 / (far - near)
     to_plane = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, depth, -near * depth], [0, 0, 0, 1]])
     return made(to_window(film_size, crop_size, crop_offset) @ to_plane)
+
+
+def parse_fov(props: Properties, aspect: float) -> float:
+    """The field of view along x in degrees, from the entries `fov` and `fov_axis`, or from `focal_length`.
+
+    `aspect` is width / height of the film. Raises `SceneError` for entries that say nothing or contradict each other.
+    """
+    return horizontal_fov(props, aspect)
 
 
 def to_window(film_size: Sequence[int], crop_size: Sequence[int], crop_offset: Sequence[int]) -> NDArray[np.float64]:

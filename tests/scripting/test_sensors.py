@@ -122,7 +122,7 @@ def test_filters_are_mitsubas(mi: Any, name: str) -> None:
 def test_a_film_without_samples() -> None:
     film = djpt.load_dict({"type": "hdrfilm"})
     for call in (film.develop, film.create_block):
-        with pytest.raises(RenderError, match=r"film\.prepare\(aovs\) first"):
+        with pytest.raises(RenderError, match=r"film\.prepare\(\) first"):
             call()
     with pytest.raises(RenderError, match="the channel 'R' appears twice"):
         film.prepare(["R"])
