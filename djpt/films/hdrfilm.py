@@ -41,7 +41,9 @@ class HDRFilm(Film):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.pixel_format = props.string("pixel_format", "rgb", choices=tuple(CHANNELS))
+        self.pixel_format = props.string("pixel_format", "rgb").lower()
+        if self.pixel_format not in CHANNELS:
+            props.string("pixel_format", choices=tuple(CHANNELS))  # which says what is possible
         props.string("component_format", "float16", choices=("float16", "float32", "uint32"))
         self._extension = EXTENSIONS[props.string("file_format", "openexr", choices=tuple(EXTENSIONS))]
         props.boolean("banner", False)
@@ -112,7 +114,7 @@ class HDRFilm(Film):
 
     def _prepared(self) -> ImageBlock:
         if self._storage is None:
-            raise RenderError(f"{self.id()}: the film holds no image yet: render, or call film.prepare(aovs) first")
+            raise RenderError(f"{self.id()}: the film holds no image yet: render, or call film.prepare() first")
         return self._storage
 
     def put_block(self, block: ImageBlock) -> None:

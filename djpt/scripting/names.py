@@ -46,6 +46,7 @@ EXPORTS: dict[str, str] = {
     "djpt.scripting.plugin_kinds": (
         "Endpoint Medium PhaseFunction Volume register_medium register_phase register_phasefunction register_volume"
     ),
+    "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "

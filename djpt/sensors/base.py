@@ -15,6 +15,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.films.base import Film
+from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.records import DirectionSample3f, Ray3f
 from djpt.samplers.base import Sampler
 from djpt.sensors.sampling import SampledRays
@@ -118,9 +119,27 @@ class Sensor(SampledRays, Plugin):
         """The transform from camera to world."""
         return self.to_world
 
+    def bbox(self) -> BoundingBox3f:
+        """The box about the shape that the sensor is nested in; an empty one for a sensor that stands in space."""
+        return BoundingBox3f() if self.shape is None else self.shape.bbox()
+
     def get_shape(self) -> Any:
         """The shape that the sensor is nested in, or None."""
         return self.shape
+
+    @property
+    def m_to_world(self) -> ScalarTransform4f:
+        """Mitsuba's name of `to_world`, for sensors that scripts write."""
+        return self.to_world
+
+    @m_to_world.setter
+    def m_to_world(self, transform: ScalarTransform4f) -> None:
+        self.to_world = transform
+
+    @property
+    def m_film(self) -> Film:
+        """Mitsuba's name of what `film` returns."""
+        return self._film
 
     # ---- on the host -------------------------------------------------------------------
 

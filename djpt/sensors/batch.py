@@ -14,6 +14,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, RenderError, SceneError
+from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.kernels import maximum, minimum
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
@@ -111,6 +112,12 @@ class Batch(Sensor):
         if first is None or any(p is None or not np.array_equal(p, first) for p in points):
             return None
         return first
+
+    def bbox(self) -> BoundingBox3f:
+        box = BoundingBox3f()
+        for sensor in self.sensors:
+            box.expand(sensor.bbox())
+        return box
 
     def near_share(self) -> float:
         shares = {sensor.near_share() for sensor in self.sensors}

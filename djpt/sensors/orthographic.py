@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -65,6 +66,12 @@ class Orthographic(ProjectiveCamera):
         self.to_column, self.to_row = as_vector(across / (across @ across)), as_vector(down / (down @ down))
         self.axis_length = float(np.linalg.norm(linear[:, 2]))
         self.inv_area = as_float(1 / float(np.linalg.norm(across) * np.linalg.norm(down)))
+
+    def projection_transform(self) -> Any:
+        film = self.film()
+        window = (film.size(), film.crop_size(), film.crop_offset())
+        # For scripts only: the renderer needs no such matrix.
+        return importlib.import_module("djpt").orthographic_projection(*window, self._near_clip, self._far_clip)
 
     def near_share(self) -> float:
         # A scale moves the near plane, as it does in Mitsuba, but not the length of rays.

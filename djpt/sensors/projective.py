@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
+from djpt.geometry.bounding_box import BoundingBox3f
 from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f
 from djpt.sensors.base import Sensor
@@ -73,6 +75,11 @@ class ProjectiveCamera(Sensor):
         """Compute what kernels read."""
         raise NotImplementedError
 
+    def bbox(self) -> BoundingBox3f:
+        """The point where the camera stands, as a box."""
+        p = self.to_world.translation().tolist()
+        return BoundingBox3f(p, p)
+
     def near_clip(self) -> float:
         """The distance of the near plane along the optical axis."""
         return self._near_clip
@@ -80,6 +87,13 @@ class ProjectiveCamera(Sensor):
     def far_clip(self) -> float:
         """The distance of the far plane along the optical axis."""
         return self._far_clip
+
+    def projection_transform(self) -> Any:
+        """The map of camera space to the crop window: see `djpt.scripting.projections`.
+
+        The shift of a principal point is left out.
+        """
+        raise NotImplementedError
 
     def near_share(self) -> float:
         return self._near_clip / (self._far_clip - self._near_clip)
@@ -129,6 +143,13 @@ class Central(ProjectiveCamera):
                 raise ParameterError(f"must lie in (0, 180), found {number:g}")
             return Float(number)
         return super().check_parameter(name, value)
+
+    def projection_transform(self) -> Any:
+        film = self.film()
+        window = (film.size(), film.crop_size(), film.crop_offset())
+        # For scripts only: the renderer needs no such matrix.
+        projection = importlib.import_module("djpt").perspective_projection
+        return projection(*window, self.x_fov, self._near_clip, self._far_clip)
 
     def image_shift(self) -> NDArray[np.float64] | None:
         """The shift of the image's centre, in image widths and heights; None if there is none."""

@@ -153,7 +153,6 @@ class Bitmap(UVTexture):
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
-        self._prepare_outside()
         if self.distribution is None:
             return super().sample_position(sample, active)
         column, row, rest = self.distribution.sample(sample, active)
@@ -162,11 +161,6 @@ class Bitmap(UVTexture):
         place = (Point2f(Float(column), Float(row)) + rest) * dr.rcp(self._cells())
         uv = Point2f(self._inside(place.x), self._inside(place.y))
         return uv, self.pdf_position(uv, active)
-
-    def _prepare_outside(self) -> None:
-        """Build the distribution for scripts that ask the texture itself, before any light has."""
-        if self.distribution is None and dr.is_tensor_v(self.data) and is_readable():
-            self.prepare_sampling()
 
     def _inside(self, u: Float) -> Float:
         """Move a coordinate into the unit square, which tents of texels at the border reach out of."""
@@ -177,7 +171,6 @@ class Bitmap(UVTexture):
         return dr.select(u < 0, -u, dr.select(u > 1, 2 - u, u))
 
     def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
-        self._prepare_outside()
         if self.distribution is None:
             return super().pdf_position(uv, active)
         if self.tents:

@@ -73,8 +73,10 @@ def asked(module: Any, bsdf: Any, ctx: Any) -> list[np.ndarray]:
     value, pdf = bsdf.eval_pdf(ctx, si, Vector(*rows(wo)))
     bs, weight = bsdf.sample(ctx, si, floats(u[4]), module.Point2f(*rows(u[5:7])))
     again = bsdf.eval_pdf_sample(ctx, si, Vector(*rows(wo)), floats(u[4]), module.Point2f(*rows(u[5:7])))
-    found = dr.max(weight) > 1e-6
-    answers = [value, pdf, weight, dr.select(found, bs.pdf, 0), *again[:2], again[3]]
+    # Where nothing is scattered, densities are anything in Mitsuba, negative ones included.
+    found, seen = dr.max(weight) > 1e-6, dr.max(value) > 0
+    densities = [dr.select(seen, pdf, 0), dr.select(seen, again[1], 0), dr.select(found, bs.pdf, 0)]
+    answers = [value, weight, again[0], again[3], *densities]
     dr.eval(answers)
     return [np.broadcast_to(in_numpy(x), (*in_numpy(x).shape[:-1], COUNT)) for x in answers]
 

@@ -92,6 +92,21 @@ def test_sensors_and_films_say_what_mitsubas_do(mi: Any, name: str, crop: bool) 
     assert in_numpy(mine.sample_wavelengths(None, 0.5)[1]).tolist() == [[1]] * 3
 
 
+@pytest.mark.parametrize("crop", [False, True])
+@pytest.mark.parametrize("name", ["perspective", "orthographic"])
+def test_projections_are_mitsubas(mi: Any, name: str, crop: bool) -> None:
+    mine, his = (camera(module, name, crop).projection_transform() for module in (djpt, mi))
+    np.testing.assert_allclose(np.array(mine.matrix).squeeze(), np.array(his.matrix).squeeze(), rtol=1e-5, atol=1e-5)
+
+
+def test_sensors_of_scripts_know_where_they_stand() -> None:
+    sensor = camera(djpt, "perspective")
+    assert sensor.m_to_world is sensor.world_transform() and sensor.m_film is sensor.film()
+    sensor.m_to_world = djpt.ScalarTransform4f().translate([1, 2, 3])
+    assert sensor.world_transform() == djpt.ScalarTransform4f().translate([1, 2, 3])
+    assert not sensor.bbox().valid()
+
+
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
 
 
@@ -107,7 +122,7 @@ def test_filters_are_mitsubas(mi: Any, name: str) -> None:
 def test_a_film_without_samples() -> None:
     film = djpt.load_dict({"type": "hdrfilm"})
     for call in (film.develop, film.create_block):
-        with pytest.raises(RenderError, match=r"film\.prepare\(aovs\) first"):
+        with pytest.raises(RenderError, match=r"film\.prepare\(\) first"):
             call()
     with pytest.raises(RenderError, match="the channel 'R' appears twice"):
         film.prepare(["R"])
