@@ -13,7 +13,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
-from djpt.types import Bool
+from djpt.types import Bool, Float
 
 __all__ = ["RayQuestions"]
 
@@ -84,6 +84,9 @@ class RayQuestions:
         si = self.surface_interaction(near, pi)
         si.found_at(si.t + entry, si.is_valid())
         self.own(si)
+        if flags & NORMAL_PARTIALS:
+            pi.t = si.t
+            self._add_normal_partials(si, ray, pi, flags)
         return si
 
     def ray_test(self, ray: Ray3f, coherent: Bool | bool = True, active: Bool | bool = True) -> Bool:
@@ -104,6 +107,8 @@ class RayQuestions:
             return self._attached_interaction(ray, hit, int(ray_flags))
         si = self.surface_interaction(ray, hit)
         self.own(si)
+        if ray_flags & NORMAL_PARTIALS:
+            self._add_normal_partials(si, ray, hit, ray_flags)
         return si
 
     def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
@@ -121,6 +126,24 @@ class RayQuestions:
         self.own(si)
         return si
 
+    def _add_normal_partials(
+        self, si: SurfaceInteraction3f, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int
+    ) -> None:
+        """Set dn/du and dn/dv: the change of the normal where the ray moves along dp/du and dp/dv."""
+        changes = []
+        for tangent in (si.dp_du, si.dp_dv):
+            with dr.resume_grad():
+                step = Float(0)
+                dr.enable_grad(step)
+                moved = self._attached_interaction(Ray3f(ray.o + step * tangent, ray.d), pi, RayFlags.All)
+                n = moved.sh_frame.n if flags & RayFlags.dNSdUV else moved.n
+                dr.set_grad(step, 1)
+                dr.enqueue(dr.ADMode.Forward, step)
+                # Other fields depend on the normal: its derivative must outlast them.
+                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)
+                changes.append(dr.select(si.is_valid(), dr.grad(n), 0))
+        si.dn_du, si.dn_dv = changes
+
     def shape_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
         """The shape at `si`; none on a miss."""
         if "shapes" not in self._families:
@@ -133,6 +156,9 @@ class RayQuestions:
         if key not in self._families:
             self._families[key] = Family(ensemble, self.lookup)
         return self._families[key]
+
+
+NORMAL_PARTIALS = RayFlags.dNGdUV | RayFlags.dNSdUV
 
 
 def last_mask(reordering: tuple[Any, ...], active: Bool | bool) -> Bool | bool:

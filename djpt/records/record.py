@@ -50,6 +50,13 @@ class Record:
                 )
             setattr(self, name, value)
 
+    @classmethod
+    def holding(cls, **fields: Any) -> Any:
+        """A record of fields that have their types already: the fast way to make one."""
+        record = object.__new__(cls)
+        record.__dict__.update(fields)
+        return record
+
     def default(self, name: str) -> Any:
         """The value of a field that wasn't given: zeros, unless the class knows better."""
         kind = self.DRJIT_STRUCT[name]

@@ -141,3 +141,17 @@ def test_the_forward_derivative_by_an_unused_parameter_is_zero() -> None:
     dr.set_grad(params[name], 1)
     change = dr.forward_to(image)
     assert change.shape == (4, 4, 3) and not np.array(change).any()
+
+
+@pytest.mark.parametrize("flag", ["dNGdUV", "dNSdUV"])
+@pytest.mark.parametrize("name", ["sphere", "rectangle", "cylinder"])
+def test_derivatives_of_normals_by_texture_coordinates(name: str, flag: str, mi: Any) -> None:
+    """Zero unless asked for; Mitsuba's rectangle is a mesh without geometric ones."""
+    found = []
+    for m in (djpt, mi):
+        place, ray = scene(m, name), m.Ray3f([0.2, 0.1, -5], [0.01, 0.02, 1])
+        si = place.ray_intersect(ray, m.RayFlags.All | getattr(m.RayFlags, flag), False)
+        found.append([si.dn_du, si.dn_dv, place.ray_intersect(ray).dn_du])
+        dr.eval(found[-1])
+    for mine, other in zip(*found, strict=True):
+        same(mine, other, 1e-3)
