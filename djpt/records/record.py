@@ -72,7 +72,8 @@ class Record:
 
         def __getattr__(self, name: str) -> Any:
             if name not in type(self).DRJIT_STRUCT:
-                raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+                why = ": light isn't polarised" if "mueller" in name else ""
+                raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'{why}")
             value = self.default(name)
             self.__dict__[name] = value
             return value
