@@ -10,7 +10,7 @@ from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.pointers import ShapePtr
 from djpt.geometry.aggregate import Geometry
-from djpt.geometry.attached import distance_on_plane, distance_to, is_attached
+from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
 from djpt.geometry.silhouettes import missing
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
@@ -42,7 +42,14 @@ class RayQuestions:
         raise NotImplementedError
 
     def ray_intersect_preliminary(
-        self, ray: Ray3f, coherent: Bool | bool = False, *reordering: Any, active: Bool | bool = True
+        self,
+        ray: Ray3f,
+        coherent: Bool | bool = False,
+        *reordering: Any,
+        active: Bool | bool = True,
+        reorder: bool = False,
+        reorder_hint: Any = 0,
+        reorder_hint_bits: int = 0,
     ) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt, with Mitsuba's fields.
 
@@ -68,7 +75,9 @@ class RayQuestions:
         coherent: Bool | bool = False,
         *reordering: Any,
         active: Bool | bool = True,
-        **reorder: Any,
+        reorder: bool = False,
+        reorder_hint: Any = 0,
+        reorder_hint_bits: int = 0,
     ) -> SurfaceInteraction3f:
         """The first surface point with 0 < t < maxt, with all its fields.
 
@@ -95,9 +104,17 @@ class RayQuestions:
             self._add_normal_partials(si, ray, pi, flags)
         return si
 
-    def ray_test(self, ray: Ray3f, coherent: Bool | bool = True, active: Bool | bool = True) -> Bool:
-        """True where anything is hit with 0 < t < maxt; a single mask after the ray means `active`."""
-        return self.geometry.any_hit(self.geometry.approach(dr.detach(ray))[0], active & coherent)
+    def ray_test(
+        self, ray: Ray3f, *masks: Bool | bool, coherent: Bool | bool = False, active: Bool | bool = True
+    ) -> Bool:
+        """True where anything is hit with 0 < t < maxt.
+
+        A mask after the ray is `active`, as in Mitsuba; of two the first is `coherent`, which changes nothing.
+        """
+        lanes = masks[-1] if masks else active
+        if len(masks) == 1 and active is not True:
+            lanes = active
+        return self.geometry.any_hit(self.geometry.approach(dr.detach(ray))[0], lanes)
 
     def own(self, record: PreliminaryIntersection3f | SurfaceInteraction3f) -> None:
         """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
@@ -129,6 +146,7 @@ class RayQuestions:
             t = distance_on_plane(ray, pi, dr.detach(fixed.p), dr.detach(fixed.n))
             near = self.geometry.near_again(ray, t, pi.near)
             si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
+        make_ends(si)
         self.own(si)
         return si
 
@@ -145,8 +163,7 @@ class RayQuestions:
                 n = moved.sh_frame.n if flags & RayFlags.dNSdUV else moved.n
                 dr.set_grad(step, 1)
                 dr.enqueue(dr.ADMode.Forward, step)
-                # Other fields depend on the normal: its derivative must outlast them.
-                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)
+                dr.traverse(dr.ADMode.Forward)
                 changes.append(dr.select(si.is_valid(), dr.grad(n), 0))
         si.dn_du, si.dn_dv = changes
 

@@ -155,3 +155,12 @@ def test_derivatives_of_normals_by_texture_coordinates(name: str, flag: str, mi:
         dr.eval(found[-1])
     for mine, other in zip(*found, strict=True):
         same(mine, other, 1e-3)
+
+
+def test_the_derivative_of_a_point_outlasts_a_traversal() -> None:
+    """uv follow from the point; still `dr.forward` leaves a derivative of each."""
+    o = djpt.Point3f(0.3, 0.2, -5)
+    dr.enable_grad(o)
+    si = djpt.load_dict({"type": "scene", "wall": {"type": "rectangle"}}).ray_intersect(djpt.Ray3f(o, [0, 0, 1]))
+    dr.forward(o.x)
+    assert numbers(dr.grad(si.p)) == [1, 0, 0] and numbers(dr.grad(si.uv)) == [0.5, 0]

@@ -133,6 +133,8 @@ SHADOWS = [
     "s.ray_test({r})",
     "s.ray_test({r}, True)",
     "s.ray_test({r}, m.Bool(True, False, True, True))",
+    "s.ray_test({r}, coherent=False)",
+    "s.ray_test({r}, False, m.Bool(True, False, True, True))",
     "s.ray_test({r}, coherent=True, active=m.Bool(True, False, True, True))",
 ]
 
