@@ -342,13 +342,21 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
         valid = pi.is_valid()
         surface = self.geometry.surface(ray, pi, self.lookup, full)
-        si = SurfaceInteraction3f()
+        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(
+            p=surface.p,
+            n=surface.n,
+            sh_frame=surface.sh_frame,
+            uv=surface.uv,
+            dp_du=surface.dp_du,
+            dp_dv=surface.dp_dv,
+            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
+            shape_index=dr.select(valid, pi.shape_index, 0),
+            face=pi.face,
+            media=ray.media,
+            prim_uv=surface.prim_uv,
+            home={self: ()},
+        )
         si.found_at(pi.t, valid)
-        si.p, si.n, si.sh_frame = surface.p, surface.n, surface.sh_frame
-        si.uv, si.dp_du, si.dp_dv, si.prim_uv = surface.uv, surface.dp_du, surface.dp_dv, surface.prim_uv
-        si.wi = dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d)
-        si.shape_index, si.face = dr.select(valid, pi.shape_index, 0), pi.face
-        si.media, si.home = ray.media, {self: ()}
         if ray.times:
             si.time = ray.time
         return si

@@ -114,9 +114,7 @@ class Pointer(Record, Generic[P]):
     @classmethod
     def into(cls, family: Family[P], index: UInt32) -> Any:
         """The members of a family with the numbers `index`."""
-        pointer = cls()
-        pointer.index, pointer.home = index, {family: ()}
-        return pointer
+        return cls.holding(index=index, home={family: ()})
 
     def default(self, name: str) -> Any:
         return UInt32(NONE) if name == "index" else {}

@@ -6,10 +6,11 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.frame import Frame3f
+from djpt.records import PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f
 from djpt.types import Float, Point3f, Vector3f
 
-__all__ = ["distance_on_plane", "distance_to", "is_attached"]
+__all__ = ["distance_on_plane", "distance_to", "is_attached", "make_ends"]
 
 
 def is_attached(ray: Ray3f) -> bool:
@@ -38,3 +39,15 @@ def with_derivative(pi: PreliminaryIntersection3f, t: Float) -> Float:
     found = dr.detach(pi.t)
     attached: Any = dr.replace_grad(found, t)  # type: ignore[func-returns-value]
     return dr.select(found < dr.inf, attached, found)
+
+
+def make_ends(si: SurfaceInteraction3f) -> None:
+    """Give each field of a surface point a node of its own in the graph of derivatives, from which nothing follows.
+
+    uv, for example, is computed from the point, and after a traversal Dr.Jit keeps the derivatives of the graph's ends
+    only: that of the point would be lost.
+    """
+    for name in ("t", "p", "n", "uv", "dp_du", "dp_dv", "wi"):
+        si.__dict__[name] = si.__dict__[name] + 0
+    frame = si.sh_frame
+    si.sh_frame = Frame3f(frame.s + 0, frame.t + 0, frame.n + 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 
@@ -10,10 +10,11 @@ from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.pointers import ShapePtr
 from djpt.geometry.aggregate import Geometry
-from djpt.geometry.attached import distance_on_plane, distance_to, is_attached
+from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
+from djpt.geometry.silhouettes import missing
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
-from djpt.types import Bool
+from djpt.types import Bool, Float
 
 __all__ = ["RayQuestions"]
 
@@ -24,6 +25,11 @@ class RayQuestions:
     geometry: Geometry
     lookup: Lookup
     _families: dict[Any, Family[Any]]
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            raise missing(self, name)
 
     def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
@@ -36,7 +42,14 @@ class RayQuestions:
         raise NotImplementedError
 
     def ray_intersect_preliminary(
-        self, ray: Ray3f, coherent: Bool | bool = False, *reordering: Any, active: Bool | bool = True
+        self,
+        ray: Ray3f,
+        coherent: Bool | bool = False,
+        *reordering: Any,
+        active: Bool | bool = True,
+        reorder: bool = False,
+        reorder_hint: Any = 0,
+        reorder_hint_bits: int = 0,
     ) -> PreliminaryIntersection3f:
         """The first hit with 0 < t < maxt, with Mitsuba's fields.
 
@@ -62,7 +75,9 @@ class RayQuestions:
         coherent: Bool | bool = False,
         *reordering: Any,
         active: Bool | bool = True,
-        **reorder: Any,
+        reorder: bool = False,
+        reorder_hint: Any = 0,
+        reorder_hint_bits: int = 0,
     ) -> SurfaceInteraction3f:
         """The first surface point with 0 < t < maxt, with all its fields.
 
@@ -84,11 +99,22 @@ class RayQuestions:
         si = self.surface_interaction(near, pi)
         si.found_at(si.t + entry, si.is_valid())
         self.own(si)
+        if flags & NORMAL_PARTIALS:
+            pi.t = si.t
+            self._add_normal_partials(si, ray, pi, flags)
         return si
 
-    def ray_test(self, ray: Ray3f, coherent: Bool | bool = True, active: Bool | bool = True) -> Bool:
-        """True where anything is hit with 0 < t < maxt; a single mask after the ray means `active`."""
-        return self.geometry.any_hit(self.geometry.approach(dr.detach(ray))[0], active & coherent)
+    def ray_test(
+        self, ray: Ray3f, *masks: Bool | bool, coherent: Bool | bool = False, active: Bool | bool = True
+    ) -> Bool:
+        """True where anything is hit with 0 < t < maxt.
+
+        A mask after the ray is `active`, as in Mitsuba; of two the first is `coherent`, which changes nothing.
+        """
+        lanes = masks[-1] if masks else active
+        if len(masks) == 1 and active is not True:
+            lanes = active
+        return self.geometry.any_hit(self.geometry.approach(dr.detach(ray))[0], lanes)
 
     def own(self, record: PreliminaryIntersection3f | SurfaceInteraction3f) -> None:
         """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
@@ -104,6 +130,8 @@ class RayQuestions:
             return self._attached_interaction(ray, hit, int(ray_flags))
         si = self.surface_interaction(ray, hit)
         self.own(si)
+        if ray_flags & NORMAL_PARTIALS:
+            self._add_normal_partials(si, ray, hit, ray_flags)
         return si
 
     def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
@@ -118,8 +146,26 @@ class RayQuestions:
             t = distance_on_plane(ray, pi, dr.detach(fixed.p), dr.detach(fixed.n))
             near = self.geometry.near_again(ray, t, pi.near)
             si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
+        make_ends(si)
         self.own(si)
         return si
+
+    def _add_normal_partials(
+        self, si: SurfaceInteraction3f, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int
+    ) -> None:
+        """Set dn/du and dn/dv: the change of the normal where the ray moves along dp/du and dp/dv."""
+        changes = []
+        for tangent in (si.dp_du, si.dp_dv):
+            with dr.resume_grad():
+                step = Float(0)
+                dr.enable_grad(step)
+                moved = self._attached_interaction(Ray3f(ray.o + step * tangent, ray.d), pi, RayFlags.All)
+                n = moved.sh_frame.n if flags & RayFlags.dNSdUV else moved.n
+                dr.set_grad(step, 1)
+                dr.enqueue(dr.ADMode.Forward, step)
+                dr.traverse(dr.ADMode.Forward)
+                changes.append(dr.select(si.is_valid(), dr.grad(n), 0))
+        si.dn_du, si.dn_dv = changes
 
     def shape_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
         """The shape at `si`; none on a miss."""
@@ -133,6 +179,9 @@ class RayQuestions:
         if key not in self._families:
             self._families[key] = Family(ensemble, self.lookup)
         return self._families[key]
+
+
+NORMAL_PARTIALS = RayFlags.dNGdUV | RayFlags.dNSdUV
 
 
 def last_mask(reordering: tuple[Any, ...], active: Bool | bool) -> Bool | bool:

@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.description.plugin import ParamFlags, Plugin
 from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
 from djpt.dispatch.tables import Buffer
@@ -76,32 +76,23 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
     return list(found.values())
 
 
-class AttachedValues(TraversalCallback):
-    """A traversal callback that collects all values with gradients, also of what is nested."""
-
-    def __init__(self, root: Plugin) -> None:
-        self.found: dict[int, Any] = {}
-        """The values, by identity."""
-        self._visited: set[int] = set()
-        self._visit(root)
-
-    def _visit(self, plugin: Plugin) -> None:
-        if id(plugin) not in self._visited:
-            self._visited.add(id(plugin))
-            plugin.traverse(self)
-
-    def put(self, name: str, value: Any, flags: Any = 0, attribute: str | None = None) -> None:
-        """Note a parameter: see `djpt.description.plugin.TraversalCallback.put`."""
-        if isinstance(value, Plugin):
-            self._visit(value)
-        elif dr.is_array_v(value) and dr.grad_enabled(value):
-            self.found[id(value)] = value
-
-
 def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:
-    """The values of the scene that have gradients but aren't among the `parameters` that its image depends on."""
-    used = {id(p.value) for p in parameters}
-    return [value for key, value in AttachedValues(scene).found.items() if key not in used]
+    """The values of the scene that have gradients but aren't among the `parameters` that its image depends on.
+
+    They belong to plugins that stand in the scene for others to refer to. (Shapes have no values with gradients.)
+    """
+    used = {(id(p.owner), p.attribute) for p in parameters}
+    found: dict[tuple[int, str], Any] = {}
+    waiting: list[Any] = [plugin for _, plugin in scene.named if plugin.kind != "shape"]
+    while waiting:
+        plugin = waiting.pop()
+        for name in (*plugin.values, *plugin.tables):
+            value = getattr(plugin, name)
+            if (id(plugin), name) not in used and dr.grad_enabled(value):
+                found[id(plugin), name] = value
+        children = (getattr(plugin, name) for name in plugin.children)
+        waiting += [child for child in children if isinstance(child, Plugin) and child.kind != "shape"]
+    return list(found.values())
 
 
 class Numbering:

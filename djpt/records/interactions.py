@@ -178,10 +178,10 @@ class PreliminaryIntersection3f(Record):
     @staticmethod
     def found(t: Float, face: UInt32, shape_index: UInt32, near: Any = None) -> PreliminaryIntersection3f:
         """What a search has found; see the fields."""
-        pi = PreliminaryIntersection3f()
-        pi.t, pi.face, pi.shape_index = t, face, shape_index
-        if near is not None:
-            pi.nearby = (near,)
+        nearby = () if near is None else (near,)
+        pi: PreliminaryIntersection3f = PreliminaryIntersection3f.holding(
+            t=t, face=face, shape_index=shape_index, nearby=nearby
+        )
         return pi
 
     def default(self, name: str) -> Any:

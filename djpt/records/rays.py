@@ -51,16 +51,17 @@ class Ray3f(Record):
             raise TypeError("Ray3f(o, d, maxt, time, wavelengths): at most five arguments are possible")
         no_wavelengths(wavelengths)
         # Copies, since Dr.Jit's operators like += change arrays in place.
+        fields, kinds = self.__dict__, self.DRJIT_STRUCT
         if o is not None:
-            self.o = self.DRJIT_STRUCT["o"](o)
+            fields["o"] = kinds["o"](o)
         if d is not None:
-            self.d = self.DRJIT_STRUCT["d"](d)
+            fields["d"] = kinds["d"](d)
         if maxt is not None:
-            self.maxt = Float(maxt)
+            fields["maxt"] = Float(maxt)
+        if medium is not None:
+            fields["media"] = (medium,)
         if time is not None:
             self.time = time
-        if medium is not None:
-            self.medium = medium
 
     def default(self, name: str) -> Any:
         if name == "maxt":

@@ -43,7 +43,8 @@ class PositionSample3f(Record):
     @staticmethod
     def of(p: Point3f, n: Normal3f, uv: Point2f, pdf: Float) -> PositionSample3f:
         """The point `p` with its normal and uv, sampled with the density `pdf` per unit area."""
-        return PositionSample3f(p=p, n=n, uv=uv, pdf=pdf)
+        ps: PositionSample3f = PositionSample3f.holding(p=p, n=n, uv=uv, pdf=pdf)
+        return ps
 
 
 class DirectionSample3f(PositionSample3f):
@@ -108,9 +109,9 @@ class DirectionSample3f(PositionSample3f):
         emitter_index: UInt32,
     ) -> DirectionSample3f:
         """A sample from all that the renderer needs of one."""
-        ds = DirectionSample3f()
-        ds.p, ds.n, ds.uv, ds.d, ds.dist, ds.pdf, ds.weight = p, n, uv, d, dist, pdf, weight
-        ds.delta, ds.emitter_index = delta, emitter_index
+        ds: DirectionSample3f = DirectionSample3f.holding(
+            p=p, n=n, uv=uv, d=d, dist=dist, pdf=pdf, weight=weight, delta=delta, emitter_index=emitter_index
+        )
         return ds
 
     @staticmethod
@@ -230,7 +231,14 @@ class BSDFSample3f(Record):
         sampled_component: UInt32 | int = 0,
     ) -> BSDFSample3f:
         """A sample of the lobe `sampled_type` (`BSDFFlags`), from numbers or Dr.Jit arrays."""
-        return BSDFSample3f(wo, Float(pdf), Float(eta), UInt32(sampled_type), UInt32(sampled_component))
+        bs: BSDFSample3f = BSDFSample3f.holding(
+            wo=wo,
+            pdf=Float(pdf),
+            eta=Float(eta),
+            sampled_type=UInt32(sampled_type),
+            sampled_component=UInt32(sampled_component),
+        )
+        return bs
 
     @staticmethod
     def none() -> BSDFSample3f:

@@ -6,7 +6,7 @@ import copy
 import enum
 import weakref
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -16,6 +16,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError
 from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.silhouettes import missing
 from djpt.records import (
     DirectionSample3f,
     Observer,
@@ -64,6 +65,11 @@ class ShapeQuestions(Plugin):
     """The scenes that the shape stands in."""
     original: Any = None
     """The shape that this one was copied from, to be asked alone; else None."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            raise missing(self, name)
 
     # ---- what belongs to it ---------------------------------------------------------------
 

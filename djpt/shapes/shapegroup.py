@@ -11,6 +11,7 @@ from djpt.description.registry import register_shape
 from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
+from djpt.types import Float
 
 __all__ = ["ShapeGroup"]
 
@@ -47,6 +48,10 @@ class ShapeGroup(Shape):
 
     def bsdf(self) -> None:
         """None: BSDFs belong to the shapes of the group."""
+
+    def surface_area(self) -> Float:
+        """0, as in Mitsuba: a group itself is invisible."""
+        return Float(0)
 
     def primitive_count(self) -> int:
         return sum(shape.primitive_count() for shape in self.shapes)

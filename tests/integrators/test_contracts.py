@@ -105,7 +105,7 @@ def test_densities_of_both_ways(name: str) -> None:
     plain = material.eval_pdf(ctx, si, Vector3f(wo))
     for found, expected in zip((value, pdf), plain, strict=True):
         np.testing.assert_array_equal(np.array(found), np.array(expected))
-    turned = replace(si, wi=Vector3f(wo))
+    turned = si.replaced(wi=Vector3f(wo))
     importance = BSDFContext(djpt.TransportMode.Importance)
     np.testing.assert_array_equal(np.array(back), np.array(material.pdf(importance, turned, Vector3f(wi))))
 
@@ -119,7 +119,7 @@ def test_one_visit_for_all_that_is_asked() -> None:
     np.testing.assert_array_equal(np.array(value), np.array(ptr.eval(ctx, si, wo)))
     np.testing.assert_array_equal(np.array(albedo), np.array(ptr.eval_diffuse_reflectance(si)))
     both = ptr.eval_pdf_both(ctx, si, wo)
-    np.testing.assert_array_equal(np.array(both[2]), np.array(ptr.pdf(ctx, replace(si, wi=wo), si.wi)))
+    np.testing.assert_array_equal(np.array(both[2]), np.array(ptr.pdf(ctx, si.replaced(wi=wo), si.wi)))
 
 
 # ---------------------------------------------------------------- paths that carry more

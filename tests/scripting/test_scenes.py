@@ -129,15 +129,17 @@ def test_rays(query: str, mi: Any) -> None:
         np.testing.assert_allclose(a, b, atol=2e-5)
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        "s.ray_test({r})",
-        "s.ray_test({r}, True)",
-        "s.ray_test({r}, m.Bool(True, False, True, True))",
-        "s.ray_test({r}, coherent=True, active=m.Bool(True, False, True, True))",
-    ],
-)
+SHADOWS = [
+    "s.ray_test({r})",
+    "s.ray_test({r}, True)",
+    "s.ray_test({r}, m.Bool(True, False, True, True))",
+    "s.ray_test({r}, coherent=False)",
+    "s.ray_test({r}, False, m.Bool(True, False, True, True))",
+    "s.ray_test({r}, coherent=True, active=m.Bool(True, False, True, True))",
+]
+
+
+@pytest.mark.parametrize("call", SHADOWS)
 def test_shadow_rays(call: str, mi: Any) -> None:
     same(*(eval(call.format(r=RAYS), {"m": m, "s": scene(m)}) for m in (djpt, mi)))
 
@@ -295,3 +297,10 @@ def test_an_area_light_and_its_shape(mi: Any) -> None:
         same(ds.d, [[0], [0], [-1]])
         same(ds.emitter == light, True)
         assert numbers(m.PositionSample3f(si).p) == [0, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["sample_silhouette", "invert_silhouette_sample"])
+def test_silhouettes_are_missing_for_a_reason(name: str) -> None:
+    for owner in (djpt.load_dict({"type": "sphere"}), scene(djpt)):
+        with pytest.raises(AttributeError, match=f"'{name}': there are no derivatives by geometry, so silhouettes"):
+            getattr(owner, name)

@@ -1,0 +1,166 @@
+"""Derivatives of records, and of images by parameters that they don't use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.transforms import ScalarTransform4f as T
+from tests.scripting.kit import numbers, same
+
+TURNED = T().translate([0.1, 0.2, 0.3]).rotate([1, 1, 0], 30)
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "sphere": {"type": "sphere", "to_world": TURNED},
+    "rectangle": {"type": "rectangle", "to_world": TURNED},
+    "disk": {"type": "disk", "to_world": TURNED.scale(2)},
+    "cylinder": {"type": "cylinder", "to_world": TURNED.rotate([1, 0, 0], 90), "p0": [0, 0, -1]},
+    "cube": {"type": "cube", "to_world": TURNED},
+}
+
+FIELDS = ("t", "p", "uv", "n", "wi", "dp_du")
+
+
+def scene(m: Any, name: str) -> Any:
+    description = {"type": "scene", "shape": SHAPES[name]}
+    return djpt.load_dict(description) if m is djpt else m.load_dict(djpt.validation.to_mitsuba(description))
+
+
+@pytest.mark.parametrize("preliminary", [False, True])
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_hit_moves_with_its_ray(name: str, preliminary: bool, mi: Any) -> None:
+    """Forward derivatives of all fields, by a motion of origin and direction: as in Mitsuba."""
+    found = []
+    for m in (djpt, mi):
+        place, step = scene(m, name), m.Float(0)
+        dr.enable_grad(step)
+        o = m.Point3f(0.2, 0.1, -5) + step * m.Vector3f(1, 0.5, 0.25)
+        ray = m.Ray3f(o, m.Vector3f(0.01, 0.02, 1) + step * m.Vector3f(0.1, -0.1, 0))
+        if preliminary:
+            si = place.ray_intersect_preliminary(ray).compute_surface_interaction(ray)
+        else:
+            si = place.ray_intersect(ray)
+        values = [getattr(si, field) for field in FIELDS]
+        dr.set_grad(step, 1)
+        dr.enqueue(dr.ADMode.Forward, step)
+        dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)
+        found.append([np.array(dr.grad(value), np.float64).ravel() for value in values])
+        dr.eval(values)
+    for field, mine, other in zip(FIELDS, *found, strict=True):
+        np.testing.assert_allclose(mine, other, atol=2e-3 * max(1, np.abs(other).max()), err_msg=field)
+    assert np.abs(found[0][1]).max() > 0.1
+
+
+def test_a_hit_on_a_mesh_moves_with_its_ray() -> None:
+    """Against differences, with a smooth normal."""
+    corners, normals = [[-1, -1, 0], [1, -1, 0.3], [0, 1, 0.2]], [[-0.3, 0, 1], [0.3, 0, 1], [0, 0.4, 1]]
+    place = djpt.load_dict({"type": "scene", "mesh": djpt.Mesh("mesh", corners, [[0, 1, 2]], vertex_normals=normals)})
+    fields = ("t", "p", "uv", "wi")
+
+    def hit(step: Any) -> list[Any]:
+        o = djpt.Point3f(0.1, -0.3, -5) + step * djpt.Vector3f(1, 0.5, 0.25)
+        si = place.ray_intersect(djpt.Ray3f(o, djpt.Vector3f(0.01, 0.02, 1)))
+        return [getattr(si, field) for field in fields] + [si.sh_frame.n]
+
+    step = djpt.Float(0)
+    dr.enable_grad(step)
+    values = hit(step)
+    dr.set_grad(step, 1)
+    dr.enqueue(dr.ADMode.Forward, step)
+    dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearNone)
+    for value, high, low in zip(values, hit(djpt.Float(1e-2)), hit(djpt.Float(-1e-2)), strict=True):
+        difference = (np.array(high, np.float64) - np.array(low, np.float64)) / 2e-2
+        np.testing.assert_allclose(np.array(dr.grad(value), np.float64), difference, atol=1e-3)
+
+
+def test_backward() -> None:
+    o = djpt.Point3f(0.3, 0.2, -5)
+    dr.enable_grad(o)
+    si = djpt.load_dict({"type": "scene", "wall": {"type": "rectangle"}}).ray_intersect(djpt.Ray3f(o, [0, 0, 1]))
+    dr.backward(si.p.x + 2 * si.p.y + 3 * si.t)
+    assert numbers(dr.grad(o)) == [1, 2, -3]
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_point_that_follows_the_shape_stays(name: str, mi: Any) -> None:
+    found = []
+    for m in (djpt, mi):
+        place, o = scene(m, name), m.Point3f(0.2, 0.1, -5)
+        dr.enable_grad(o)
+        si = place.ray_intersect(m.Ray3f(o, m.Vector3f(0.01, 0.02, 1)), m.RayFlags.All | m.RayFlags.FollowShape, False)
+        assert not dr.grad_enabled(si.p) or m is mi
+        dr.backward(si.t)
+        found.append(dr.grad(o))
+    same(*found, 1e-3)
+
+
+def test_values_are_those_of_rays_without_gradients() -> None:
+    place, o = scene(djpt, "sphere"), djpt.Point3f([0.2, 0.1, 3], 0.1, -5)
+    plain = place.ray_intersect(djpt.Ray3f(o, [0, 0, 1]))
+    attached = djpt.Point3f(o)
+    dr.enable_grad(attached)
+    other = place.ray_intersect(djpt.Ray3f(attached, [0, 0, 1]))
+    assert numbers(plain.is_valid()) == numbers(other.is_valid()) == [True, True, False]
+    for field in ("t", "p", "uv", "n", "wi"):
+        a, b = (np.array(dr.detach(getattr(si, field))).reshape(-1, 3)[:, :2] for si in (plain, other))
+        np.testing.assert_allclose(a, b, atol=2e-6)
+
+
+def small_box() -> Any:
+    box = djpt.cornell_box()
+    box["sensor"]["film"].update(width=4, height=4)
+    return djpt.load_dict(box | {"spare": {"type": "diffuse"}})
+
+
+@pytest.mark.parametrize("used", [False, True])
+def test_an_image_is_attached_to_parameters_that_it_does_not_use(used: bool) -> None:
+    scene = small_box()
+    params = djpt.traverse(scene)
+    names = ["spare.reflectance.value"] + ["white.reflectance.value"] * used
+    for name in names:
+        dr.enable_grad(params[name])
+    params.update()
+    image = djpt.render(scene, params, spp=2)
+    assert dr.grad_enabled(image)
+    dr.backward(dr.mean(image))
+    assert numbers(dr.grad(params[names[0]])) == [0, 0, 0]
+    assert not used or min(numbers(dr.grad(params[names[1]]))) > 0
+
+
+def test_the_forward_derivative_by_an_unused_parameter_is_zero() -> None:
+    scene = small_box()
+    params = djpt.traverse(scene)
+    name = "spare.reflectance.value"
+    dr.enable_grad(params[name])
+    params.update()
+    image = djpt.render(scene, params, spp=2)
+    dr.set_grad(params[name], 1)
+    change = dr.forward_to(image)
+    assert change.shape == (4, 4, 3) and not np.array(change).any()
+
+
+@pytest.mark.parametrize("flag", ["dNGdUV", "dNSdUV"])
+@pytest.mark.parametrize("name", ["sphere", "rectangle", "cylinder"])
+def test_derivatives_of_normals_by_texture_coordinates(name: str, flag: str, mi: Any) -> None:
+    """Zero unless asked for; Mitsuba's rectangle is a mesh without geometric ones."""
+    found = []
+    for m in (djpt, mi):
+        place, ray = scene(m, name), m.Ray3f([0.2, 0.1, -5], [0.01, 0.02, 1])
+        si = place.ray_intersect(ray, m.RayFlags.All | getattr(m.RayFlags, flag), False)
+        found.append([si.dn_du, si.dn_dv, place.ray_intersect(ray).dn_du])
+        dr.eval(found[-1])
+    for mine, other in zip(*found, strict=True):
+        same(mine, other, 1e-3)
+
+
+def test_the_derivative_of_a_point_outlasts_a_traversal() -> None:
+    """uv follow from the point; still `dr.forward` leaves a derivative of each."""
+    o = djpt.Point3f(0.3, 0.2, -5)
+    dr.enable_grad(o)
+    si = djpt.load_dict({"type": "scene", "wall": {"type": "rectangle"}}).ray_intersect(djpt.Ray3f(o, [0, 0, 1]))
+    dr.forward(o.x)
+    assert numbers(dr.grad(si.p)) == [1, 0, 0] and numbers(dr.grad(si.uv)) == [0.5, 0]
