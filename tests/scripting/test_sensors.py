@@ -104,7 +104,8 @@ def test_sensors_of_scripts_know_where_they_stand() -> None:
     assert sensor.m_to_world is sensor.world_transform() and sensor.m_film is sensor.film()
     sensor.m_to_world = djpt.ScalarTransform4f().translate([1, 2, 3])
     assert sensor.world_transform() == djpt.ScalarTransform4f().translate([1, 2, 3])
-    assert not sensor.bbox().valid()
+    np.testing.assert_array_equal(in_numpy(sensor.bbox().min).ravel(), [1, 2, 3])
+    assert not camera(djpt, "radiancemeter").bbox().valid()
 
 
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
