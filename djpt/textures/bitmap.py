@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -49,7 +50,7 @@ class Bitmap(UVTexture):
     for 8-bit images (Mitsuba keeps those as bytes unless told otherwise). An edit may change its size.
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "extent": HIDDEN, "average": HIDDEN}
+    values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "counts": HIDDEN, "average": HIDDEN}
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
     children = ("distribution",)
     statics = ("channels", "filter_type", "wrap_mode", "tents")
@@ -68,6 +69,7 @@ class Bitmap(UVTexture):
         """Cells of the unit square by their brightness, if the texture is that of a light."""
         self.tents = False
         """Whether the cells are texels, and the density is interpolated bilinearly between them."""
+        self._twin: Bitmap | None = None
         self._measure()
 
     # ---- on the host -------------------------------------------------------------------
@@ -75,7 +77,7 @@ class Bitmap(UVTexture):
     def _measure(self) -> None:
         """Compute what kernels know of the texels as a whole: their resolution and average."""
         height, width, self.channels = self.data.shape
-        self.extent = Vector2f(as_float(width), as_float(height))
+        self.counts = Vector2f(as_float(width), as_float(height))
         if is_readable():
             colour = mean_texel(numbers_of(self.data))
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
@@ -98,8 +100,18 @@ class Bitmap(UVTexture):
         else:
             self.distribution.set(weights)
 
+    def _sampled(self) -> Bitmap | None:
+        """This texture with a distribution, for calls by a script; None in kernels, where only lights have one."""
+        if not (dr.is_tensor_v(self.data) and is_readable()):
+            return None
+        if self._twin is None:
+            self._twin = copy.copy(self)
+            self._twin.prepare_sampling()
+        return self._twin
+
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)
+        self._twin = None
         if "data" in keys:
             self._measure()
         # While `dr.freeze` records, the old density stays: less fitting, but a density.
@@ -149,12 +161,13 @@ class Bitmap(UVTexture):
         (s, t), corners = self._corners(si, active)
         f00, f10, f01, f11 = (self._scalar(corner) for corner in corners)
         gradient = Vector2f(lerp(f10 - f00, f11 - f01, t), lerp(f01 - f00, f11 - f10, s))
-        return self.chain(gradient * self.extent)
+        return self.chain(gradient * self.counts)
 
     def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
         """Sample (u, v) by brightness: a cell, then a place in it, uniform or by the tent of bilinear filtering."""
         if self.distribution is None:
-            return super().sample_position(sample, active)
+            like = self._sampled()
+            return super().sample_position(sample, active) if like is None else like.sample_position(sample, active)
         column, row, rest = self.distribution.sample(sample, active)
         if self.tents:
             rest = square_to_tent(rest) + 0.5
@@ -172,7 +185,8 @@ class Bitmap(UVTexture):
 
     def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
         if self.distribution is None:
-            return super().pdf_position(uv, active)
+            like = self._sampled()
+            return super().pdf_position(uv, active) if like is None else like.pdf_position(uv, active)
         if self.tents:
             (s, t), columns, rows = self._around(uv)
             f00, f10, f01, f11 = (self.distribution.density(x, y, active) for y in rows for x in columns)
@@ -198,7 +212,7 @@ class Bitmap(UVTexture):
 
     def _lookup(self, si: Any, active: Bool | bool) -> Any:
         if self.filter_type == "nearest":
-            x, y = self.uv(si) * self.extent
+            x, y = self.uv(si) * self.counts
             return self._texel(self._wrap(dr.floor(x), 0), self._wrap(dr.floor(y), 1), active)
         (s, t), (f00, f10, f01, f11) = self._corners(si, active)
         return lerp(lerp(f00, f10, s), lerp(f01, f11, s), t)
@@ -210,7 +224,7 @@ class Bitmap(UVTexture):
 
     def _around(self, uv: Point2f) -> tuple[Point2f, list[UInt32], list[UInt32]]:
         """The shares, columns and rows of the texels about `uv`, for `_corners`."""
-        place = dr.fma(uv, self.extent, -0.5)
+        place = dr.fma(uv, self.counts, -0.5)
         first = dr.floor(place)
         columns = [self._wrap(first.x + k, 0) for k in range(2)]
         rows = [self._wrap(first.y + k, 1) for k in range(2)]
@@ -220,7 +234,7 @@ class Bitmap(UVTexture):
 
     def _wrap(self, i: Float, axis: int) -> UInt32:
         """The number of a texel along an axis; `i` is whole, but may lie outside."""
-        count = self.extent[axis]
+        count = self.counts[axis]
         if self.wrap_mode == "repeat":
             i = remainder(i, count)
         elif self.wrap_mode == "mirror":
@@ -230,7 +244,7 @@ class Bitmap(UVTexture):
         return UInt32(minimum(maximum(i, 0), count - 1))
 
     def _texel(self, x: UInt32, y: UInt32, active: Bool | bool) -> Any:
-        index = y * UInt32(self.extent.x) + x
+        index = y * UInt32(self.counts.x) + x
         if dr.is_tensor_v(self.data):  # outside of kernels there is no table
             return dr.gather(Float if self.channels == 1 else Color3f, self.data.array, index, active)
         return self.data.at(index, active)
