@@ -33,6 +33,10 @@ class Texture(Plugin):
         """The colour at `si`."""
         raise NotImplementedError
 
+    def eval_3(self, si: Any, active: Bool | bool = True) -> Color3f:
+        """The same as `eval`: colours have three channels."""
+        return self.eval(si, active)
+
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
         """The scalar at `si`; of a colour what Mitsuba takes: the luminance of texels, the mean of an rgb."""
         raise NotImplementedError
