@@ -71,7 +71,6 @@ EXPORTS: dict[str, str] = {
     "djpt.scripting.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
     "djpt.sensors.base": "Sensor",
     "djpt.sensors.projective": "ProjectiveCamera",
-    "djpt.shapes.base": "Shape",
     "djpt.textures.base": "Texture",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""

@@ -34,7 +34,7 @@ class Texture(Plugin):
         raise NotImplementedError
 
     def eval_3(self, si: Any, active: Bool | bool = True) -> Color3f:
-        """The same as `eval`."""
+        """The same as `eval`: colours have three channels."""
         return self.eval(si, active)
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
