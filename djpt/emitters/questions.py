@@ -10,7 +10,7 @@ import numpy as np
 from djpt.description.plugin import Plugin
 from djpt.errors import SceneError
 from djpt.frame import Frame3f
-from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.records import (
     DirectionSample3f,
     EmitterFlags,
@@ -64,14 +64,14 @@ class EmitterQuestions(Plugin):
         # As in Mitsuba: a sphere of radius 1 about the origin until a scene is known.
         self.set_bounds(np.zeros(3), 1.0)  # type: ignore[attr-defined]
 
-    def bbox(self) -> BoundingBox3f:
+    def bbox(self) -> ScalarBoundingBox3f:
         """The box about the shape or the point that light comes from; empty for light from infinity."""
         if self.shape is not None:
             return self.shape.bbox()
         if hasattr(self, "position"):
             at = np.array(dr.detach(self.position), np.float64).ravel()
-            return BoundingBox3f(at, at)
-        return BoundingBox3f(np.full(3, np.inf), np.full(3, -np.inf))
+            return ScalarBoundingBox3f(at, at)
+        return ScalarBoundingBox3f(np.full(3, np.inf), np.full(3, -np.inf))
 
     def world_transform(self) -> Any:
         """The transform from the emitter's space to the world's: `to_world`; that of the shape for area lights."""
@@ -119,7 +119,7 @@ class EmitterQuestions(Plugin):
             ps = self.shape.sample_position(time, Point2f(sample), active)
             return ps, dr.select(active & (ps.pdf > 0), dr.rcp(ps.pdf), 0)
         if not hasattr(self, "position"):
-            raise SceneError(f"{self.id}: light from infinity starts at no point")
+            raise SceneError(f"{self.id()}: light from infinity starts at no point")
         ps = PositionSample3f(p=Point3f(self.position), n=Normal3f(0, 0, 1), uv=Point2f(0.5), pdf=Float(1))
         ps.delta = Bool(True)
         return ps, Float(1)

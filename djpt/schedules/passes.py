@@ -209,7 +209,7 @@ def report(job: Job, done: int) -> None:
         RenderError: The integrator was asked to stop.
     """
     if job.integrator.should_stop():
-        raise RenderError(f"{job.integrator.id}: the rendering was cancelled")
+        raise RenderError(f"{job.integrator.id()}: the rendering was cancelled")
     if job.progress is not None:
         dr.sync_thread()
         job.progress(done, job.samples)

@@ -10,14 +10,9 @@ import numpy as np
 from djpt.description.numeric import as_number
 from djpt.errors import SceneError
 from djpt.transforms.base import Chained
-from djpt.transforms.host import (
-    HostTransform,
-    ScalarTransform3f,
-    ScalarTransform4f,
-    SpatialHostTransform,
-    rotation_of_plane,
-)
+from djpt.transforms.host import HostTransform, ScalarTransform3f, ScalarTransform4f, SpatialHostTransform
 from djpt.transforms.lanes import AffineTransform3f, AffineTransform4f, PlanarLaneTransform, SpatialLaneTransform
+from djpt.transforms.matrices import rotation_of_plane
 from djpt.types import Array3f, Matrix4f, backend
 
 __all__ = [

@@ -15,7 +15,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.films.base import Film
-from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.records import DirectionSample3f, Ray3f
 from djpt.samplers.base import Sampler
 from djpt.sensors.sampling import SampledRays
@@ -119,9 +119,9 @@ class Sensor(SampledRays, Plugin):
         """The transform from camera to world."""
         return self.to_world
 
-    def bbox(self) -> BoundingBox3f:
+    def bbox(self) -> ScalarBoundingBox3f:
         """The box about the shape that the sensor is nested in; an empty one for a sensor that stands in space."""
-        return BoundingBox3f() if self.shape is None else self.shape.bbox()
+        return ScalarBoundingBox3f() if self.shape is None else self.shape.bbox()
 
     def get_shape(self) -> Any:
         """The shape that the sensor is nested in, or None."""

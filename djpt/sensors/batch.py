@@ -14,7 +14,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import ParameterError, RenderError, SceneError
-from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.kernels import maximum, minimum
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
@@ -113,8 +113,8 @@ class Batch(Sensor):
             return None
         return first
 
-    def bbox(self) -> BoundingBox3f:
-        box = BoundingBox3f()
+    def bbox(self) -> ScalarBoundingBox3f:
+        box = ScalarBoundingBox3f()
         for sensor in self.sensors:
             box.expand(sensor.bbox())
         return box

@@ -15,7 +15,7 @@ from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
-from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f
 from djpt.sensors.base import Sensor
@@ -75,10 +75,10 @@ class ProjectiveCamera(Sensor):
         """Compute what kernels read."""
         raise NotImplementedError
 
-    def bbox(self) -> BoundingBox3f:
+    def bbox(self) -> ScalarBoundingBox3f:
         """The point where the camera stands, as a box."""
         p = self.to_world.translation().tolist()
-        return BoundingBox3f(p, p)
+        return ScalarBoundingBox3f(p, p)
 
     def near_clip(self) -> float:
         """The distance of the near plane along the optical axis."""

@@ -15,7 +15,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError
-from djpt.geometry.bounding_box import BoundingBox3f
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.silhouettes import missing
 from djpt.records import (
     DirectionSample3f,
@@ -77,7 +77,7 @@ class ShapeQuestions(Plugin):
         """The BSDF; a shape without one gets a diffuse one, grey 0.5, or black if the shape emits."""
         if self._bsdf is None:
             grey = 0.5 if self._emitter is None else 0.0
-            self._bsdf = lookup("bsdf", "diffuse")(Properties("diffuse", f"{self.id}.bsdf", {"reflectance": grey}))
+            self._bsdf = lookup("bsdf", "diffuse")(Properties("diffuse", f"{self.id()}.bsdf", {"reflectance": grey}))
         return self._bsdf
 
     def set_bsdf(self, bsdf: Any) -> None:
@@ -153,16 +153,16 @@ class ShapeQuestions(Plugin):
         """The number of primitives, with those of instances counted each time."""
         return self.primitive_count()
 
-    def bbox(self, index: int | None = None, clip: Any = None) -> BoundingBox3f:
+    def bbox(self, index: int | None = None, clip: Any = None) -> ScalarBoundingBox3f:
         """The box about the shape in world space, or about primitive number `index`, cut by the box `clip`."""
         low, high = self._box(index)
         if clip is not None:
             low, high = np.maximum(low, np.array(clip.min).ravel()), np.minimum(high, np.array(clip.max).ravel())
-        return BoundingBox3f(low, high)
+        return ScalarBoundingBox3f(low, high)
 
     def _box(self, index: int | None) -> tuple[Any, Any]:
         if index is not None and not 0 <= index < self.primitive_count():
-            raise SceneError(f"{self.id}: there are {self.primitive_count()} primitives, found the number {index}")
+            raise SceneError(f"{self.id()}: there are {self.primitive_count()} primitives, found the number {index}")
         intervals = np.array([self.interval(unit) for unit in np.eye(3)])  # type: ignore[attr-defined]
         return intervals[:, 0], intervals[:, 1]
 
@@ -190,7 +190,7 @@ class ShapeQuestions(Plugin):
     def _attribute(self, name: str, si: Any, active: Bool | bool) -> Any:
         if not self.has_attribute(name):
             found = ", ".join(getattr(self, "attributes", {})) or "none"
-            raise SceneError(f"{self.id}: there is no attribute '{name}'; found: {found}")
+            raise SceneError(f"{self.id()}: there is no attribute '{name}'; found: {found}")
         return si.scene.geometry.attribute(name, si.face, si.prim_uv, active)
 
     # ---- rays -----------------------------------------------------------------------------
@@ -226,7 +226,7 @@ class ShapeQuestions(Plugin):
             SceneError: The shape has no parameterisation, so that no uv belong to a single point.
         """
         if not self.has_parameterization:  # type: ignore[attr-defined]
-            raise SceneError(f"{self.id}: texture coordinates don't tell a point of this shape")
+            raise SceneError(f"{self.id()}: texture coordinates don't tell a point of this shape")
         ps = self.at_uv(Point2f(uv))  # type: ignore[attr-defined]
         si = self.alone().revisit(ps.p, -ps.n, UInt32(0), full=True)
         si.t = dr.select(active, Float(0), dr.inf)

@@ -53,6 +53,9 @@ class ConstantTexture(Texture):
     def mean(self) -> Float:
         return (self.value.x + self.value.y + self.value.z) * (1 / 3)
 
+    def max(self) -> float:
+        return float(self._numbers(self.value).max())
+
     # ---- checks ------------------------------------------------------------------------
 
     @staticmethod

@@ -11,11 +11,7 @@ import numpy as np
 from djpt.description.numeric import as_type, describe
 from djpt.errors import SceneError
 from djpt.transforms.base import Chained, Transform, matrix_of
-from djpt.transforms.host import (
-    is_unit,
-    treats_alike,
-    warn_of_length,
-)
+from djpt.transforms.matrices import is_unit, treats_alike, warn_of_length
 from djpt.types import Array3f, Bool, Matrix4f, backend
 
 if TYPE_CHECKING:

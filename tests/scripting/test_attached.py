@@ -10,9 +10,10 @@ import pytest
 
 import djpt
 from djpt.transforms import ScalarTransform4f as T
+from tests.kit.axes import unit
 from tests.scripting.kit import numbers, same
 
-TURNED = T().translate([0.1, 0.2, 0.3]).rotate([1, 1, 0], 30)
+TURNED = T().translate([0.1, 0.2, 0.3]).rotate(unit(1, 1, 0), 30)
 
 SHAPES: dict[str, dict[str, Any]] = {
     "sphere": {"type": "sphere", "to_world": TURNED},

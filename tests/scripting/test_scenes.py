@@ -12,9 +12,10 @@ import pytest
 import djpt
 from djpt.errors import SceneError
 from djpt.transforms import ScalarTransform4f as T
+from tests.kit.axes import unit
 from tests.scripting.kit import numbers, same
 
-TURNED = T().translate([0.1, 0.2, 0.3]).rotate([1, 1, 0], 30).scale(0.8)
+TURNED = T().translate([0.1, 0.2, 0.3]).rotate(unit(1, 1, 0), 30).scale(0.8)
 
 SHAPES: dict[str, dict[str, Any]] = {
     # Mitsuba 3.9.1 doesn't turn the normals of points that are sampled on a turned sphere.

@@ -10,7 +10,7 @@ from djpt.description.xml.source import Element
 from djpt.description.xml.values import check_attributes, number, numbers, vector
 from djpt.errors import SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
-from djpt.transforms.host import rotation
+from djpt.transforms.matrices import rotation
 
 __all__ = ["OPERATIONS", "transform"]
 
