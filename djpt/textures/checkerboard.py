@@ -55,6 +55,9 @@ class Checkerboard(UVTexture):
     def mean(self) -> Float:
         return 0.5 * (self.color0.mean() + self.color1.mean())
 
+    def max(self) -> float:
+        return max(self.color0.max(), self.color1.max())
+
     def used_by(self, kind: str) -> None:
         self.color0.used_by(kind)
         self.color1.used_by(kind)
