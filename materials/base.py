@@ -14,7 +14,7 @@ import drjit as dr
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.errors import RenderError, near_miss
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f, converting
 
 __all__ = ["BSDF"]
 
@@ -48,10 +48,13 @@ class BSDF(Plugin):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if not cls.__module__.startswith("djpt."):
-            for name, convert in CONVERSIONS.items():
-                if name in vars(cls):
-                    setattr(cls, name, converting(vars(cls)[name], convert))
+        for name, convert in CONVERSIONS.items():
+            if name not in vars(cls):
+                continue
+            method = vars(cls)[name]
+            ours = cls.__module__.startswith("djpt.")
+            # Scripts ask djpt's BSDFs with lists, and give numbers themselves.
+            setattr(cls, name, converting(method) if ours else of_script(method, convert))
 
     def components(self) -> tuple[int, ...]:
         """The `BSDFFlags` of each lobe, numbered as in `BSDFSample3f.sampled_component`."""
@@ -225,7 +228,7 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def converting(method: Callable[..., Any], convert: Callable[[Any], Any]) -> Callable[..., Any]:
+def of_script(method: Callable[..., Any], convert: Callable[[Any], Any]) -> Callable[..., Any]:
     """Wrap a script's method: results get the types of the contract, arguments are copies.
 
     Scripts write ``active &= ...``, which changes the array that they were given.
