@@ -36,6 +36,25 @@ def test_a_number_is_grey() -> None:
     assert np.array(djpt.traverse(bsdf)["reflectance.value"]).ravel().tolist() == [0.25] * 3
 
 
+def test_a_number_of_a_light_is_the_white_of_equal_energies() -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    light = {"type": "point", "intensity": {"type": "spectrum", "value": 50}}
+    ours, theirs = (module.traverse(module.load_dict(light))["intensity.value"] for module in (djpt, mi))
+    np.testing.assert_allclose(np.array(ours), np.array(theirs), rtol=1e-6)
+    text = '<emitter version="3.0.0" type="constant"><spectrum name="radiance" value="1"/></emitter>'
+    ours, theirs = (module.traverse(module.load_string(text))["radiance.value"] for module in (djpt, mi))
+    np.testing.assert_allclose(np.array(ours), np.array(theirs), rtol=1e-6)
+
+
+def test_two_lights_share_a_number() -> None:
+    paint, ref = {"type": "spectrum", "value": 2.0}, {"type": "ref", "id": "paint"}
+    sky, lamp = {"type": "constant", "radiance": ref}, {"type": "point", "intensity": ref}
+    params = djpt.traverse(djpt.load_dict({"type": "scene", "paint": paint, "sky": sky, "lamp": lamp}))
+    white = [2 * 1.20479, 2 * 0.948291, 2 * 0.908916]
+    np.testing.assert_allclose(np.array(params["paint.value"]).ravel(), white, rtol=1e-5)
+
+
 def test_equal_energy_is_the_white_of_the_colour_matching_functions() -> None:
     # Illuminant E has x = y = 1/3: its XYZ are equal, up to the tables' own 4e-4.
     rgb = spectrum_to_rgb([360, 830], [1, 1], under_d65=False)
