@@ -304,7 +304,7 @@ class Mesh(MeshQueries, Shape):
         normals, texcoords = (None if a is None or b is None else np.concatenate([a, b]) for a, b in pairs)
         positions = np.concatenate([mine.positions, theirs.positions])
         indices = np.concatenate([mine.indices, theirs.indices + np.uint32(len(mine.positions))])
-        props = {} if self.bsdf is None else {"bsdf": self.bsdf}
+        props = {} if self._bsdf is None else {"bsdf": self._bsdf}
         return Mesh(self.id(), positions, indices, normals, texcoords, {**props, "flip_normals": self.flip_normals})
 
     def place(self, pool: AxisPool) -> None:

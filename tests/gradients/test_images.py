@@ -31,7 +31,7 @@ class PlainDirect(Integrator):
         result = si.emitter(scene).eval(si, active)
         hit = si.is_valid() & active
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(hit), True, hit)
-        value = si.bsdf().eval(None, si, si.to_local(ds.d), hit)
+        value = si.bsdf().eval(djpt.BSDFContext(), si, si.to_local(ds.d), hit)
         return result + value * light, hit, []
 
 

@@ -21,8 +21,11 @@ class Light:
     """What a choice asks an emitter."""
 
     bound: LightBounds | None
-    sampling_weight: float = 1.0
+    weight: float = 1.0
     watts: float = 1.0
+
+    def sampling_weight(self) -> float:
+        return self.weight
 
     def power(self) -> float:
         return self.watts if self.bound is None else self.bound.power
@@ -125,7 +128,7 @@ def test_what_could_shine_can_be_chosen() -> None:
     size, tested = 4000, 0
     for i, light in enumerate(some):
         b = light.bound
-        if b.power * light.sampling_weight == 0:
+        if b.power * light.sampling_weight() == 0:
             continue
         source = b.low + rng.random((size, 3)) * (b.high - b.low)
         normal = cone(rng, np.broadcast_to(b.axis, (size, 3)), b.theta_o)
