@@ -35,6 +35,7 @@ class PositionSample3f(Record):
     """True if the point can't be sampled by chance."""
 
     def __init__(self, other: Record | None = None, **fields: Any) -> None:
+        other = fields.pop("si", other)
         if isinstance(other, SurfaceInteraction3f):
             fields = {"p": other.p, "n": other.sh_frame.n, "uv": other.uv, "time": other.time, **fields}
             other = None
@@ -69,8 +70,9 @@ class DirectionSample3f(PositionSample3f):
     home: Home
 
     def __init__(self, *values: Any, **fields: Any) -> None:
-        if len(values) == 3:
-            scene, si, ref = values
+        if len(values) == 3 or "ref" in fields:
+            fields.update(zip(("scene", "si", "ref"), values, strict=False))
+            scene, si, ref = (fields.pop(name, None) for name in ("scene", "si", "ref"))
             between = DirectionSample3f.between(ref.p, None, si, scene)
             values, fields = (), {**between.__dict__, **fields}
         elif len(values) > 1:

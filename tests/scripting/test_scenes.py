@@ -305,3 +305,16 @@ def test_silhouettes_are_missing_for_a_reason(name: str) -> None:
     for owner in (djpt.load_dict({"type": "sphere"}), scene(djpt)):
         with pytest.raises(AttributeError, match=f"'{name}': there are no derivatives by geometry, so silhouettes"):
             getattr(owner, name)
+
+
+def test_samples_of_hits_by_keywords() -> None:
+    room = djpt.load_dict(djpt.cornell_box())
+    si = room.ray_intersect(djpt.Ray3f([0, 0, 3], [0, 0.3, -1]))
+    ref = djpt.Interaction3f(0, 0, [], [0, 0, 2])
+    ours = [
+        djpt.DirectionSample3f(room, si, ref),
+        djpt.DirectionSample3f(room, si=si, ref=ref),
+        djpt.DirectionSample3f(scene=room, si=si, ref=ref),
+    ]
+    assert len({(str(ds.p), str(ds.d), str(ds.dist)) for ds in ours}) == 1
+    assert str(djpt.PositionSample3f(si=si).p) == str(si.p)
