@@ -186,8 +186,8 @@ class Tinted(djpt.BSDF):
 
 
 def test_scripts_can_write_bsdfs() -> None:
-    djpt.register_bsdf("tinted", lambda props: Tinted(props))
-    bsdf = djpt.load_dict({"type": "tinted", "tint": [0.1, 0.5, 0.9]})
+    djpt.register_bsdf("tinted_by_script", lambda props: Tinted(props))
+    bsdf = djpt.load_dict({"type": "tinted_by_script", "tint": [0.1, 0.5, 0.9]})
     assert (bsdf.component_count(), bsdf.flags(0)) == (1, int(BSDFFlags.DiffuseReflection | BSDFFlags.FrontSide))
     assert "Tinted[tint=" in str(bsdf)
     params = djpt.traverse(bsdf)
