@@ -16,7 +16,7 @@ from djpt.scripting.mathematics import find_interval
 from djpt.types import Bool, Float, Point2f, UInt32, backend, converting
 from djpt.warp import square_to_bilinear_pdf
 
-__all__ = ["Cell", "DiscreteDistribution2D", "Interpolated2D", "Slices"]
+__all__ = ["Cell", "DiscreteDistribution2D", "Interpolated2D", "Slices", "WithParameters"]
 
 Point2u = backend.Array2u
 
@@ -178,6 +178,18 @@ class Interpolated2D:
     def __repr__(self) -> str:
         shape = "".join(f"{len(axis)} x " for axis in self._parameters)
         return f"{self._name}[\n  size = [{self._columns + 1}, {self._rows + 1}],\n  slices = {shape}1\n]"
+
+
+class WithParameters(Interpolated2D):
+    """What densities with parameters share: parameters must be given, and sampling is prepared by `build_hierarchy`.
+
+    To be derived from before the kind of density.
+    """
+
+    def __init__(
+        self, data: Any, param_values: Sequence[Sequence[float]], normalize: bool = True, build_hierarchy: bool = True
+    ) -> None:
+        super().__init__(data, param_values, normalize, build_hierarchy)
 
 
 def below(values: Float, x: Float, active: Bool | bool) -> UInt32:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from djpt.scripting.distributions_2d import Cell, Interpolated2D, Numbers, Slices, table_of
+from djpt.scripting.distributions_2d import Cell, Interpolated2D, Numbers, Slices, WithParameters, table_of
 from djpt.types import Bool, Float, Point2f, UInt32, converting
 from djpt.warp import bilinear_to_square, square_to_bilinear
 
@@ -93,28 +92,19 @@ class Hierarchical2D0(Hierarchical2D):
     dimension = 0
 
 
-class WithParameters(Hierarchical2D):
-    """What densities with parameters share: parameters must be given, and sampling is prepared by `build_hierarchy`."""
-
-    def __init__(
-        self, data: Any, param_values: Sequence[Sequence[float]], normalize: bool = True, build_hierarchy: bool = True
-    ) -> None:
-        super().__init__(data, param_values, normalize, build_hierarchy)
-
-
-class Hierarchical2D1(WithParameters):
+class Hierarchical2D1(WithParameters, Hierarchical2D):
     """A density with one parameter."""
 
     dimension = 1
 
 
-class Hierarchical2D2(WithParameters):
+class Hierarchical2D2(WithParameters, Hierarchical2D):
     """A density with two parameters."""
 
     dimension = 2
 
 
-class Hierarchical2D3(WithParameters):
+class Hierarchical2D3(WithParameters, Hierarchical2D):
     """A density with three parameters."""
 
     dimension = 3

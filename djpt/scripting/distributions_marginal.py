@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from djpt.scripting.distributions_2d import Interpolated2D, Numbers, Slices, table_of
+from djpt.scripting.distributions_2d import Interpolated2D, Numbers, Slices, WithParameters, table_of
 from djpt.scripting.mathematics import first_without
 from djpt.types import Bool, Float, Point2f, UInt32, converting
 from djpt.warp import bilinear_to_square, square_to_bilinear
@@ -180,28 +180,19 @@ class MarginalDiscrete2D0(MarginalDiscrete2D):
     dimension = 0
 
 
-class DiscreteWithParameters(MarginalDiscrete2D):
-    """Parameters must be given, and sampling is prepared by `build_hierarchy`."""
-
-    def __init__(
-        self, data: Any, param_values: Sequence[Sequence[float]], normalize: bool = True, build_hierarchy: bool = True
-    ) -> None:
-        super().__init__(data, param_values, normalize, build_hierarchy)
-
-
-class MarginalDiscrete2D1(DiscreteWithParameters):
+class MarginalDiscrete2D1(WithParameters, MarginalDiscrete2D):
     """A density with one parameter."""
 
     dimension = 1
 
 
-class MarginalDiscrete2D2(DiscreteWithParameters):
+class MarginalDiscrete2D2(WithParameters, MarginalDiscrete2D):
     """A density with two parameters."""
 
     dimension = 2
 
 
-class MarginalDiscrete2D3(DiscreteWithParameters):
+class MarginalDiscrete2D3(WithParameters, MarginalDiscrete2D):
     """A density with three parameters."""
 
     dimension = 3
@@ -213,28 +204,19 @@ class MarginalContinuous2D0(MarginalContinuous2D):
     dimension = 0
 
 
-class ContinuousWithParameters(MarginalContinuous2D):
-    """Parameters must be given, and sampling is prepared by `build_hierarchy`."""
-
-    def __init__(
-        self, data: Any, param_values: Sequence[Sequence[float]], normalize: bool = True, build_hierarchy: bool = True
-    ) -> None:
-        super().__init__(data, param_values, normalize, build_hierarchy)
-
-
-class MarginalContinuous2D1(ContinuousWithParameters):
+class MarginalContinuous2D1(WithParameters, MarginalContinuous2D):
     """A density with one parameter."""
 
     dimension = 1
 
 
-class MarginalContinuous2D2(ContinuousWithParameters):
+class MarginalContinuous2D2(WithParameters, MarginalContinuous2D):
     """A density with two parameters."""
 
     dimension = 2
 
 
-class MarginalContinuous2D3(ContinuousWithParameters):
+class MarginalContinuous2D3(WithParameters, MarginalContinuous2D):
     """A density with three parameters."""
 
     dimension = 3
