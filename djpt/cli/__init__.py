@@ -6,7 +6,7 @@ __all__ = ["run"]
 
 
 def run() -> None:
-    """Run the command line: see `djpt.cli.commands`."""
-    from djpt.cli.commands import run
+    """Run the command line: see `djpt.cli.main`."""
+    from djpt.cli.main import run
 
     run()

@@ -1,15 +1,15 @@
-"""Parts that all commands share: options, exit codes, errors as one line, the progress bar."""
+"""Parts that all commands share: exit codes, errors as one line, the progress bar."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 
@@ -18,13 +18,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 __all__ = [
-    "Defines",
+    "Command",
     "ExitCode",
-    "Exposure",
-    "Quiet",
-    "SceneName",
-    "Seed",
-    "Width",
     "fail",
     "number_or_word",
     "parameters",
@@ -49,16 +44,12 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="An XML file, or a built-in scene; see 'djpt scenes'.")]
-Seed = Annotated[int, typer.Option(help="Seed: the same one gives the same image.")]
-Width = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --height is given.")]
-Defines = Annotated[
-    list[str] | None, typer.Option("-D", metavar="NAME=VALUE", help="A parameter of the XML file; may be repeated.")
-]
-Exposure = Annotated[
-    str, typer.Option(metavar="STOPS", help="Brightness in stops: a number, or 'auto'; for png and jpg.")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+class Command(click.Command):
+    """A command whose errors that a user can cause are one line and an exit code, without a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with readable_errors():
+            return super().invoke(ctx)
 
 
 @contextlib.contextmanager
@@ -79,7 +70,7 @@ def readable_errors() -> Iterator[None]:
 def fail(message: str, code: ExitCode) -> None:
     """Print an error and end the process."""
     print(f"djpt: error: {message}", file=sys.stderr)
-    raise typer.Exit(code) from None
+    raise click.exceptions.Exit(code) from None
 
 
 def number_or_word(text: str) -> float | str:
@@ -90,9 +81,9 @@ def number_or_word(text: str) -> float | str:
         return text
 
 
-def parameters(definitions: list[str] | None) -> dict[str, str]:
+def parameters(definitions: Sequence[str]) -> dict[str, str]:
     """Parse the parameters of ``-D name=value``; the last one of a name counts."""
-    pairs = [definition.partition("=") for definition in definitions or ()]
+    pairs = [definition.partition("=") for definition in definitions]
     for name, equals, value in pairs:
         if not name or not equals:
             raise SceneError(f"-D takes NAME=VALUE, found '{name}{equals}{value}'")

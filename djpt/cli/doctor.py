@@ -16,8 +16,11 @@ import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+import click
+
 import djpt
 from djpt.backends import VARIANTS, variant
+from djpt.cli.console import Command
 from djpt.errors import BackendError
 from djpt.llvm.finder import PATH_VARIABLE, SEARCH_VARIABLE, Search, search
 from djpt.llvm.installer import libatomic_missing
@@ -25,7 +28,7 @@ from djpt.llvm.installer import libatomic_missing
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["Finding", "Report", "examine", "main", "print_report"]
+__all__ = ["Finding", "Report", "command", "examine", "main", "print_report"]
 
 Verdict = Literal["ok", "note", "problem"]
 
@@ -242,3 +245,12 @@ def main() -> int:
     report = examine()
     print_report(report)
     return 0 if report.usable else 3
+
+
+@click.command("doctor", cls=Command)
+def command() -> None:
+    """Print what djpt found on this machine, and what to do.
+
+    It says what was chosen and why.
+    """
+    raise click.exceptions.Exit(main())

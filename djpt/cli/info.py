@@ -6,16 +6,17 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from djpt.shapes.instance import Instance
-from djpt.shapes.mesh import Mesh
-from djpt.shapes.shapegroup import ShapeGroup
+import click
+
+from djpt.cli import options
+from djpt.cli.console import Command, parameters
 
 if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles
     from djpt.scene import Scene
     from djpt.shapes.base import Shape
 
-__all__ = ["describe"]
+__all__ = ["command", "describe"]
 
 
 def describe(scene: Scene) -> str:
@@ -24,6 +25,8 @@ def describe(scene: Scene) -> str:
     The SAH cost is the number of nodes and primitives that a random line through the scene meets on
     average; see docs/theory/acceleration.md.
     """
+    from djpt.shapes.shapegroup import ShapeGroup
+
     rows = [("shapes", counted(scene.shapes()))]
     groups = [shape for shape in scene.shapes() if isinstance(shape, ShapeGroup)]
     rows += [(f"in {group.id()}", counted(group.shapes)) for group in groups]
@@ -55,6 +58,9 @@ def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[st
 
 def faces_of(shape: Shape) -> int:
     """The number of a shape's triangles, those of instances included."""
+    from djpt.shapes.instance import Instance
+    from djpt.shapes.mesh import Mesh
+
     if isinstance(shape, Instance):
         return sum(faces_of(inner) for inner in shape.group.shapes)
     return len(shape.indices) if isinstance(shape, Mesh) else 0
@@ -64,3 +70,17 @@ def counted(plugins: Sequence[object]) -> str:
     """Count the plugins of each class: ``2 Cube, 6 Rectangle``."""
     kinds = Counter(type(plugin).__name__ for plugin in plugins)
     return ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds)) or "none"
+
+
+@click.command("info", cls=Command, epilog=options.SCENE)
+@options.scene
+@options.define
+def command(scene: str, define: tuple[str, ...]) -> None:
+    """Print what SCENE consists of.
+
+    This includes how well its triangles can be searched.
+    """
+    import djpt
+    from djpt.description.overrides import described
+
+    print(describe(djpt.load_dict(described(scene, parameters(define))[1])))

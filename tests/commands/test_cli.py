@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import djpt
-from djpt.cli.commands import ExitCode, app, main
-from djpt.cli.console import short
+from djpt.cli.console import ExitCode, short
+from djpt.cli.main import COMMANDS, app, main
 from djpt.errors import BackendError, DjptError, FileError, RenderError
 from djpt.images.image import read_pixels
 
@@ -351,3 +351,18 @@ def test_version_and_help() -> None:
 def test_help_needs_no_backend(command: str) -> None:
     done = process(command, environment={"DJPT_VARIANT": "none_such"})
     assert done.returncode == 0, done.stderr
+
+
+def test_help_lists_all_commands_in_whole_sentences() -> None:
+    code, out, _ = run("--help")
+    listed = out.split("Commands:\n")[1].splitlines()
+    assert (code, [line.split()[0] for line in listed]) == (ExitCode.DONE, list(COMMANDS))
+    assert all(line.endswith(".") and not line.endswith("..") for line in listed)
+
+
+def test_shells_complete_commands_and_scenes() -> None:
+    environment = {"_DJPT_COMPLETE": "bash_complete", "COMP_WORDS": "djpt render cornell", "COMP_CWORD": "2"}
+    found = process(environment=environment).stdout.split()
+    assert {"plain,cornell_box", "file,cornell"} <= set(found)
+    environment.update(COMP_WORDS="djpt re", COMP_CWORD="1")
+    assert process(environment=environment).stdout.split() == ["plain,render"]

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import djpt
-from djpt.cli.commands import ExitCode, app
+from djpt.cli.console import ExitCode
+from djpt.cli.main import app
 from djpt.description.registry import registered
 from djpt.errors import SceneError
 from djpt.images.image import read_pixels

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import djpt
-from djpt.cli.commands import ExitCode, app
+from djpt.cli.console import ExitCode
 from djpt.cli.info import describe
+from djpt.cli.main import app
 from tests.kit.triangle_soups import sphere
 
 

@@ -72,7 +72,7 @@ def test_wheel_and_source_archive(tmp_path: Path) -> None:
 ENTRIES = [
     ("-m", "djpt", "render", "cornell_box", "-o", "{folder}/out.exr", "--spp", "1"),
     ("-m", "djpt", "doctor"),
-    ("-c", "import sys; from djpt.cli.commands import main; sys.argv[1:] = ['doctor']; sys.exit(main())"),
+    ("-c", "import sys; from djpt.cli.main import main; sys.argv[1:] = ['doctor']; sys.exit(main())"),
 ]
 
 

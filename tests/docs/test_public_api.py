@@ -76,7 +76,7 @@ def test_import_is_light() -> None:
     code = """
 import sys, djpt
 djpt.DjptError, djpt.variant()
-heavy = {"drjit", "mitsuba", "numpy", "scipy", "typer", "rich", "OpenEXR", "PIL"}
+heavy = {"drjit", "mitsuba", "numpy", "scipy", "click", "rich", "OpenEXR", "PIL"}
 print(sorted(heavy & set(sys.modules)))
 """
     assert run_python("-c", code).stdout == "[]\n"

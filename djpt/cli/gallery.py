@@ -1,0 +1,44 @@
+"""The command ``djpt gallery``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+import djpt
+from djpt.cli import options
+from djpt.cli.console import Command, progress_bar, require_positive
+from djpt.errors import RenderError
+
+__all__ = ["command"]
+
+
+@click.command("gallery", cls=Command)
+@click.argument("names", metavar="[NAME]..", nargs=-1)
+@options.output("png or jpg.", "gallery.png")
+@click.option("--spp", type=int, default=512, help="Samples per pixel.")
+@click.option("--size", type=int, default=200, help="Width and height of a panel in pixels.")
+@options.seed
+@options.quiet
+def command(names: tuple[str, ...], output: Path, spp: int, size: int, seed: int, quiet: bool) -> None:
+    """Render a ball of each material, side by side.
+
+    NAMEs choose panels; wrong names are answered with all of them.
+    """
+    from djpt.images.formats import DISPLAY_FORMATS
+    from djpt.images.image import check_writable
+    from djpt.scenes.gallery import panels, sheet
+
+    require_positive(spp=spp, size=size)
+    check_writable(output)
+    if output.suffix.lower() not in DISPLAY_FORMATS:
+        raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
+    chosen = panels(names)
+    start = time.perf_counter()
+    with progress_bar("rendering", "samples", quiet) as progress:
+        djpt.write(output, sheet(chosen, size, spp, seed, progress=progress))
+    if not quiet:
+        seconds = time.perf_counter() - start
+        print(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")

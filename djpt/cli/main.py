@@ -1,0 +1,70 @@
+"""The command line ``djpt``: its commands, each in a file of its own, and how the process ends.
+
+Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
+it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
+bar to stderr; the bar only to a terminal.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+import click
+
+import djpt
+from djpt.cli.console import ExitCode
+
+__all__ = ["COMMANDS", "app", "main", "run"]
+
+COMMANDS = ("render", "tonemap", "compare", "info", "scenes", "gallery", "doctor", "ladder", "bounces", "spp")
+"""The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``."""
+
+
+class Commands(click.Group):
+    """A group whose commands are imported when they are asked for: `djpt render` doesn't pay for the others."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = importlib.import_module(f"djpt.cli.{cmd_name}").command
+        return command
+
+
+def print_version(context: click.Context, option: click.Parameter, wanted: bool) -> None:
+    """Print the version and end, if that is `wanted`."""
+    if wanted:
+        click.echo(f"djpt {djpt.__version__}")
+        context.exit()
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=print_version, help="Print the version."
+)
+def app() -> None:
+    """A differentiable path tracer in pure Python over Dr.Jit that reads Mitsuba 3's scenes."""
+
+
+def main() -> int:
+    """Run the command line and return the exit code."""
+    try:
+        app(prog_name="djpt")
+    except SystemExit as end:  # how Click always ends
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return ExitCode.DONE
+
+
+def run() -> None:
+    """Run `main`, and end the process with its exit code."""
+    code = main()
+    if code == ExitCode.UNUSABLE:
+        # Without an LLVM, Dr.Jit's own shutdown has been seen to hang.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)

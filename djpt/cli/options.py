@@ -1,0 +1,65 @@
+"""Options and arguments that several commands have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import click
+from click.shell_completion import CompletionItem
+
+__all__ = [
+    "SCENE",
+    "columns",
+    "define",
+    "exposure",
+    "height",
+    "integrator",
+    "output",
+    "quiet",
+    "rfilter",
+    "scene",
+    "seed",
+    "size",
+    "white_balance",
+    "width",
+]
+
+Decorated = TypeVar("Decorated", bound=Callable[..., object])
+
+SCENE = "SCENE is an XML file, or a built-in scene; see 'djpt scenes'."
+"""What the help of a command says at its end."""
+
+
+def complete_scene(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Complete the name of a scene in a shell: built-in scenes, and files."""
+    from djpt.scenes import NAMES
+
+    names = [CompletionItem(name) for name in NAMES if name.startswith(begun)]
+    return [*names, CompletionItem(begun, type="file")]
+
+
+scene = click.argument("scene", metavar="SCENE", shell_complete=complete_scene)
+seed = click.option("--seed", type=int, default=0, help="Seed: the same one gives the same image.")
+width = click.option("--width", type=int, help="Pixels; keeps the shape unless --height is given.")
+height = click.option("--height", type=int, help="Pixels; keeps the shape unless --width is given.")
+size = click.option("--size", type=int, help="Width in pixels; the image keeps its shape. Default: the scene's.")
+columns = click.option("--columns", type=int, help="Pictures in a row. Default: all.")
+rfilter = click.option("--rfilter", help="Reconstruction filter, instead of the scene's.")
+integrator = click.option("--integrator", help="Integrator, instead of the scene's.")
+define = click.option(
+    "-D", "define", metavar="NAME=VALUE", multiple=True, help="A parameter of the XML file; may be repeated."
+)
+exposure = click.option(
+    "--exposure", metavar="STOPS", default="0", help="Brightness in stops: a number, or 'auto'; for png and jpg."
+)
+white_balance = click.option(
+    "--white-balance", metavar="LIGHT", help="What shall look white: kelvin, or R,G,B; for png and jpg."
+)
+quiet = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+
+
+def output(what: str, default: str | None = None) -> Callable[[Decorated], Decorated]:
+    """The option ``--output``, a file; `what` says which kinds, and what the default is if none is given here."""
+    return click.option("--output", "-o", type=click.Path(path_type=Path), default=default, help=what)
