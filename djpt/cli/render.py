@@ -52,12 +52,14 @@ def command(
     quiet: bool,
 ) -> None:
     """Render SCENE to an image file."""
-    from djpt.cli.tone import Tone, carried
     from djpt.description.overrides import described, override
-    from djpt.images.image import check_writable
 
     require_positive(spp=spp, width=width, height=height)
     name, description = described(scene, parameters(define))
+    # NumPy is imported after the scene was found.
+    from djpt.cli.tone import Tone, carried
+    from djpt.images.image import check_writable
+
     target = output or Path(f"{name}.exr")
     check_writable(target)
     toned = tonemap is not None or exposure != "0" or white_balance is not None

@@ -58,9 +58,10 @@ def described(
         document = read_file(scene, **(parameters or {}))
         return document.name, document
     from djpt import scenes
-    from djpt.description.numeric import describe
 
     if parameters:
+        from djpt.description.numeric import describe
+
         what = f"'{scene}'" if isinstance(scene, str) else describe(scene)
         raise SceneError(f"only scene files (XML) have parameters, found {', '.join(parameters)} for {what}")
     if isinstance(scene, Document):
