@@ -63,6 +63,8 @@ def render(
         RenderError: Nothing to render, or arguments out of range.
     """
     begin_trace()
+    if progress is not None and not callable(progress):
+        raise RenderError(f"'progress' must be a function of (samples done, samples in all), found {progress!r}")
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)
     if type(estimator).render is not Integrator.render:
@@ -238,10 +240,12 @@ def whole(value: Any) -> int | None:
 
 
 def check_count(name: str, value: Any) -> int:
-    """The value as an int; raises `RenderError` unless it is whole and not negative."""
+    """The value as an int; raises `RenderError` unless it is whole, not negative and fits into 32 bits."""
     count = whole(value)
     if count is None or count < 0:
         raise RenderError(f"'{name}' must be a whole number, 1 or more (0 = default), found {value!r}")
+    if count >= MAX_SAMPLES:
+        raise RenderError(f"'{name}' must be below 2^32, found {value!r}")
     return count
 
 

@@ -10,7 +10,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import PathState, Vertex, mis_weight
-from djpt.integrators.unidirectional import UnidirectionalPath, roulette
+from djpt.integrators.unidirectional import UnidirectionalPath, first_roulette, roulette
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import UInt32
@@ -39,7 +39,7 @@ class Path(UnidirectionalPath):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.rr_depth = props.integer("rr_depth", 5, low=1)
+        self.rr_depth = first_roulette(props, self.max_depth)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
 
     def vertex(

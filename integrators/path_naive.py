@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.unidirectional import UnidirectionalPath, roulette
+from djpt.integrators.unidirectional import UnidirectionalPath, first_roulette, roulette
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
@@ -50,7 +50,7 @@ class PathNaive(UnidirectionalPath):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hemisphere = props.string("hemisphere", "cosine", choices=("uniform", "cosine"))
-        self.rr_depth = props.integer("rr_depth", 5, low=1)
+        self.rr_depth = first_roulette(props, self.max_depth)
 
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f

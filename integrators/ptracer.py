@@ -15,7 +15,7 @@ from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.path import Path
-from djpt.integrators.unidirectional import UNBOUNDED, roulette
+from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
 from djpt.kernels import maximum
 from djpt.materials.adjoint import side_correction
 from djpt.records import RAY_EPSILON, BSDFContext, Ray3f, SurfaceInteraction3f, TransportMode
@@ -71,7 +71,7 @@ class ParticleTracer(PassIntegrator):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.max_depth = props.integer("max_depth", -1, low=-1)
-        self.rr_depth = props.integer("rr_depth", 5, low=1)
+        self.rr_depth = first_roulette(props, self.max_depth)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
         shown = {"max_depth": min(self.max_depth, 1) if self.max_depth >= 0 else 1, "hide_emitters": self.hide_emitters}
         # For light that comes straight from an emitter.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -19,9 +20,26 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["MonteCarloIntegrator", "UnidirectionalPath", "roulette"]
+__all__ = ["UNBOUNDED", "MonteCarloIntegrator", "UnidirectionalPath", "first_roulette", "roulette"]
 
-UNBOUNDED = 0xFFFFFFFF
+UNBOUNDED = 2**16
+"""The edges of the longest path where `max_depth` is -1: without absorption or roulette it would go on for ever."""
+
+LATE = 1000
+"""Russian roulette that begins later isn't felt."""
+
+
+def first_roulette(props: Properties, max_depth: int) -> int:
+    """The parameter `rr_depth`; warns if neither it nor `max_depth` ends paths soon."""
+    depth = props.integer("rr_depth", 5, low=1)
+    if max_depth < 0 and depth > LATE:
+        warnings.warn(
+            f"{props.node}: paths may have {UNBOUNDED} edges where little is absorbed, with 'max_depth' -1 and "
+            f"'rr_depth' {depth}; bound one of them",
+            stacklevel=2,
+        )
+    return depth
+
 
 MAX_BOUNCES = 32
 """The largest number of images by bounces that one render gives."""
@@ -30,8 +48,8 @@ MAX_BOUNCES = 32
 class UnidirectionalPath(PathIntegrator):
     """Walks from the camera, one BSDF sample per vertex; subclasses say what a vertex contributes.
 
-    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1; 1 shows only
-    lights, 0 nothing), `hide_emitters`, `bounces` (default false).
+    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, that is 2^16, default -1; 1 shows
+    only lights, 0 nothing), `hide_emitters`, `bounces` (default false).
 
     With `bounces` there is one image more for each term of the Neumann series L = E + K E + K^2 E + ..: light that was
     scattered k times, in the channels `bounce<k>.R` and so on, k = 0 .. max_depth - 1. Their sum is the image.

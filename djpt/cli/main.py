@@ -15,6 +15,7 @@ import click
 
 import djpt
 from djpt.cli.console import ExitCode
+from djpt.files import reason
 
 __all__ = ["COMMANDS", "app", "main", "run"]
 
@@ -55,8 +56,22 @@ def main() -> int:
     try:
         app(prog_name="djpt")
     except SystemExit as end:  # how Click always ends
-        return end.code if isinstance(end.code, int) else int(end.code is not None)
-    return ExitCode.DONE
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    else:
+        code = ExitCode.DONE
+    return code if flushed() else ExitCode.BAD_INPUT
+
+
+def flushed() -> bool:
+    """Whether all that was printed has arrived; prints an error if not, as on a full disk."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        print(f"djpt: error: can't write to the standard output: {reason(error)}", file=sys.stderr)
+        # Python would try once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
 
 
 def run() -> None:

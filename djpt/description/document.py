@@ -18,6 +18,7 @@ class Document(dict[str, Any]):
         places: file and line by path: of nodes (``sensor.film``; the root is the empty path) and of
             their entries (``sensor.film.width``).
         directories: where relative names of files are looked up, besides the working directory.
+        root: the directory that an untrusted scene may not leave, or None.
     """
 
     def __init__(
@@ -26,12 +27,14 @@ class Document(dict[str, Any]):
         name: str = "scene",
         places: Mapping[str, str] | None = None,
         directories: tuple[Path, ...] = (),
+        root: Path | None = None,
     ) -> None:
         super().__init__(description)
         self.name = name
         self.places = dict(places or {})
         self.directories = directories
+        self.root = root
 
     def copy(self) -> Document:
         """A shallow copy that keeps the name, the places and the directories."""
-        return Document(self, self.name, self.places, self.directories)
+        return Document(self, self.name, self.places, self.directories, self.root)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from djpt.errors import FileError
+from djpt.files import shortened
 
 __all__ = ["FileResolver", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
 
@@ -22,10 +23,16 @@ class FileResolver:
     Args:
         directories: the directories, or another resolver whose directories are copied; default: the working
             directory.
+        root: a directory that no file may lie outside of, links resolved, or None. What is outside isn't found.
     """
 
-    def __init__(self, directories: Iterable[str | os.PathLike[str]] | None = None) -> None:
-        self.directories = [Path.cwd()] if directories is None else [Path(folder) for folder in directories]
+    def __init__(
+        self,
+        directories: Iterable[str | os.PathLike[str]] | None = None,
+        root: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self.directories = [working_directory()] if directories is None else [Path(folder) for folder in directories]
+        self.root = None if root is None else os.path.realpath(root)
 
     def find(self, name: str | os.PathLike[str]) -> Path:
         """The file or directory called `name`.
@@ -33,15 +40,21 @@ class FileResolver:
         Raises:
             FileError: it is in none of the directories.
         """
-        places = [*self.directories, Path.cwd()]
+        places = [*self.directories, working_directory()]
         for place in places:
             # Texts: hundreds of names are looked up, and paths take ten times as long.
-            if os.path.exists(candidate := os.path.join(place, name)):
+            if os.path.exists(candidate := os.path.join(place, name)) and self.allows(candidate):
                 return Path(candidate)
+        if self.root is not None:
+            raise FileError(f"'{shortened(name)}' isn't in '{self.root}', which this scene may not leave")
         if Path(name).is_absolute():
-            raise FileError(f"'{name}' doesn't exist")
+            raise FileError(f"'{shortened(name)}' doesn't exist")
         searched = ", ".join(dict.fromkeys(str(place) for place in places))
-        raise FileError(f"'{name}' doesn't exist; searched: {searched}")
+        raise FileError(f"'{shortened(name)}' doesn't exist; searched: {searched}")
+
+    def allows(self, path: str) -> bool:
+        """Whether a file lies within the root."""
+        return self.root is None or os.path.commonpath([self.root, os.path.realpath(path)]) == self.root
 
     def resolve(self, path: str | os.PathLike[str], /) -> Path:
         """The file or directory that `path` names, or `path` itself if there is none, as in Mitsuba."""
@@ -90,6 +103,14 @@ class FileResolver:
 
     def __repr__(self) -> str:
         return f"FileResolver({[str(folder) for folder in self.directories]})"
+
+
+def working_directory() -> Path:
+    """The working directory, also if it has been removed."""
+    try:
+        return Path.cwd()
+    except OSError:
+        return Path()
 
 
 _current: ContextVar[FileResolver | None] = ContextVar("file_resolver", default=None)

@@ -8,16 +8,14 @@ from typing import Any
 
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
+from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["MAX_DEPTH", "load_dict"]
-
-MAX_DEPTH = 32
-"""Deepest nesting of nodes. Real scenes need about five levels."""
+__all__ = ["load_dict"]
 
 
 def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:
@@ -39,8 +37,8 @@ def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = T
     Raises:
         SceneError: the description is wrong; the message names the node.
     """
-    if isinstance(dict, Document) and dict.directories:
-        with FileResolver((*dict.directories, *file_resolver())).active():
+    if isinstance(dict, Document) and (dict.directories or dict.root is not None):
+        with FileResolver((*dict.directories, *file_resolver()), dict.root).active():
             return Loader(dict).load()
     return Loader(dict).load()
 
@@ -94,11 +92,15 @@ class Loader:
             raise SceneError(f"{where}: the dict contains itself")
         if len(parents) >= MAX_DEPTH:
             raise SceneError(f"{where}: nested deeper than {MAX_DEPTH} levels")
+        if len(self.nodes) >= MAX_NODES:
+            raise SceneError(f"{where}: more than {MAX_NODES} nodes; a node counts wherever it stands")
         self.nodes[path] = node
         self._name_node(path, path)
         for key in node:
             if not isinstance(key, str) or not key:
                 raise SceneError(f"{where}: keys must be strings, found {describe(key)}")
+            if len(key) > MAX_NAME:
+                raise SceneError(f"{where}: keys have up to {MAX_NAME} characters, found {len(key)}: {describe(key)}")
             if "." in key:
                 raise SceneError(f"{where}: the key '{key}' contains a '.', which separates the parts of a path")
         kind = node.get("type")
@@ -113,7 +115,7 @@ class Loader:
         identity = node.get("id")
         if identity is not None:
             # Exporters write ids with dots, such as "Material.001": any non-empty string is a name.
-            if not isinstance(identity, str) or not identity:
+            if not isinstance(identity, str) or not identity or len(identity) > MAX_NAME:
                 raise SceneError(f"{where}: 'id' must be a name, found {describe(identity)}")
             self._name_node(identity, path)
         for key, value in node.items():

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.description.xml.source import check_readable
 from djpt.errors import SceneError, near_miss
+from djpt.files import require_regular
 
 __all__ = ["described", "override", "rfilter_name"]
 
@@ -52,10 +51,10 @@ def described(
     """
     if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
         # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
-        check_readable(Path(scene))
+        require_regular(scene)
         from djpt.description.scene_files import read_file
 
-        document = read_file(scene, **(parameters or {}))
+        document = read_file(scene, trusted=True, root=None, **(parameters or {}))
         return document.name, document
     from djpt import scenes
 

@@ -14,7 +14,6 @@ import contextlib
 import io
 import os
 import re
-import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError, near_miss
+from djpt.files import check_target, reason, require_regular, writing
 from djpt.images.exr import RESERVED
 from djpt.images.formats import (
     DISPLAY_FORMATS,
@@ -37,7 +37,7 @@ from djpt.images.srgb import from_srgb, shares, to_srgb8
 if TYPE_CHECKING:
     from djpt.types import TensorXf
 
-__all__ = ["Image", "check_writable", "read", "read_metadata", "read_pixels", "reading", "write", "writing"]
+__all__ = ["Image", "check_writable", "read", "read_metadata", "read_pixels", "reading", "write"]
 
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
@@ -135,29 +135,6 @@ def write(
         form.encode(temporary, pixels, labels)
 
 
-@contextlib.contextmanager
-def writing(target: Path) -> Iterator[Path]:
-    """A path to write to, with the extension of `target`, whose place the file takes when all went well.
-
-    Raises `FileError` for what goes wrong, and leaves an old file as it was.
-    """
-    # A link is followed, so that it stays a link. The name begins with a dot and keeps the extension.
-    real = Path(os.path.realpath(target))
-    temporary = real.with_name(f".{real.stem[:100]}.{secrets.token_hex(4)}{real.suffix}")
-    try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())  # otherwise a crash may leave the new name with no content
-        if real.exists():
-            temporary.chmod(real.stat().st_mode & 0o777)
-        temporary.replace(real)
-    except (OSError, RuntimeError, ValueError, MemoryError) as error:
-        raise FileError(f"can't write '{target}': {_reason(error)}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
 def read(path: str | os.PathLike[str]) -> TensorXf:
     """Read an image as a tensor of shape (H, W, C) with linear values.
 
@@ -203,27 +180,18 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
 @contextlib.contextmanager
 def reading(source: Path) -> Iterator[None]:
     """Turn any exception that is raised while a file is read into a `FileError`."""
+    require_regular(source)
     try:
-        if source.is_dir():
-            raise IsADirectoryError("it is a folder")
-        if not source.exists():
-            raise FileNotFoundError("there is no such file")
         yield
     except Exception as error:  # decoders of damaged files raise nearly anything
-        raise FileError(f"can't read '{source}': {_reason(error)}") from error
+        raise FileError(f"can't read '{source}': {reason(error)}") from error
 
 
 def check_writable(path: str | os.PathLike[str]) -> Format:
     """Raise `FileError` if `path` can't be written, before a long render rather than after it."""
     target = Path(path)
     form = _format(target, "write")
-    folder = Path(os.path.realpath(target)).parent
-    if target.is_dir():
-        raise FileError(f"can't write '{target}': it is a folder")
-    if not folder.is_dir():
-        raise FileError(f"can't write '{target}': there is no folder '{folder}'")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise FileError(f"can't write '{target}': no permission to write in '{folder}'")
+    check_target(target)
     return form
 
 
@@ -271,13 +239,3 @@ def _texts(target: Path, metadata: Mapping[str, Any]) -> dict[str, str]:
 
 def _either(numbers: Sequence[int]) -> str:
     return " or ".join(str(n) for n in numbers) if len(numbers) < 3 else f"{numbers[0]} to {numbers[-1]}"
-
-
-def _reason(error: BaseException) -> str:
-    """The reason of an error in one line, without the path, which the message has already."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror.lower()
-    if isinstance(error, MemoryError):
-        return "out of memory"
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__

@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError
+from djpt.files import writing
 from djpt.images.exr import ORDER, RESERVED, read_layers, write_layers
 from djpt.images.formats import FORMATS, Labels, encode_jpg, encode_png, png_metadata
-from djpt.images.image import check_writable, reading, writing
+from djpt.images.image import check_writable, reading
 from djpt.images.png16 import encode_png16
 
 __all__ = ["Stored", "format_of", "load_stored", "save_stored", "stored_from_stream", "stored_to_stream"]

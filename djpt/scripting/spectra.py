@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from djpt.errors import ArgumentError, FileError
+from djpt.files import read_bytes, writing
 from djpt.images import colorimetry
 from djpt.images.color import LUMINANCE
 from djpt.types import Color3f, Float, UInt32, converting
@@ -191,11 +193,8 @@ def spectrum_from_file(filename: str | os.PathLike[str]) -> tuple[list[float], l
         FileError: the file can't be read, or a line has other than two numbers.
     """
     check_suffix(filename)
-    try:
-        with open(filename, encoding="utf-8") as file:
-            lines = [line.split("#")[0].split() for line in file]
-    except OSError as error:
-        raise FileError(f"can't read '{os.fspath(filename)}': {error.strerror}") from None
+    text = read_bytes(filename).decode("utf-8", "replace")
+    lines = [line.split("#")[0].split() for line in text.splitlines()]
     wavelengths, values = [], []
     for number, line in enumerate(lines, 1):
         if not line:
@@ -219,11 +218,8 @@ def spectrum_to_file(filename: str | os.PathLike[str], wavelengths: Sequence[flo
     check_suffix(filename)
     if len(wavelengths) != len(values):
         raise ArgumentError(f"spectrum_to_file(): {len(wavelengths)} wavelengths, but {len(values)} values")
-    try:
-        with open(filename, "w", encoding="utf-8") as file:
-            file.writelines(f"{w:.9g} {v:.9g}\n" for w, v in zip(wavelengths, values, strict=True))
-    except OSError as error:
-        raise FileError(f"can't write '{os.fspath(filename)}': {error.strerror}") from None
+    with writing(Path(filename)) as temporary:
+        temporary.write_text("".join(f"{w:.9g} {v:.9g}\n" for w, v in zip(wavelengths, values, strict=True)), "utf-8")
 
 
 def check_suffix(filename: str | os.PathLike[str]) -> None:

@@ -10,6 +10,7 @@ from typing import ClassVar
 from djpt.description.files import read_once, resolve
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
+from djpt.files import read_bytes
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.meshes.data import MeshData
 
@@ -56,9 +57,9 @@ class MeshFile(Mesh):
     def load(props: Properties, path: Path) -> bytes:
         """The file's contents."""
         try:
-            return path.read_bytes()
-        except OSError as error:
-            raise SceneError(f"{props.node}: can't read '{path}': {error.strerror}") from None
+            return read_bytes(path)
+        except FileError as error:
+            raise SceneError(f"{props.node}: {error}") from None
 
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:
         """The mesh in a file's contents, in object space; `where` names the file in messages."""

@@ -17,6 +17,7 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
+from djpt.files import read_bytes
 from djpt.frame import Frame3f, coordinate_system
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
 from djpt.shapes.questions import ShapeType
@@ -239,10 +240,7 @@ def read_volume(path: Path) -> NDArray[np.float32]:
     Its header is `VOL`, a byte 3 (the version), five int32 (1 for float32; cells along x, y, z; channels) and six
     float32 (a bounding box, not used); the values follow, x fastest. Little endian.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"'{path}' can't be read: {error.strerror}") from None
+    data = read_bytes(path)
     if len(data) < 48 or data[:4] != b"VOL\x03":
         raise FileError(f"'{path}' isn't a volume: it must begin with 'VOL' and the version 3")
     kind, nx, ny, nz, channels = (int(n) for n in np.frombuffer(data, "<i4", 5, offset=4))

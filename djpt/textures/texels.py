@@ -143,7 +143,9 @@ def without_alpha(pixels: Pixels) -> Pixels:
 
 
 def check_texels(pixels: Pixels) -> None:
-    """Raise `SceneError` unless all numbers are finite."""
+    """Raise `SceneError` unless there are pixels, and all numbers are finite."""
+    if not pixels.size:
+        raise SceneError(f"must have at least one pixel, found the shape {pixels.shape}")
     # False for NaN, which is both the least and the greatest number wherever it occurs.
     if not (pixels.min() >= -LARGEST and pixels.max() <= LARGEST):
         y, x, channel = np.argwhere(~(np.abs(pixels) <= LARGEST))[0]

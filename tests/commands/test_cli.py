@@ -366,3 +366,13 @@ def test_shells_complete_commands_and_scenes() -> None:
     assert {"plain,cornell_box", "file,cornell"} <= set(found)
     environment.update(COMP_WORDS="djpt re", COMP_CWORD="1")
     assert process(environment=environment).stdout.split() == ["plain,render"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the device that is always full is Linux's")
+def test_a_full_disk_at_stdout_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "djpt", "scenes"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == ExitCode.BAD_INPUT
+    assert done.stderr == "djpt: error: can't write to the standard output: no space left on device\n"

@@ -109,7 +109,7 @@ except FileError as error:
     print(error)
 print(sorted({"drjit", "numpy"} & set(sys.modules)))
 """
-    assert run_python("-c", code).stdout == "can't read 'nothing.xml': No such file or directory\n[]\n"
+    assert run_python("-c", code).stdout == "can't read 'nothing.xml': there is no such file\n[]\n"
 
 
 def test_rendering_does_not_import_mitsuba() -> None:

@@ -377,7 +377,7 @@ def ply_error(tmp_path: Path, **replacements: str) -> str:
 @pytest.mark.parametrize(
     ("replacements", "message"),
     [
-        ({"ply__format": "obj\nformat"}, "scene.thing: bad.ply: not a PLY file: it begins with b'obj"),
+        ({"ply__format": "obj\nformat"}, "scene.thing: bad.ply: not a PLY file: it doesn't begin with the line 'ply'"),
         ({"ascii": "asci"}, "bad.ply, line 2: unknown format 'asci'; did you mean 'ascii'?"),
         ({"float_y": "flaot y"}, "bad.ply, line 6: unknown type 'flaot'; did you mean 'float'?"),
         ({"float_y": "float x"}, "bad.ply: the element 'vertex' declares a property twice"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import stat
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from PIL import Image as Picture
 from djpt.errors import DjptError, FileError
 from djpt.images import srgb
 from djpt.images.formats import FORMATS
-from djpt.images.image import Image, check_writable, read, read_metadata, read_pixels, write
+from djpt.images.image import Image, read, read_metadata, read_pixels, write
 from djpt.images.srgb import from_srgb, to_srgb8
 from djpt.util import convert_to_bitmap, write_bitmap
 
@@ -174,44 +173,6 @@ def test_equal_images_give_equal_files(tmp_path: Path) -> None:
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
-# ---------------------------------------------------------------- atomic writes
-
-
-def test_a_failed_write_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.exr"
-    write(path, radiance())
-    old = path.read_bytes()
-
-    def half_way(target: Path, image: np.ndarray, channels: object) -> None:
-        target.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setitem(FORMATS, ".exr", FORMATS[".exr"]._replace(encode=half_way))
-    with pytest.raises(FileError, match=r"can't write '.*a\.exr': no space left on device"):
-        write(path, radiance(seed=1))
-    assert path.read_bytes() == old
-    assert os.listdir(tmp_path) == ["a.exr"], "no temporary file stays behind"
-
-
-def test_a_write_keeps_the_link_and_the_permissions(tmp_path: Path) -> None:
-    (tmp_path / "real").mkdir()
-    real = tmp_path / "real" / "a.npy"
-    write(real, radiance())
-    assert stat.S_IMODE(real.stat().st_mode) == 0o666 & ~_umask(), "a new file has the usual permissions"
-    real.chmod(0o640)
-    (tmp_path / "link.npy").symlink_to(real)
-    write(tmp_path / "link.npy", radiance(seed=1))
-    assert (tmp_path / "link.npy").is_symlink()
-    np.testing.assert_array_equal(read_pixels(real), radiance(seed=1))
-    assert stat.S_IMODE(real.stat().st_mode) == 0o640
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 # ---------------------------------------------------------------- errors
 
 
@@ -235,22 +196,6 @@ def test_bad_writes_say_why(tmp_path: Path, name: str, image: object, message: s
     with pytest.raises(FileError, match=message):
         write(tmp_path / name, image)
     assert os.listdir(tmp_path) == []
-
-
-def test_a_folder_or_a_file_in_the_way(tmp_path: Path) -> None:
-    (tmp_path / "a.exr").mkdir()
-    (tmp_path / "b").write_text("")
-    with pytest.raises(FileError, match="it is a folder"):
-        check_writable(tmp_path / "a.exr")
-    with pytest.raises(FileError, match="there is no folder"):
-        check_writable(tmp_path / "b" / "c.exr")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_no_permission(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(FileError, match="no permission"):
-        check_writable(tmp_path / "a.exr")
 
 
 @pytest.mark.parametrize("channels", [["R"], ["R", "R", "B"], ["R", "", "B"], ["a,b", "c", "d"]])

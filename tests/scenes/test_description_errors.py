@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
-from djpt.description.loader import MAX_DEPTH
+from djpt.description.limits import MAX_DEPTH
 from djpt.errors import SceneError
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float

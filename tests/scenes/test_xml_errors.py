@@ -287,7 +287,7 @@ def test_ids_of_two_files_may_not_clash(tmp_path: Path) -> None:
 
 
 def test_files_that_cant_be_read(tmp_path: Path) -> None:
-    with pytest.raises(djpt.FileError, match=r"can't read '.*nothing\.xml': No such file"):
+    with pytest.raises(djpt.FileError, match=r"can't read '.*nothing\.xml': there is no such file"):
         djpt.load_file(tmp_path / "nothing.xml")
     with pytest.raises(djpt.FileError, match="it is a folder"):
         djpt.load_file(tmp_path)
@@ -297,14 +297,12 @@ def test_files_that_cant_be_read(tmp_path: Path) -> None:
         djpt.load_string(3)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [("400", "must be a wavelength and a value, found '400'"), ("400 x", "must be a number, found 'x'")],
-)
-def test_spectrum_files_name_their_line(tmp_path: Path, line: str, message: str) -> None:
+@pytest.mark.parametrize("line", ["400", "400 x", "400 1 2"])
+def test_spectrum_files_name_their_line(tmp_path: Path, line: str) -> None:
     (tmp_path / "s.spd").write_text(f"# nm value\n{line}\n")
     main = write(tmp_path, main='<bsdf type="diffuse"><spectrum name="reflectance" filename="s.spd"/></bsdf>')
-    with pytest.raises(djpt.SceneError, match=re.escape(f"main.xml:2: {tmp_path}/s.spd:2: <spectrum>: {message}")):
+    where = f"main.xml:2: <spectrum>: {tmp_path}/s.spd:2"
+    with pytest.raises(djpt.SceneError, match=re.escape(f"{where}: must be two numbers, a wavelength and a value")):
         read_file(main)
 
 

@@ -33,6 +33,35 @@ def without(*names: str) -> Any:
 
 
 @pytest.mark.parametrize("name", ["spp", "spp_grad", "pass_spp"])
+@pytest.mark.parametrize("value", [2**32, 2**64, 10**30])
+def test_counts_fit_into_32_bits(scene: djpt.Scene, name: str, value: int) -> None:
+    with pytest.raises(djpt.RenderError, match=f"'{name}' must be below 2\\^32, found {value}"):
+        djpt.render(scene, **{"spp": 1, name: value})
+
+
+@pytest.mark.parametrize("progress", [5, "bar", True])
+def test_progress_is_a_function(scene: djpt.Scene, progress: object) -> None:
+    with pytest.raises(djpt.RenderError, match="'progress' must be a function"):
+        djpt.render(scene, spp=1, progress=progress)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("integrator", ["path", "path_naive"])
+def test_paths_end_where_nothing_is_absorbed(integrator: str) -> None:
+    """A white furnace without roulette: paths have 2^16 edges, and a warning says so."""
+    with pytest.warns(UserWarning, match="paths may have 65536 edges where little is absorbed"):
+        furnace = djpt.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": integrator, "rr_depth": 10**6},
+                "room": {"type": "sphere", "flip_normals": True, "bsdf": {"type": "diffuse", "reflectance": 1.0}},
+                "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 2, "height": 2}},
+                "light": {"type": "point", "intensity": 0.0},
+            }
+        )
+    assert (djpt.render(furnace, spp=1).numpy() == 0).all()
+
+
+@pytest.mark.parametrize("name", ["spp", "spp_grad", "pass_spp"])
 @pytest.mark.parametrize("value", [-1, 1.5, True, "4", None, float("nan")], ids=repr)
 def test_counts(scene: Any, name: str, value: Any) -> None:
     with pytest.raises(RenderError, match=f"'{name}' must be a whole number"):

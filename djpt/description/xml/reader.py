@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from djpt.description.files import FileResolver, file_resolver
+from djpt.description.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.xml import source
 from djpt.description.xml.nodes import Node, Reference
 from djpt.description.xml.parameters import Parameters
@@ -18,7 +19,7 @@ from djpt.description.xml.upgrade import Version, is_old, parse_version, upgrade
 from djpt.description.xml.values import VALUES, check_attributes, spectrum_file
 from djpt.errors import FileError, SceneError, near_miss
 
-__all__ = ["MAX_FILES", "MAX_INCLUDES", "OBJECTS", "Reader"]
+__all__ = ["OBJECTS", "Reader"]
 
 OBJECTS = {
     "scene": "scene",
@@ -38,12 +39,6 @@ OBJECTS = {
 """The tags of objects, and the kind of plugin that each holds."""
 
 _OTHERS = ("transform", "ref", "include", "alias", "default", "path")
-
-MAX_INCLUDES = 15
-"""Deepest nesting of includes, as in Mitsuba."""
-
-MAX_FILES = 1000
-"""Most files that one scene reads: includes of includes grow exponentially."""
 
 
 @dataclass
@@ -65,15 +60,22 @@ class _File:
 
 
 class Reader:
-    """One call of `load_file` or `load_string`."""
+    """One call of `load_file` or `load_string`.
 
-    def __init__(self, given: Mapping[str, Any]) -> None:
+    Args:
+        given: values of parameters.
+        root: the directory that an untrusted scene may not leave, or None.
+    """
+
+    def __init__(self, given: Mapping[str, Any], root: Path | None = None) -> None:
         self.parameters = Parameters(given)
         self.ids: dict[str, Node] = {}
         """All nodes by id, and by alias."""
         self.directories: tuple[Path, ...] = ()
         """The directories in which the outermost file looks for others."""
+        self.root = root
         self._files = 0
+        self._objects = 0
 
     def read_file(self, path: Path, outer: _File | None = None) -> Node:
         """Read the root object of a file; `outer` is the file that includes it."""
@@ -81,12 +83,12 @@ class Reader:
         real = os.path.realpath(path)
         stack = (*outer.real, real) if outer else (real,)
         inherited = outer.resolver if outer else file_resolver()
-        resolver = FileResolver((path.parent, *inherited))
+        resolver = FileResolver((path.parent, *inherited), self.root)
         return self._read(source.parse_file(path), str(path), resolver, stack)
 
     def read_string(self, text: str | bytes) -> Node:
         """Read the root object of a text."""
-        return self._read(source.parse(text, "<string>"), "<string>", FileResolver(file_resolver()), ())
+        return self._read(source.parse(text, "<string>"), "<string>", FileResolver(file_resolver(), self.root), ())
 
     def _read(self, root: Element, name: str, resolver: FileResolver, stack: tuple[str, ...]) -> Node:
         if root.tag not in OBJECTS:
@@ -123,6 +125,9 @@ class Reader:
             check_attributes(element, optional="type id name")
         else:
             check_attributes(element, "type", "id name")
+        self._objects += 1
+        if self._objects > MAX_NODES:
+            raise element.error(f"more than {MAX_NODES} objects")
         kind = element.attributes.get("type", "scene")
         node = Node(element.tag, kind, element.attributes.get("id", ""), element.place)
         if node.id:
@@ -234,4 +239,4 @@ class Reader:
         if not is_root:
             raise element.error("can only stand directly in the file's outermost object")
         folder = file.resolve(element.attributes["value"], element)
-        file.resolver = FileResolver((folder, *file.resolver))
+        file.resolver = FileResolver((folder, *file.resolver), self.root)

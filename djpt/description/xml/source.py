@@ -14,7 +14,8 @@ from xml.etree.ElementTree import ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import DefusedXMLParser
 
-from djpt.errors import FileError, SceneError
+from djpt.errors import SceneError
+from djpt.files import read_bytes
 
 __all__ = ["MAX_NESTING", "Element", "parse", "parse_file"]
 
@@ -43,21 +44,7 @@ def parse_file(path: Path) -> Element:
         FileError: the file can't be read.
         SceneError: it isn't well-formed XML, or has a feature that is refused.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"can't read '{path}': {error.strerror or error}") from None
-    return parse(data, str(path))
-
-
-def check_readable(path: Path) -> None:
-    """Raise `FileError` if a scene file can't be opened."""
-    if path.is_dir():
-        raise FileError(f"can't read '{path}': it is a folder")
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        raise FileError(f"can't read '{path}': {error.strerror or error}") from None
+    return parse(read_bytes(path), str(path))
 
 
 def parse(text: str | bytes, name: str) -> Element:

@@ -10,7 +10,8 @@ from typing import Any
 
 from djpt.description.numeric import LARGEST
 from djpt.description.xml.source import Element
-from djpt.errors import near_miss
+from djpt.errors import FileError, near_miss
+from djpt.files import read_bytes
 
 __all__ = ["VALUES", "check_attributes", "numbers", "spectrum_file", "vector"]
 
@@ -124,20 +125,21 @@ def _pair(element: Element, text: str) -> tuple[float, float]:
 def spectrum_file(element: Element, path: Path) -> dict[str, Any]:
     """Read the spectrum in a text file: a wavelength in nm and a value per line, ``#`` for comments."""
     try:
-        lines = path.read_text("utf-8").splitlines()
-    except OSError as error:
-        raise element.error(f"can't read '{path}': {error.strerror}") from None
+        lines = read_bytes(path).decode("utf-8").splitlines()
+    except FileError as error:
+        raise element.error(str(error)) from None
     except UnicodeError:
         raise element.error(f"'{path}' isn't a text file") from None
     pairs: list[tuple[float, float]] = []
     for count, line in enumerate(lines, 1):
         if not (text := line.partition("#")[0].strip()):
             continue
+        words = [word for word in _SEPARATORS.split(text) if word]
+        if len(words) != 2 or not all(map(_FLOAT.fullmatch, words)):
+            # Not quoted: any file may have been named.
+            raise element.error(f"{path}:{count}: must be two numbers, a wavelength and a value")
         inside = Element(element.tag, {}, f"{element.place}: {path}:{count}")
-        found = numbers(inside, text)
-        if len(found) != 2:
-            raise inside.error(f"must be a wavelength and a value, found '{text}'")
-        pairs.append((found[0], found[1]))
+        pairs.append((number(inside, words[0]), number(inside, words[1])))
     _check_pairs(element, pairs)
     return {"type": "spectrum", "value": pairs}
 

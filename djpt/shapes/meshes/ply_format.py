@@ -59,6 +59,10 @@ class Column:
     """The length of each row's list; None if the property isn't a list."""
 
 
+DIGITS = 18
+"""The digits of the largest number of rows that a header may declare."""
+
+
 @dataclass
 class Element:
     """Rows of one kind, such as ``vertex``."""
@@ -99,7 +103,7 @@ def read_elements(data: bytes, where: str) -> list[Element]:
 def read_header(data: bytes, where: str) -> tuple[list[Element], str | None, int, int]:
     """Read the header: the elements declared, the byte order (None: text), offset and line where the body begins."""
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r"):
-        raise SceneError(f"{where}: not a PLY file: it begins with {data[:8]!r}, not with the line 'ply'")
+        raise SceneError(f"{where}: not a PLY file: it doesn't begin with the line 'ply'")
     elements: list[Element] = []
     order: str | None = None
     known = False
@@ -119,7 +123,7 @@ def read_header(data: bytes, where: str) -> tuple[list[Element], str | None, int
             if words[1] not in ORDERS:
                 raise SceneError(f"{at}: unknown format '{words[1]}'{near_miss(words[1], ORDERS)}")
             order, known = ORDERS[words[1]], True
-        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) <= DIGITS:
             elements.append(Element(words[1], int(words[2])))
         elif words[0] == "property" and elements and len(words) in (3, 5):
             elements[-1].properties.append(read_property(words, at))
@@ -176,7 +180,7 @@ class BinaryRows(Rows):
             if all((table[COUNT + name] == length).all() for name, length in lengths.items()):
                 self.position = end
                 for p in element.properties:
-                    counts = np.full(element.count, lengths[p.name]) if p.name in lengths else None
+                    counts = np.full(element.count, lengths.get(p.name, 0)) if p.count_type else None
                     element.columns[p.name] = Column(table[p.name].ravel(), counts)
                 return
         elif not lengths:
@@ -190,7 +194,7 @@ class BinaryRows(Rows):
             if p.count_type:
                 fields += [
                     (COUNT + p.name, self.order + p.count_type),
-                    (p.name, self.order + p.type, (lengths[p.name],)),
+                    (p.name, self.order + p.type, (lengths.get(p.name, 0),)),
                 ]
             else:
                 fields.append((p.name, self.order + p.type))

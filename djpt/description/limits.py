@@ -1,0 +1,20 @@
+"""What a description may have at most, so that a small file can't ask for endless time or memory."""
+
+from __future__ import annotations
+
+__all__ = ["MAX_DEPTH", "MAX_FILES", "MAX_INCLUDES", "MAX_NAME", "MAX_NODES"]
+
+MAX_DEPTH = 32
+"""Deepest nesting of nodes. Real scenes need about five levels."""
+
+MAX_NODES = 500_000
+"""Most nodes of a scene: a dict that stands in another one twice, level by level, grows exponentially."""
+
+MAX_NAME = 1000
+"""Longest name of a node, in characters."""
+
+MAX_INCLUDES = 15
+"""Deepest nesting of includes, as in Mitsuba."""
+
+MAX_FILES = 1000
+"""Most files that one scene reads: includes of includes grow exponentially."""

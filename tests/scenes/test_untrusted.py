@@ -1,0 +1,220 @@
+"""Scenes of strangers: which files they can read, and how much time and memory they can take."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.description.limits import MAX_FILES, MAX_NAME, MAX_NODES
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="has no pipes and devices among its files")
+
+SECRET = "alice:x:0:0:hidden"
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def server(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+
+
+def device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+IRREGULAR: list[tuple[str, Callable[[Path], None]]] = [
+    ("a folder", Path.mkdir),
+    ("a pipe", pipe),
+    ("a socket", server),
+    ("a device", device),
+]
+NAMES: dict[str, Callable[[str], Any]] = {
+    "obj": lambda name: djpt.load_dict({"type": "obj", "filename": name}),
+    "ply": lambda name: djpt.load_dict({"type": "ply", "filename": name}),
+    "serialized": lambda name: djpt.load_dict({"type": "serialized", "filename": name}),
+    "vol": lambda name: djpt.load_dict({"type": "sdfgrid", "filename": name}),
+    "exr": lambda name: djpt.load_dict({"type": "envmap", "filename": name}),
+    "png": lambda name: djpt.load_dict({"type": "bitmap", "filename": name}),
+    "npy": lambda name: djpt.load_dict({"type": "bitmap", "filename": name}),
+    "spd": lambda name: djpt.load_string(
+        f'<bsdf version="3.0.0" type="diffuse"><spectrum name="reflectance" filename="{name}"/></bsdf>'
+    ),
+    "xml": lambda name: djpt.load_string(f'<scene version="3.0.0"><include filename="{name}"/></scene>'),
+    "scene.xml": djpt.load_file,
+    "read.exr": djpt.read,
+}
+"""What reads a file, by an extension."""
+
+
+@pytest.mark.parametrize(("kind", "make"), IRREGULAR, ids=[kind for kind, _ in IRREGULAR])
+@pytest.mark.parametrize("suffix", NAMES)
+def test_only_regular_files_are_read(tmp_path: Path, suffix: str, kind: str, make: Callable[[Path], None]) -> None:
+    path = tmp_path / f"a.{suffix}"
+    make(path)
+    with pytest.raises(djpt.DjptError, match=f"it is {kind}, not a regular file"):
+        NAMES[suffix](str(path))
+
+
+@pytest.mark.parametrize("suffix", [name for name in NAMES if name not in ("scene.xml", "read.exr")])
+def test_messages_dont_quote_other_files(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    path.write_text(f"{SECRET} 1 2 3\n" * 3)
+    with pytest.raises(djpt.DjptError) as caught:
+        NAMES[suffix](str(path))
+    assert "alice" not in str(caught.value)
+    assert "hidden" not in str(caught.value)
+
+
+# ---- a root --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Path:
+    """Two folders, `inside` with a scene, `outside` with what it may not read."""
+    for name in ("inside", "outside"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "m.xml").write_text('<bsdf version="3.0.0" type="diffuse"/>')
+        (tmp_path / name / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "inside" / "link.xml").symlink_to(tmp_path / "outside" / "m.xml")
+    (tmp_path / "inside" / "folder").symlink_to(tmp_path / "outside")
+    return tmp_path
+
+
+OUTSIDE = ["../outside/m.xml", "{outside}/m.xml", "link.xml", "folder/m.xml", "../inside/../outside/m.xml"]
+
+
+def scene(house: Path, content: str) -> Path:
+    path = house / "inside" / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{content}</scene>')
+    return path
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_an_untrusted_scene_reads_nothing_outside_of_its_folder(house: Path, name: str) -> None:
+    name = name.format(outside=house / "outside")
+    path = scene(house, f'<include filename="{name}"/>')
+    assert djpt.load_file(path) is not None
+    with pytest.raises(djpt.SceneError, match=r"scene\.xml:1: <include>: '.*' isn't in '.*inside', which this scene"):
+        djpt.load_file(path, trusted=False)
+    with pytest.raises(djpt.SceneError, match="which this scene may not leave"):
+        djpt.load_file(
+            scene(house, f'<shape type="obj"><string name="filename" value="{name}"/></shape>'), trusted=False
+        )
+    assert djpt.load_file(scene(house, f'<include filename="{name}"/>'), trusted=False, root=house) is not None
+
+
+def test_a_missing_file_and_one_outside_look_the_same(house: Path) -> None:
+    messages = []
+    for name in ("../outside/m.xml", "../outside/n.xml"):
+        with pytest.raises(djpt.SceneError) as caught:
+            djpt.load_file(scene(house, f'<include filename="{name}"/>'), trusted=False)
+        messages.append(str(caught.value).replace(name, ""))
+    assert messages[0] == messages[1]
+
+
+def test_an_untrusted_scene_reads_what_is_inside(house: Path) -> None:
+    content = '<include filename="m.xml"/><shape type="obj"><string name="filename" value="m.obj"/></shape>'
+    assert len(djpt.load_file(scene(house, content), trusted=False).shapes()) == 1
+    read = djpt.xml.read_file(scene(house, content), trusted=False)
+    # A dict that was read stays confined when it is changed.
+    read["mesh"] = {"type": "obj", "filename": str(house / "outside" / "m.obj")}
+    with pytest.raises(djpt.SceneError, match="which this scene may not leave"):
+        djpt.load_dict(read)
+
+
+def test_texts_are_confined_to_the_working_directory(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(house / "inside")
+    text = '<scene version="3.0.0"><include filename="{}"/></scene>'
+    assert djpt.load_string(text.format("m.xml"), trusted=False) is not None
+    with pytest.raises(djpt.SceneError, match="which this scene may not leave"):
+        djpt.load_string(text.format("../outside/m.xml"), trusted=False)
+
+
+def test_a_root_must_be_a_folder_of_an_untrusted_scene(house: Path) -> None:
+    path = scene(house, "")
+    with pytest.raises(djpt.FileError, match="'root' must be a folder"):
+        djpt.load_file(path, trusted=False, root=path)
+    with pytest.raises(djpt.SceneError, match="set trusted=False, too"):
+        djpt.load_file(path, root=house)
+
+
+# ---- time and memory -----------------------------------------------------------------------
+
+
+def test_nodes_are_counted_wherever_they_stand() -> None:
+    node: dict[str, Any] = {"type": "diffuse"}
+    for _ in range(28):
+        node = {"type": "twosided", "a": node, "b": node}
+    with pytest.raises(djpt.SceneError, match=f"more than {MAX_NODES} nodes"):
+        djpt.load_dict({"type": "scene", "m": node})
+
+
+def test_objects_of_included_files_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("djpt.description.xml.reader.MAX_NODES", 1000)
+    (tmp_path / "m.xml").write_text('<scene version="3.0.0">' + '<bsdf type="diffuse"/>' * 100 + "</scene>")
+    main = tmp_path / "main.xml"
+    main.write_text('<scene version="3.0.0">' + '<include filename="m.xml"/>' * 20 + "</scene>")
+    with pytest.raises(djpt.SceneError, match=r"m\.xml:1: <bsdf>: more than 1000 objects"):
+        djpt.load_file(main)
+
+
+def test_files_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "m.xml").write_text('<scene version="3.0.0"/>')
+    main = tmp_path / "main.xml"
+    main.write_text('<scene version="3.0.0">' + '<include filename="m.xml"/>' * (MAX_FILES + 1) + "</scene>")
+    with pytest.raises(djpt.SceneError, match=f"more than {MAX_FILES} files"):
+        djpt.load_file(main)
+
+
+@pytest.mark.parametrize("name", ["x" * (MAX_NAME + 1), "x" * 10**7])
+def test_names_are_bounded(name: str) -> None:
+    for description in ({name: {"type": "diffuse"}}, {"m": {"type": "diffuse", "id": name}}):
+        with pytest.raises(djpt.SceneError) as caught:
+            djpt.load_dict({"type": "scene", **description})
+        assert len(str(caught.value)) < 500
+    with pytest.raises(djpt.SceneError) as caught:
+        djpt.load_dict({"type": "obj", "filename": name})
+    assert len(str(caught.value)) < 500
+
+
+# ---- files that claim too much -------------------------------------------------------------
+
+HEADER = "ply\nformat {form} 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n"
+FACES = "element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        ("9" * 5000, "1", "line 3: can't understand 'element vertex 99"),
+        ("4000000000", "1", "row 0 of the element|the file is cut short, in row 3 of 4000000000"),
+        ("9" * 18, "1", "row 0 of the element|the file is cut short, in row 3 of 999999999999999999"),
+        ("3", "0", "the mesh is empty: 3 vertices, no triangle"),
+    ],
+)
+def test_a_header_allocates_nothing(tmp_path: Path, form: str, vertices: str, faces: str, message: str) -> None:
+    path = tmp_path / "a.ply"
+    body = b"0 0 0 1 0 0 0 1 0\n" if form == "ascii" else bytes(36)
+    path.write_bytes((HEADER + FACES).format(form=form, vertices=vertices, faces=faces).encode() + body)
+    with pytest.raises(djpt.SceneError, match=message):
+        djpt.load_dict({"type": "ply", "filename": str(path)})
+
+
+@pytest.mark.parametrize("shape", [(0, 0, 3), (4, 0, 3), (0, 4, 1)])
+def test_images_without_pixels(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.zeros(shape, np.float32))
+    with pytest.raises(djpt.SceneError, match="must have at least one pixel"):
+        djpt.load_dict({"type": "bitmap", "filename": str(path)})
