@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
+from djpt.files import reason
 
 if TYPE_CHECKING:
     from rich.progress import Task
@@ -61,6 +62,10 @@ def readable_errors() -> Iterator[None]:
         fail(str(error), ExitCode.UNUSABLE)  # several lines: the advice has its own
     except DjptError as error:
         fail(" ".join(str(error).split()), ExitCode.BAD_INPUT)
+    except BrokenPipeError:
+        raise  # whoever reads the output has seen enough: Click ends quietly
+    except OSError as error:  # files have errors of their own
+        fail(f"can't write to the standard output: {reason(error)}", ExitCode.BAD_INPUT)
     except MemoryError:
         fail("out of memory", ExitCode.BAD_INPUT)
     except KeyboardInterrupt:

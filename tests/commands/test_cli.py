@@ -227,7 +227,7 @@ def test_speeds_are_short() -> None:
     ("arguments", "message"),
     [
         (["render", "cornel_box"], "unknown scene 'cornel_box'; did you mean 'cornell_box'?"),
-        (["render", "scene.xml"], "can't read 'scene.xml': No such file"),
+        (["render", "scene.xml"], "can't read 'scene.xml': there is no such file"),
         (["render", "cornell_box", "-o", "a.exe"], "unknown extension 'exe'; did you mean 'exr'?"),
         (["render", "cornell_box", "-o", "nowhere/a.exr"], "there is no folder"),
         (["render", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),
