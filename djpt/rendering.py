@@ -17,6 +17,7 @@ from djpt.schedules.base import Schedule
 from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
+from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.types import TensorXf
 
@@ -91,6 +92,7 @@ def film_image(
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)
+    check_memory(job, bool(parameters))
     if not job.channel_names():
         image = centres(job)
         job.film.keep(image, channel_names(scene, sensor, integrator))
@@ -123,6 +125,7 @@ def image_derivative(
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
     parameters = attached_parameters(job.scene)
+    check_memory(job, attached=True)
     if not parameters:
         return dr.zeros(TensorXf, shape)
     derivative = derivative_of(job, choose("auto", job), parameters)

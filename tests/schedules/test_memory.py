@@ -83,6 +83,35 @@ def peaks(
     return found
 
 
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (3 * 2**29,) * 2)
+import djpt
+description = djpt.cornell_box()
+description["sensor"]["film"].update(width=int(sys.argv[1]), height=int(sys.argv[1]))
+description["integrator"]["max_depth"] = 1
+try:
+    djpt.render(djpt.load_dict(description), spp=1)
+except djpt.RenderError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (8000, "takes about 1.3 GiB; "),
+        (20000, "takes about 5.1 GiB; "),
+        (60000, "has more than 2^32 numbers; render it in parts"),
+    ],
+)
+def test_an_image_that_does_not_fit_is_refused(size: int, message: str) -> None:
+    """With 1.5 GiB of addresses."""
+    done = subprocess.run([sys.executable, "-c", LIMITED, str(size)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"sensor.film: an image of {size} x {size} pixels with 3 channels {message}")
+
+
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_more_samples_take_no_more_memory(rfilter: str, schedule: str) -> None:
