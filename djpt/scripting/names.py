@@ -12,6 +12,7 @@ EXPORTS: dict[str, str] = {
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
+    "djpt.records.media": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
     "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
@@ -52,7 +53,7 @@ EXPORTS: dict[str, str] = {
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
         "sample_tea_float32 sample_tea_float64"
     ),
-    "djpt.scripting.records": "MediumInteraction3f MeshPtr Ray2f RayDifferential3f",
+    "djpt.scripting.records": "MeshPtr Ray2f RayDifferential3f",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
     "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (
