@@ -5,7 +5,17 @@ Directions named `wi` and `wo` are in the local shading frame and point away fro
 surface; everything else is in world space unless a field says otherwise.
 """
 
-from djpt.records.flags import ALL_COMPONENTS, BSDFContext, BSDFFlags, EmitterFlags, RayFlags, TransportMode, has_flag
+from djpt.records.flags import (
+    ALL_COMPONENTS,
+    BSDFContext,
+    BSDFFlags,
+    EmitterFlags,
+    PhaseFunctionContext,
+    PhaseFunctionFlags,
+    RayFlags,
+    TransportMode,
+    has_flag,
+)
 from djpt.records.interactions import (
     RAY_EPSILON,
     SHADOW_EPSILON,
@@ -16,6 +26,7 @@ from djpt.records.interactions import (
     SceneView,
     SurfaceInteraction3f,
 )
+from djpt.records.media import MediumInteraction3f
 from djpt.records.rays import Ray3f
 from djpt.records.record import Record
 from djpt.records.samples import BSDFSample3f, DirectionSample3f, EmissionSample, PositionSample3f
@@ -31,7 +42,10 @@ __all__ = [
     "EmissionSample",
     "EmitterFlags",
     "Interaction3f",
+    "MediumInteraction3f",
     "Observer",
+    "PhaseFunctionContext",
+    "PhaseFunctionFlags",
     "PositionSample3f",
     "PreliminaryIntersection3f",
     "Ray3f",

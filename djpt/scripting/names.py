@@ -8,10 +8,13 @@ __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
+    "djpt.dispatch.phases": "PhaseFunctionPtr",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
+    "djpt.phase.base": "PhaseFunction",
+    "djpt.records.flags": "PhaseFunctionContext PhaseFunctionFlags",
     "djpt.records.media": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
@@ -44,9 +47,7 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
-    "djpt.scripting.plugin_kinds": (
-        "Endpoint Medium PhaseFunction Volume register_medium register_phase register_phasefunction register_volume"
-    ),
+    "djpt.scripting.plugin_kinds": "Endpoint Medium register_phasefunction",
     "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (
@@ -73,6 +74,7 @@ EXPORTS: dict[str, str] = {
     "djpt.sensors.base": "Sensor",
     "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.textures.base": "Texture",
+    "djpt.volumes.base": "Volume",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 

@@ -1,0 +1,13 @@
+"""Phase functions, one per file. The file registers its phase function; one line here says where it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from djpt.lazy import lazily
+
+if TYPE_CHECKING:
+    from djpt.phase.base import PhaseFunction as PhaseFunction
+    from djpt.phase.isotropic import IsotropicPhaseFunction as IsotropicPhaseFunction
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)
