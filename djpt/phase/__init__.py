@@ -8,6 +8,8 @@ from djpt.lazy import lazily
 
 if TYPE_CHECKING:
     from djpt.phase.base import PhaseFunction as PhaseFunction
+    from djpt.phase.hg import HGPhaseFunction as HGPhaseFunction
     from djpt.phase.isotropic import IsotropicPhaseFunction as IsotropicPhaseFunction
+    from djpt.phase.rayleigh import RayleighPhaseFunction as RayleighPhaseFunction
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)
