@@ -76,6 +76,7 @@ EXPORTS: dict[str, str] = {
     "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.textures.base": "Texture",
     "djpt.volumes.base": "Volume",
+    "djpt.volumes.volume_grid": "VolumeGrid",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
