@@ -14,6 +14,7 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.base": "SamplingIntegrator",
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
     "djpt.phase.base": "PhaseFunction",
+    "djpt.phase.microflakes": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
     "djpt.records.flags": "PhaseFunctionContext PhaseFunctionFlags",
     "djpt.records.media": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",

@@ -245,7 +245,8 @@ class GridVolume(Volume):
 
     def _entry(self, place: Vector3f, active: Bool | bool) -> Any:
         """The entry of a grid point with whole coordinates, which may lie outside."""
-        return self._at(*(wrapped(place[k], self.counts[k], self.wrap_mode) for k in range(3)), active)
+        x, y, z = (wrapped(place[k], self.counts[k], self.wrap_mode) for k in range(3))
+        return self._at(x, y, z, active)
 
     def _at(self, x: UInt32, y: UInt32, z: UInt32, active: Bool | bool) -> Any:
         width, height = UInt32(self.counts.x), UInt32(self.counts.y)
