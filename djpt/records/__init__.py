@@ -26,7 +26,6 @@ from djpt.records.interactions import (
     SceneView,
     SurfaceInteraction3f,
 )
-from djpt.records.media import MediumInteraction3f
 from djpt.records.rays import Ray3f
 from djpt.records.record import Record
 from djpt.records.samples import BSDFSample3f, DirectionSample3f, EmissionSample, PositionSample3f
@@ -42,7 +41,6 @@ __all__ = [
     "EmissionSample",
     "EmitterFlags",
     "Interaction3f",
-    "MediumInteraction3f",
     "Observer",
     "PhaseFunctionContext",
     "PhaseFunctionFlags",

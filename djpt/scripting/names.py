@@ -14,6 +14,7 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.base": "SamplingIntegrator",
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
     "djpt.phase.base": "PhaseFunction",
+    "djpt.phase.microflakes": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
     "djpt.records.flags": "PhaseFunctionContext PhaseFunctionFlags",
     "djpt.records.media": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",
@@ -63,6 +64,7 @@ EXPORTS: dict[str, str] = {
         "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
     "djpt.scripting.structs": "Struct",
+    "djpt.scripting.tensor_file": "TensorFile",
     "djpt.scripting.thread": "Thread",
     "djpt.scripting.transforms": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
@@ -75,6 +77,7 @@ EXPORTS: dict[str, str] = {
     "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.textures.base": "Texture",
     "djpt.volumes.base": "Volume",
+    "djpt.volumes.volume_grid": "VolumeGrid",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
@@ -85,6 +88,7 @@ SUBMODULES: dict[str, str] = {
     "misc": "djpt.scripting.misc",
     "quad": "djpt.quad",
     "spline": "djpt.scripting.splines",
+    "tensor_io": "djpt.scripting.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
 

@@ -15,6 +15,7 @@ from djpt.description.properties import Properties
 from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
+from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Color3f, Float, Vector3f
 
 __all__ = ["Volume"]
@@ -52,8 +53,12 @@ class Volume(Plugin):
         """The smallest box along the axes of the world that holds the volume."""
         box = ScalarBoundingBox3f()
         for corner in itertools.product((0.0, 1.0), repeat=3):
-            box.expand(ScalarPoint3f(*(float(x) for x in self.to_world.transform_point(corner))))
+            box.expand(ScalarPoint3f(self.placement().transform_point(corner)))
         return box
+
+    def placement(self) -> ScalarTransform4f:
+        """The map from the unit cube to the world."""
+        return self.to_world
 
     def channel_count(self) -> int:
         """The count of numbers at a point; 0 if it isn't known, as for constants."""
