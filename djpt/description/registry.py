@@ -46,6 +46,7 @@ PACKAGES = (
     "djpt.materials",
     "djpt.shapes",
     "djpt.emitters",
+    "djpt.media",
     "djpt.phase",
     "djpt.volumes",
     "djpt.rfilters",

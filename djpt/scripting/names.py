@@ -9,10 +9,12 @@ __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 EXPORTS: dict[str, str] = {
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
     "djpt.dispatch.phases": "PhaseFunctionPtr",
+    "djpt.dispatch.media": "MediumPtr",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
+    "djpt.media.base": "Medium",
     "djpt.phase.base": "PhaseFunction",
     "djpt.phase.microflakes": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
     "djpt.records.flags": "PhaseFunctionContext PhaseFunctionFlags",
@@ -48,7 +50,7 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
-    "djpt.scripting.plugin_kinds": "Endpoint Medium register_phasefunction",
+    "djpt.scripting.plugin_kinds": "Endpoint register_phasefunction",
     "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (

@@ -1,16 +1,14 @@
-"""Mitsuba's classes of kinds of plugins that djpt divides in another way, or doesn't have."""
+"""Mitsuba's classes of kinds of plugins that djpt divides in another way."""
 
 from __future__ import annotations
 
 import abc
-from typing import Any
 
 from djpt.description.registry import register_phase
 from djpt.emitters.base import Emitter
-from djpt.errors import DjptError
 from djpt.sensors.base import Sensor
 
-__all__ = ["Endpoint", "Medium", "register_phasefunction"]
+__all__ = ["Endpoint", "register_phasefunction"]
 
 register_phasefunction = register_phase
 """A former name of `register_phase`."""
@@ -22,30 +20,3 @@ class Endpoint(abc.ABC):  # noqa: B024 - classes are registered, none is derived
 
 Endpoint.register(Emitter)
 Endpoint.register(Sensor)
-
-
-class Missing:
-    """A kind of plugin that djpt doesn't have: its class can be named and tested for, not made or derived from."""
-
-    what: str
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        raise unsupported(self.what)
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        if "what" not in vars(cls):
-            raise unsupported(cls.what)
-        super().__init_subclass__(**options)
-
-
-class Medium(Missing):
-    """Scattering media: none yet."""
-
-    what = "media"
-
-
-def unsupported(what: str) -> DjptError:
-    """The error of what needs scattering media."""
-    return DjptError(
-        f"djpt has no {what}: matter can absorb light (the key 'absorption' of dielectrics), not scatter it"
-    )
