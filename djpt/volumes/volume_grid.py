@@ -121,12 +121,13 @@ class VolumeGrid:
 
     # ---- writing -----------------------------------------------------------------------
 
-    def write(self, path: str | os.PathLike[str] | BinaryIO) -> None:
+    def write(self, path: str | os.PathLike[str] | BinaryIO = "", *, stream: BinaryIO | None = None) -> None:
         """Write the grid to a file: its path (ending in ``.vol``), or an open binary file.
 
         Raises:
             FileError: the file can't be written.
         """
+        path = path if stream is None else stream
         z, y, x, channels = self._data.shape
         corners = [float(c) for corner in self._box for c in corner]
         data = HEADER.pack(b"VOL", VERSION, FLOAT32, x, y, z, channels, *corners) + self._data.astype("<f4").tobytes()
