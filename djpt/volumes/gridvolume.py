@@ -37,7 +37,8 @@ class GridVolume(Volume):
 
     Parameters: one of
 
-    * `filename`: a file in Mitsuba's format (``.vol``);
+    * `filename`: a file in Mitsuba's format (``.vol``), or one of OpenVDB (``.vdb``, see `djpt.volumes.openvdb`), of
+      which `grid_name` chooses a grid (default: 'density', or the only one);
     * `grid`: a `djpt.VolumeGrid`;
     * `data`: a tensor or an array, (Z, Y, X) or (Z, Y, X, C) with C = 1, 3 or 6 channels;
 
