@@ -40,7 +40,8 @@ class VolumeTexture(Texture):
         return self.volume.max()
 
     def mean(self) -> Float:
-        raise self.unknown("no mean: what it shows depends on the shape")
+        """That of the whole volume: what a shape shows of it isn't known."""
+        return self.volume.mean()
 
     def restrict(self, allowed: Allowed, where: str) -> None:
         self.volume.restrict(allowed, where)

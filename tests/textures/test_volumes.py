@@ -50,6 +50,16 @@ def test_pixels_are_mitsubas(mi: Any, channels: int, filter_type: str) -> None:
     np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-3)
 
 
+def test_lamps_and_coats_can_have_it() -> None:
+    """They ask for the mean: to choose among lights, and between coat and paint."""
+    scene = ball()
+    paint = scene["ball"]["bsdf"]["reflectance"]
+    scene["ball"]["bsdf"] = {"type": "plastic", "diffuse_reflectance": paint}
+    lamp = {"type": "rectangle", "to_world": djpt.ScalarTransform4f().translate([0, 0, 3]).rotate([1, 0, 0], 180)}
+    scene["lamp"] = {**lamp, "emitter": {"type": "area", "radiance": paint}}
+    assert np.array(djpt.render(djpt.load_dict(scene), spp=4)).mean() > 0.1
+
+
 class Paint(Slopes):
     """The slope by the numbers of the ball's paint, of one channel or of three."""
 

@@ -61,6 +61,9 @@ def test_questions_are_answered_as_in_mitsuba(mi: Any, channels: int) -> None:
     assert mine.channel_count() == his.channel_count() == channels
     assert abs(mine.max() - his.max()) < 1e-6
     np.testing.assert_allclose(mine.max_per_channel(), np.array(mine.data).reshape(-1, channels).max(0))
+    flat = np.array(mine.data).reshape(-1, channels).mean(0)
+    middle = {1: flat[0], 3: flat @ [0.212671, 0.71516, 0.072169] if channels == 3 else 0, 6: flat.mean()}[channels]
+    assert abs(mine.mean()[0] - middle) < 1e-4
     assert grid(channels, max_value=7.0).max() == grid(channels, mi, max_value=7.0).max() == 7
 
 
