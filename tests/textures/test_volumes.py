@@ -60,6 +60,30 @@ def test_lamps_and_coats_can_have_it() -> None:
     assert np.array(djpt.render(djpt.load_dict(scene), spp=4)).mean() > 0.1
 
 
+def test_an_edit_changes_the_choice_of_lamps() -> None:
+    """After it, the image is that of a scene that was so from the start."""
+
+    def lamps(brightness: float) -> Any:
+        scene = ball()
+        del scene["sky"]
+        for name, x in (("left", -2), ("right", 2)):
+            to_world = djpt.ScalarTransform4f().translate([x, 0, 3]).rotate([1, 0, 0], 180)
+            volume = {"type": "gridvolume", "data": np.full((2, 2, 2, 3), brightness if x < 0 else 1.0)}
+            glow = {"type": "area", "radiance": {"type": "volume", "volume": volume}}
+            scene[name] = {"type": "rectangle", "to_world": to_world, "emitter": glow}
+        scene["integrator"]["emitter_choice"] = "tree"
+        return djpt.load_dict(scene)
+
+    edited, wanted = lamps(0.01), lamps(5.0)
+    before = np.array(djpt.render(edited, spp=8))
+    params = djpt.traverse(edited)
+    params["left.emitter.radiance.volume.data"] = np.full((2, 2, 2, 3), 5.0)
+    params.update()
+    after, fresh = (np.array(djpt.render(scene, spp=8)) for scene in (edited, wanted))
+    assert before.mean() < 0.5 * after.mean()
+    np.testing.assert_array_equal(after, fresh)
+
+
 class Paint(Slopes):
     """The slope by the numbers of the ball's paint, of one channel or of three."""
 
