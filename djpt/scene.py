@@ -166,7 +166,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
             self.geometry.move_points(self._light_positions())
         if shapes:
             self._set_bounds()
-        if shapes or any(plugin.kind in ("emitter", "texture") for plugin in changed):
+        if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self._choices.clear()
         self._prepare()
 

@@ -28,6 +28,7 @@ class StoredTensor:
     extents: tuple[int, ...]
     numbers: NDArray[Any] = field(compare=False)
 
+    @property
     def shape(self) -> list[int]:
         """The number of entries along each dimension."""
         return list(self.extents)
@@ -47,7 +48,7 @@ class StoredTensor:
 
     def lines(self) -> list[str]:
         """The entries of `repr`."""
-        return [f"dtype = {self.dtype.name.lower()},", f"offset = {self.offset},", f"shape = {self.shape()}"]
+        return [f"dtype = {self.dtype.name.lower()},", f"offset = {self.offset},", f"shape = {self.shape}"]
 
     def __repr__(self) -> str:
         return "\n".join(["TensorFile.Field[", *(f"  {line}" for line in self.lines()), "]"])

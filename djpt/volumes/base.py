@@ -72,6 +72,10 @@ class Volume(Plugin):
         """The largest number of each channel."""
         raise self.unknown("no largest values by channel")
 
+    def mean(self) -> Float:
+        """The average of `eval_1` over the volume; an estimate is enough, for choices that sampling makes."""
+        raise self.unknown("no mean")
+
     def resolution(self) -> ScalarArray3i:
         """The number of grid points along x, y and z; 1 along each for volumes without a grid."""
         return ScalarArray3i(1, 1, 1)

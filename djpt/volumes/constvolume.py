@@ -48,6 +48,9 @@ class ConstVolume(Volume):
     def eval_gradient(self, it: Any, active: Bool | bool = True) -> tuple[Color3f, Vector3f]:
         return self.eval(it, active), Vector3f(0)
 
+    def mean(self) -> Float:
+        return self.value.mean()
+
     def max(self) -> float:
         return self.value.max()
 

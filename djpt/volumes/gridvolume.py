@@ -19,7 +19,8 @@ from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
-from djpt.kernels import as_vector, maximum
+from djpt.kernels import as_float, as_vector, maximum
+from djpt.textures.texels import mean_texel
 from djpt.textures.wrapping import WRAP_MODES, lerp, wrapped
 from djpt.transforms import ScalarTransform4f, as_transform
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
@@ -37,7 +38,8 @@ class GridVolume(Volume):
 
     Parameters: one of
 
-    * `filename`: a file in Mitsuba's format (``.vol``);
+    * `filename`: a file in Mitsuba's format (``.vol``), or one of OpenVDB (``.vdb``, see `djpt.volumes.openvdb`), of
+      which `grid_name` chooses a grid (default: 'density', or the only one);
     * `grid`: a `djpt.VolumeGrid`;
     * `data`: a tensor or an array, (Z, Y, X) or (Z, Y, X, C) with C = 1, 3 or 6 channels;
 
@@ -51,7 +53,7 @@ class GridVolume(Volume):
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
-        ("grid_x", "grid_y", "grid_z", "grid_origin", "counts"), HIDDEN
+        ("grid_x", "grid_y", "grid_z", "grid_origin", "counts", "average"), HIDDEN
     )
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
     children: ClassVar[Sequence[str]] = ()
@@ -88,6 +90,14 @@ class GridVolume(Volume):
         self.grid_x, self.grid_y, self.grid_z = (as_vector(row[:3]) for row in matrix)
         self.grid_origin = as_vector(matrix[:, 3])
         self.counts = as_vector(resolution)
+        if is_readable():
+            average = mean_texel(numbers_of(self.data).reshape(-1, 1, self.channels))
+            shares = self._shares()
+            self.average = as_float(sum(float(x) * share for x, share in zip(average, shares, strict=True)))
+
+    def _shares(self) -> Sequence[float]:
+        """The weights of the channels in a single number."""
+        return {1: (1.0,), 3: LUMINANCE, 6: (1 / 6,) * 6}[self.channels]
 
     def resolution(self) -> ScalarArray3i:
         z, y, x, _ = self.data.shape
@@ -102,6 +112,9 @@ class GridVolume(Volume):
 
     def max(self) -> float:
         return float(numbers_of(self.data).max()) if self._fixed_max is None else self._fixed_max
+
+    def mean(self) -> Float:
+        return self.average
 
     def max_per_channel(self) -> list[float]:
         found: list[float] = numbers_of(self.data).max(axis=(0, 1, 2)).tolist()
@@ -199,8 +212,7 @@ class GridVolume(Volume):
     def _number(self, entry: Any) -> Float:
         if self.channels == 1:
             return entry
-        shares = LUMINANCE if self.channels == 3 else (1 / 6,) * 6
-        return sum((entry[c] * share for c, share in enumerate(shares)), Float(0))
+        return sum((entry[c] * share for c, share in enumerate(self._shares())), Float(0))
 
     def _grid_point(self, p: Point3f) -> Vector3f:
         """The coordinates of a point in the world, in which the grid's points have the distance 1."""

@@ -33,15 +33,24 @@ class VolumeGrid:
         path: a file in Mitsuba's format (``.vol``, version 3), an open binary file, or an array of one of these
             shapes: NumPy's or a tensor of Dr.Jit.
         compute_max: whether the largest numbers are found; files always are searched.
+        bbox: the box that an array fills; default: the unit cube.
 
     Raises:
         FileError: the file can't be read, or isn't one of volumes.
         ArgumentError: an array of another shape.
     """
 
-    def __init__(self, path: Any = None, compute_max: bool = True, *, array: Any = None, stream: Any = None) -> None:
+    def __init__(
+        self,
+        path: Any = None,
+        compute_max: bool = True,
+        *,
+        array: Any = None,
+        stream: Any = None,
+        bbox: ScalarBoundingBox3f | None = None,
+    ) -> None:
         source = next((given for given in (path, array, stream) if given is not None), None)
-        self._box = ScalarBoundingBox3f(ScalarPoint3f(0), ScalarPoint3f(1))
+        self._box = ScalarBoundingBox3f(ScalarPoint3f(0), ScalarPoint3f(1)) if bbox is None else bbox
         self._data = self._read(source) if is_file(source) else as_grid(source)
         self._max, self._max_per_channel = 0.0, [-math.inf] * self.channel_count()
         if compute_max or is_file(source):
@@ -121,12 +130,13 @@ class VolumeGrid:
 
     # ---- writing -----------------------------------------------------------------------
 
-    def write(self, path: str | os.PathLike[str] | BinaryIO) -> None:
+    def write(self, path: str | os.PathLike[str] | BinaryIO = "", *, stream: BinaryIO | None = None) -> None:
         """Write the grid to a file: its path (ending in ``.vol``), or an open binary file.
 
         Raises:
             FileError: the file can't be written.
         """
+        path = path if stream is None else stream
         z, y, x, channels = self._data.shape
         corners = [float(c) for corner in self._box for c in corner]
         data = HEADER.pack(b"VOL", VERSION, FLOAT32, x, y, z, channels, *corners) + self._data.astype("<f4").tobytes()

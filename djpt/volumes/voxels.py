@@ -14,6 +14,7 @@ from djpt.description.properties import Properties
 from djpt.errors import ArgumentError, FileError, SceneError
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.types import TensorXf
+from djpt.volumes.openvdb import read_openvdb
 from djpt.volumes.volume_grid import VolumeGrid, as_grid
 
 __all__ = ["as_voxels", "check_voxels", "load_voxels", "numbers_of"]
@@ -34,7 +35,7 @@ def load_voxels(props: Properties) -> tuple[TensorXf, ScalarBoundingBox3f | None
         if key == "data":
             voxels = as_voxels(props.raw(key))
         else:
-            source = resolve(props.string(key)) if key == "filename" else props.raw(key)
+            source = read_grid(props) if key == "filename" else props.raw(key)
             grid = source if isinstance(source, VolumeGrid) else VolumeGrid(source)
             voxels, box = as_voxels(grid.voxels()), grid.bbox()
         check_voxels(numbers_of(voxels))
@@ -43,6 +44,14 @@ def load_voxels(props: Properties) -> tuple[TensorXf, ScalarBoundingBox3f | None
     except SceneError as error:
         raise props.error(key, str(error)) from None
     return voxels, box
+
+
+def read_grid(props: Properties) -> VolumeGrid:
+    """The grid in the file `filename`, by the file's suffix; `grid_name` names one of several in a file of OpenVDB."""
+    path = resolve(props.string("filename"))
+    if path.suffix.lower() == ".vdb":
+        return read_openvdb(path, props.string("grid_name", ""))
+    return VolumeGrid(path)
 
 
 def as_voxels(value: Any) -> TensorXf:

@@ -49,7 +49,7 @@ def test_an_object_gives_single_tensors(tmp_path: Path) -> None:
     file = djpt.TensorFile(path)
     assert "grid" in file and "grids" not in file
     assert (file.filename(), file.size()) == (path, Path(path).stat().st_size)
-    assert file["grid"].shape() == [2, 3, 4] and file["grid"].dtype.name == "Float32"
+    assert file["grid"].shape == [2, 3, 4] and file["grid"].dtype.name == "Float32"
     np.testing.assert_array_equal(file["grid"].to(TensorXf).numpy(), TENSORS["grid"])
     with pytest.raises(ArgumentError, match="holds float32, not uint32"):
         file["grid"].to(backend.TensorXu)
