@@ -45,11 +45,14 @@ if TYPE_CHECKING:
     from djpt.description.registry import register_emitter as register_emitter
     from djpt.description.registry import register_film as register_film
     from djpt.description.registry import register_integrator as register_integrator
+    from djpt.description.registry import register_medium as register_medium
+    from djpt.description.registry import register_phase as register_phase
     from djpt.description.registry import register_rfilter as register_rfilter
     from djpt.description.registry import register_sampler as register_sampler
     from djpt.description.registry import register_sensor as register_sensor
     from djpt.description.registry import register_shape as register_shape
     from djpt.description.registry import register_texture as register_texture
+    from djpt.description.registry import register_volume as register_volume
     from djpt.description.scene_files import load_file as load_file
     from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
@@ -141,8 +144,8 @@ _EXPORTS = {
     "djpt.description.plugin": "ParamFlags Plugin",
     "djpt.description.properties": "Properties",
     "djpt.description.registry": (
-        "register_bsdf register_emitter register_film register_integrator register_rfilter "
-        "register_sampler register_sensor register_shape register_texture"
+        "register_bsdf register_emitter register_film register_integrator register_medium register_phase "
+        "register_rfilter register_sampler register_sensor register_shape register_texture register_volume"
     ),
     "djpt.description.scene_files": "load_file load_string",
     "djpt.description.xml.writer": "to_xml write_dict",

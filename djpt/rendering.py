@@ -180,6 +180,8 @@ def make_job(
     integrator.check_scene(scene, sensor)
     integrator.resume()
     spp = sampler.round_count(spp or sampler.sample_count())
+    if integrator.follows_media:
+        scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)

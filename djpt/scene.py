@@ -26,7 +26,7 @@ from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
 from djpt.materials import BSDF
-from djpt.media.absorption import AbsorbingMedia
+from djpt.media.queries import MediaQueries
 from djpt.records import (
     BSDFFlags,
     DirectionSample3f,
@@ -46,7 +46,7 @@ from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 __all__ = ["Scene"]
 
 
-class Scene(RayQuestions, LightQuestions, Plugin):
+class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     The queries take per-lane rays and points. A scene reads its plugins' values through a
@@ -111,11 +111,11 @@ class Scene(RayQuestions, LightQuestions, Plugin):
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
-        self.media = AbsorbingMedia(self.bsdfs, self.geometry, self.bsdf_of_shape)
+        self.find_media()
 
-    def ensembles(self) -> tuple[Ensemble[BSDF], Ensemble[Emitter]]:
-        """The plugins whose values a path vertex looks up: BSDFs and emitters."""
-        return self.bsdfs, self.lights
+    def ensembles(self) -> Sequence[Ensemble[Any]]:
+        """The plugins whose values a path vertex looks up: BSDFs, emitters, and media if there are any."""
+        return self.bsdfs, self.lights, *self.media.ensembles
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
@@ -137,7 +137,8 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         assert isinstance(self.lookup, Detached)
         self._bsdf_of_face = self.geometry.per_face(self.bsdf_of_shape)
         self._light_of_face = self.geometry.per_face(self._light_of_shape)
-        for ensemble in (self.geometry.surfaces, *self.ensembles()):
+        self.prepare_media()
+        for ensemble in (self.geometry.surfaces, *self.ensembles(), *self.every_medium.ensembles):
             self.lookup.prepare(ensemble.leaves())
 
     # ---- parameters -----------------------------------------------------------------
@@ -154,7 +155,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         for shape in self._shapes:
             shape.forget_alone()
         # A lobe that an edit turns on is new code.
-        if not self.bsdfs.is_current():
+        if not all(ensemble.is_current() for ensemble in (self.bsdfs, *self.every_medium.ensembles)):
             self._use_bsdfs(self.bsdfs.plugins)
         if not self.lights.is_current():
             self.lights = Ensemble(self._emitters)
@@ -165,7 +166,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
             self.geometry.move_points(self._light_positions())
         if shapes:
             self._set_bounds()
-        if shapes or any(plugin.kind in ("emitter", "texture") for plugin in changed):
+        if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self._choices.clear()
         self._prepare()
 
@@ -201,7 +202,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         view = self._view()
         view.geometry = self.geometry.seen_from(sensor.starts())
         if self.media:
-            view.camera_medium = dr.opaque(UInt32, self.media.around(sensor.viewpoint()))
+            view.camera_medium = dr.opaque(UInt32, self.medium_of(sensor))
         return view
 
     # ---- contents ----------------------------------------------------------------------
@@ -311,26 +312,6 @@ class Scene(RayQuestions, LightQuestions, Plugin):
             free = ~self.geometry.any_hit(ray)
         return dr.select(free, self.left_by_media(ray, light), 0)
 
-    def left_by_media(self, ray: Ray3f, light: Color3f) -> Color3f:
-        """The part of `light` that media leave along the segment of a `shadow_ray`, whatever surfaces stand between."""
-        if not self.media or ray.medium is None:
-            return light
-        return light * self.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
-
-    def transmittance(self, ray: Ray3f, distance: Float) -> Color3f:
-        """The share of light that media leave over a distance along a ray from its origin; 1 in vacuum."""
-        if not self.media or ray.medium is None:
-            return Color3f(1)
-        return self.media.transmittance(ray.medium, distance, self.lookup)
-
-    def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
-        """The medium of a ray that leaves `si` in the world direction `d`."""
-        return self.media.beyond(si, d) if self.media else si.medium
-
-    def medium_at(self, p: Point3f) -> UInt32 | None:
-        """The medium that each point lies in, for rays that begin there; None in scenes without media."""
-        return self.media.at(p) if self.media else None
-
     def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
         """The ray from `si` to the emitter sample `ds`."""
         if not self._from_infinity:
@@ -408,7 +389,10 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         return self._choices[name]
 
 
-KINDS = ("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter")
+KINDS = (
+    *("sensor", "integrator", "bsdf", "texture", "emitter", "shape", "sampler", "film", "rfilter"),
+    *("medium", "phase", "volume"),
+)
 """The kinds of plugins that may stand at the top level of a scene: as its parts, or for others to refer to."""
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
     from djpt.integrators.raycast import Raycast as Raycast
     from djpt.integrators.unidirectional import UnidirectionalPath as UnidirectionalPath
+    from djpt.integrators.volpath import VolumetricPath as VolumetricPath
+    from djpt.integrators.volpathmis import VolumetricPathMIS as VolumetricPathMIS
     from djpt.integrators.whitted import Whitted as Whitted
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

@@ -60,6 +60,8 @@ class Integrator(Plugin):
     """The way that light sampling chooses emitters: see `djpt.emitters.choice`."""
     writes_color = True
     """False if the image consists of AOVs alone."""
+    follows_media = False
+    """True if light can be scattered on the way between surfaces: see `Scene.with_media`."""
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
@@ -246,6 +248,10 @@ class PathIntegrator(Integrator):
         """The state of a path that is about to trace its camera ray."""
         raise NotImplementedError
 
+    def begin(self, scene: Scene, sampler: SampleStream) -> PathState:
+        """`start`, for integrators that draw numbers before the first ray; needs a schedule other than `machine`."""
+        return self.start(scene)
+
     def vertex(
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
@@ -274,6 +280,10 @@ class PathIntegrator(Integrator):
         v = self.vertex(scene, sampler, replace(state, throughput=state.throughput * passed), ray, si)
         v.weight = v.weight * passed
         return v
+
+    def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
+        """The light of a vertex's light sample that arrives; the schedule `machine` doesn't ask for it."""
+        return scene.light_through(v.shadow_ray, v.reflected)
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

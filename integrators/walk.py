@@ -52,7 +52,7 @@ def walk(
         d=wide(ray.d, lanes),
         medium=wide(ray.medium, lanes),
         sampler=sampler,
-        state=wide(integrator.start(scene), lanes),
+        state=wide(integrator.begin(scene, sampler), lanes),
         radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
         valid=dr.full(Bool, False, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),
@@ -64,7 +64,7 @@ def walk(
         way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
         si = integrator.trace(scene, lane.state, way)
         v = integrator.advance(scene, lane.sampler, lane.state, way, si)
-        reflected, depth = scene.light_through(v.shadow_ray, v.reflected), lane.state.depth
+        reflected, depth = integrator.arriving(scene, lane.sampler, v), lane.state.depth
         if bounces:
             radiance = [
                 r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))

@@ -12,9 +12,10 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError, near_miss
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f, converting
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BSDF"]
 
@@ -48,13 +49,7 @@ class BSDF(Plugin):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        for name, convert in CONVERSIONS.items():
-            if name not in vars(cls):
-                continue
-            method = vars(cls)[name]
-            ours = cls.__module__.startswith("djpt.")
-            # Scripts ask djpt's BSDFs with lists, and give numbers themselves.
-            setattr(cls, name, converting(method) if ours else of_script(method, convert))
+        accept_scripts(cls, CONVERSIONS)
 
     def components(self) -> tuple[int, ...]:
         """The `BSDFFlags` of each lobe, numbered as in `BSDFSample3f.sampled_component`."""
@@ -226,26 +221,3 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "eval_diffuse_reflectance": Color3f,
     "transmittance": Color3f,
 }
-
-
-def of_script(method: Callable[..., Any], convert: Callable[[Any], Any]) -> Callable[..., Any]:
-    """Wrap a script's method: results get the types of the contract, arguments are copies.
-
-    Scripts write ``active &= ...``, which changes the array that they were given.
-    """
-
-    @functools.wraps(method)
-    def wrapper(self: BSDF, *args: Any, **options: Any) -> Any:
-        own = {name: own_copy(x) for name, x in options.items()}
-        return convert(method(self, *map(own_copy, args), **own))
-
-    return wrapper
-
-
-def own_copy(x: Any) -> Any:
-    """A copy of an argument, which a script may edit in place."""
-    if isinstance(x, bool):
-        return Bool(x)
-    if isinstance(x, SurfaceInteraction3f):
-        return x.replaced(wi=Vector3f(x.wi))
-    return type(x)(x) if dr.is_array_v(x) else x

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["ParamFlags", "Plugin", "TraversalCallback"]
 
 
-INFERRED = ("bsdf", "emitter", "texture")
+INFERRED = ("bsdf", "emitter", "medium", "phase", "texture", "volume")
 """Kinds of plugins whose methods run in kernels and need nothing but their attributes."""
 
 
@@ -91,14 +91,14 @@ class Plugin:
       Instances with equal class, statics and children are traced **once**, with per-lane
       values: methods called in kernels must therefore read only these four sorts.
 
-    BSDFs, textures and emitters may also declare nothing, as in Mitsuba: all their attributes count then, see
-    `sorts_of`.
+    BSDFs, textures, emitters, media, phase functions and volumes may also declare nothing, as in Mitsuba: all their
+    attributes count then, see `sorts_of`.
 
     Plugins don't know the scene that they are part of.
     """
 
     kind: ClassVar[str] = ""
-    """The kind: `bsdf shape emitter texture sensor film rfilter sampler integrator` or `scene`."""
+    """The kind: `bsdf shape emitter texture medium phase volume sensor film rfilter sampler integrator` or `scene`."""
 
     values: ClassVar[Mapping[str, ParamFlags]] = Inferred("values", {})  # type: ignore[assignment]
     tables: ClassVar[Mapping[str, ParamFlags]] = {}

@@ -185,6 +185,7 @@ class Properties(Entries):
                 except SceneError as error:
                     problem = str(error).replace("a float", "a number or a texture")
                     raise self.error(key, problem) from None
+            constant = "rgb" if colour else constant
             path = f"{self.id()}.{key}"
             value = lookup("texture", constant)(Properties("rgb", f"{self._place(key)}.{key}", {"value": value}, path))
         elif value.kind != "texture":
@@ -193,6 +194,27 @@ class Properties(Entries):
         texture.used_by(kind_of(self.plugin_name()) or "")
         texture.restrict(allowed, f"{self._place(key)}: '{key}'")
         return texture
+
+    def volume(
+        self,
+        key: str,
+        default: builtins.float = REQUIRED,
+        *,
+        low: builtins.float | None = None,
+        high: builtins.float | None = None,
+    ) -> Any:
+        """A `djpt.volumes.Volume`; a number or a constant texture becomes a constant volume.
+
+        Its values must lie between `low` and `high`.
+        """
+        value = self._take(key, default)
+        if not (isinstance(value, Plugin) and value.kind == "volume"):
+            path = f"{self.id()}.{key}"
+            value = lookup("volume", "constvolume")(
+                Properties("constvolume", f"{self._place(key)}.{key}", {"value": value}, path)
+            )
+        value.restrict(Allowed(low, high), f"{self._place(key)}: '{key}'")
+        return value
 
     def plugin(self, key: str, kind: str, default: Any = REQUIRED) -> Any:
         """The plugin of `kind` under `key`."""

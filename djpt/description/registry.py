@@ -27,11 +27,14 @@ __all__ = [
     "register_emitter",
     "register_film",
     "register_integrator",
+    "register_medium",
+    "register_phase",
     "register_rfilter",
     "register_sampler",
     "register_sensor",
     "register_shape",
     "register_texture",
+    "register_volume",
     "registered",
 ]
 
@@ -43,6 +46,9 @@ PACKAGES = (
     "djpt.materials",
     "djpt.shapes",
     "djpt.emitters",
+    "djpt.media",
+    "djpt.phase",
+    "djpt.volumes",
     "djpt.rfilters",
     "djpt.films",
     "djpt.samplers",
@@ -75,7 +81,7 @@ MITSUBA = {
         "volpath volpathmis volprim_rf_basic"
     ),
     "medium": "heterogeneous homogeneous",
-    "phase function": "blendphase hg isotropic rayleigh sggx tabphase",
+    "phase": "blendphase hg isotropic rayleigh sggx tabphase",
     "volume": "constvolume gridvolume",
 }
 """The plugins of Mitsuba 3.9.1 by kind, for messages about those that djpt lacks."""
@@ -140,6 +146,16 @@ def register_integrator(name: str, constructor: Factory) -> None:
     register("integrator", name, constructor)
 
 
+def register_medium(name: str, constructor: Factory) -> None:
+    """Register a participating medium; `constructor(props)` returns a plugin of kind `medium`."""
+    register("medium", name, constructor)
+
+
+def register_phase(name: str, constructor: Factory) -> None:
+    """Register a phase function; `constructor(props)` returns a `djpt.phase.PhaseFunction`."""
+    register("phase", name, constructor)
+
+
 def register_rfilter(name: str, constructor: Factory) -> None:
     """Register a reconstruction filter; `constructor(props)` returns a plugin of kind `rfilter`."""
     register("rfilter", name, constructor)
@@ -163,6 +179,11 @@ def register_shape(name: str, constructor: Factory) -> None:
 def register_texture(name: str, constructor: Factory) -> None:
     """Register a texture; `constructor(props)` returns a `djpt.textures.Texture`."""
     register("texture", name, constructor)
+
+
+def register_volume(name: str, constructor: Factory) -> None:
+    """Register a volume of numbers or colours; `constructor(props)` returns a `djpt.volumes.Volume`."""
+    register("volume", name, constructor)
 
 
 def registered(kind: str | None = None) -> dict[str, Factory]:

@@ -74,6 +74,9 @@ class Lookup(Protocol):
     def attaches(self, leaf: Leaf) -> bool:
         """Whether looked-up values of `leaf` are AD leaves, or depend on some."""
 
+    def plain(self) -> Lookup:
+        """A lookup of the same values that attaches none."""
+
 
 @dataclass
 class BufferTable:
@@ -146,6 +149,9 @@ class Detached:
     def attaches(self, leaf: Leaf) -> bool:
         return False
 
+    def plain(self) -> Detached:
+        return self
+
 
 class Attached:
     """Lookups by gathers from buffers that are attached to AD variables in place of some of the values."""
@@ -154,6 +160,10 @@ class Attached:
         """`overrides` maps (id of a plugin, attribute) to the attached value; all other values are detached."""
         self._overrides = overrides
         self._flats: dict[int, tuple[Leaf, Any]] = {}
+        self._plain = Attached({}) if overrides else self
+
+    def plain(self) -> Attached:
+        return self._plain
 
     def variables(self) -> list[Any]:
         """The attached values."""
@@ -166,6 +176,7 @@ class Attached:
         """Build the buffers of some leaves, which loops that Dr.Jit records can't do."""
         for leaf in leaves:
             self._buffer(leaf)
+            self._plain._buffer(leaf)
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         found = self._buffer(leaf)

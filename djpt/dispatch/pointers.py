@@ -277,8 +277,21 @@ class ShapePtr(Pointer[Shape]):
         return self.holds(lambda shape: shape.is_mesh())
 
     def is_medium_transition(self) -> Bool:
-        """False: shapes have no media of Mitsuba's."""
-        return Bool(False)
+        """True where the shape bounds a medium."""
+        return self.holds(lambda shape: shape.is_medium_transition())
+
+    def interior_medium(self) -> Any:
+        """The media inside the shapes, a `djpt.dispatch.media.MediumPtr`."""
+        return self._media(lambda shape: shape.interior_medium())
+
+    def exterior_medium(self) -> Any:
+        """The media outside the shapes, a `djpt.dispatch.media.MediumPtr`."""
+        return self._media(lambda shape: shape.exterior_medium())
+
+    def _media(self, of: Callable[[Shape], Any]) -> Any:
+        from djpt.dispatch.media import MediumPtr  # scenes without media need none
+
+        return self.related(MediumPtr, of)
 
     def shape_type(self) -> UInt32:
         """The `djpt.ShapeType` per lane; 0 where there is no shape."""

@@ -1,8 +1,8 @@
-"""Tensors that kernels read entry by entry: the texels of a bitmap.
+"""Tensors that kernels read entry by entry: the texels of a bitmap, the voxels of a grid.
 
 Plugins of one group share a buffer in which their tensors follow each other. An entry is one number, or
-the C channels of a texel if the tensor is (H, W, C); it is padded to a power of two numbers, so that a
-lookup is a single gather of a packet.
+the C channels of a texel if the tensor is (H, W, C) or (D, H, W, C); it is padded to a power of two numbers, so that a
+lookup is a single gather of a packet, or two for more than four channels.
 """
 
 from __future__ import annotations
@@ -13,11 +13,17 @@ from typing import Any, Protocol
 import drjit as dr
 
 from djpt.dispatch.lookup import Rows
-from djpt.types import Array4f, Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Array4f, ArrayXf, Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["Buffer", "Table", "channels_of", "entry_at"]
 
-ENTRIES: dict[int, tuple[type, int]] = {1: (Float, 1), 2: (Point2f, 2), 3: (Color3f, 4), 4: (Array4f, 4)}
+ENTRIES: dict[int, tuple[type, int]] = {
+    1: (Float, 1),
+    2: (Point2f, 2),
+    3: (Color3f, 4),
+    4: (Array4f, 4),
+    6: (ArrayXf, 8),
+}
 """The type of an entry and its size in memory, by the number of channels."""
 
 LOCAL = dr.ReduceMode.Local
@@ -36,12 +42,12 @@ class Table(Protocol):
         """Whether the entries are AD leaves, or depend on some."""
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
-        """Entry number `index`, counted row by row: `Float`, or `Color3f` for texels of three channels."""
+        """Entry number `index`, counted row by row: `Float`, `Color3f` for three channels, `ArrayXf` for six."""
 
 
 def channels_of(tensor: Any) -> int:
-    """The count of numbers in an entry: the channels of (H, W, C), else 1."""
-    return int(tensor.shape[2]) if len(tensor.shape) == 3 else 1
+    """The count of numbers in an entry: the channels of (H, W, C) or (D, H, W, C), else 1."""
+    return int(tensor.shape[-1]) if len(tensor.shape) in (3, 4) else 1
 
 
 class Buffer:
@@ -92,6 +98,9 @@ class Buffer:
 
     def read(self, address: UInt32, active: Bool | bool = True) -> Any:
         """The entry at an address."""
+        if self.channels == 6:
+            halves = (dr.gather(Array4f, self._memory, address * 2 + k, active, mode=LOCAL) for k in range(2))
+            return ArrayXf([c for half in halves for c in half][:6])
         if self.channels != 3:
             return dr.gather(self._entry, self._memory, address, active, mode=LOCAL)
         texel = dr.gather(Array4f, self._memory, address, active, mode=LOCAL)
@@ -116,7 +125,10 @@ def entry_at(table: Any, index: UInt32, active: Bool | bool = True) -> Any:
     """Entry number `index` of a table, or of the tensor that stands there outside of kernels."""
     if not dr.is_tensor_v(table):
         return table.at(index, active)
-    return dr.gather({1: Float, 2: Point2f, 3: Color3f, 4: Array4f}[channels_of(table)], table.array, index, active)
+    channels = channels_of(table)
+    if channels == 6:
+        return ArrayXf([dr.gather(Float, table.array, index * 6 + c, active) for c in range(6)])
+    return dr.gather(ENTRIES[channels][0], table.array, index, active)
 
 
 def entries(tensor: Any) -> int:

@@ -41,9 +41,12 @@ class Emitter(EmitterQuestions):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.share = props.float("sampling_weight", 1.0, low=0.0)
+        self._medium = props.child("medium")
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("sampling_weight", self.share, attribute="share")
+        if self._medium is not None:
+            callback.put("medium", self._medium)
         super().traverse(callback)
 
     def check_parameter(self, name: str, value: Any) -> Any:

@@ -36,6 +36,8 @@ class EmitterQuestions(Plugin):
     share: float = 1.0
     """The parameter `sampling_weight`."""
 
+    _medium: Any = None
+
     def sampling_weight(self) -> float:
         """How often light sampling chooses the emitter, relative to others."""
         return self.share
@@ -53,8 +55,9 @@ class EmitterQuestions(Plugin):
         """Put the emitter into a shape."""
         self.shape = shape
 
-    def get_medium(self) -> None:
-        """None: there are no media of Mitsuba's."""
+    def get_medium(self) -> Any:
+        """The medium that the emitter stands in, if it was given one; rendering doesn't ask for it."""
+        return self._medium
 
     def set_scene(self, scene: Any) -> None:
         """Take the size of a scene that the emitter isn't part of: light from infinity depends on it."""

@@ -62,7 +62,7 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
         RenderError: One of them is a value that path replay has no derivative for.
     """
     found: dict[tuple[int, str], Parameter] = {}
-    for ensemble in (scene.bsdfs, scene.lights):
+    for ensemble in scene.ensembles():
         for group in ensemble.groups:
             for leaf in group.leaves():
                 for owner in leaf.owners:
@@ -146,6 +146,9 @@ class Leaves:
 
     def attaches(self, leaf: Leaf) -> bool:
         return any(n is not None for n in self._numbering.of(leaf))
+
+    def plain(self) -> Detached:
+        return self._values
 
     def buffer(self, leaf: TableLeaf) -> Buffer:
         """The tensors of a leaf."""

@@ -65,7 +65,7 @@ def run(
     start = Lane(
         ray=wide(ray, count),
         sampler=sampler,
-        path=wide(integrator.start(scene), count),
+        path=wide(integrator.begin(scene, sampler), count),
         radiance=dr.zeros(Color3f, count),
         again=dr.full(Bool, False, count),
         k=wide(lanes.first, count),
@@ -80,7 +80,7 @@ def run(
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
-            arrived = view.light_through(v.shadow_ray, v.reflected)
+            arrived = integrator.arriving(view, lane.sampler, v)
         second = lane.again & (lane.k < lanes.end)
         lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, second)
 
@@ -90,10 +90,11 @@ def run(
         next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
         delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
         fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
+        begun = integrator.begin(scene, fresh)
         return Lane(
             ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
             sampler=dr.select(ended, fresh, lane.sampler),
-            path=dr.detach(v.state).restarted(ended, integrator.start(scene)),
+            path=dr.detach(v.state).restarted(ended, begun),
             radiance=dr.select(finished, 0, lane.radiance),
             again=lane.again ^ ended,
             k=k,

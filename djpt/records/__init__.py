@@ -5,7 +5,17 @@ Directions named `wi` and `wo` are in the local shading frame and point away fro
 surface; everything else is in world space unless a field says otherwise.
 """
 
-from djpt.records.flags import ALL_COMPONENTS, BSDFContext, BSDFFlags, EmitterFlags, RayFlags, TransportMode, has_flag
+from djpt.records.flags import (
+    ALL_COMPONENTS,
+    BSDFContext,
+    BSDFFlags,
+    EmitterFlags,
+    PhaseFunctionContext,
+    PhaseFunctionFlags,
+    RayFlags,
+    TransportMode,
+    has_flag,
+)
 from djpt.records.interactions import (
     RAY_EPSILON,
     SHADOW_EPSILON,
@@ -32,6 +42,8 @@ __all__ = [
     "EmitterFlags",
     "Interaction3f",
     "Observer",
+    "PhaseFunctionContext",
+    "PhaseFunctionFlags",
     "PositionSample3f",
     "PreliminaryIntersection3f",
     "Ray3f",

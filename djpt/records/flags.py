@@ -6,7 +6,17 @@ import enum
 from dataclasses import dataclass, replace
 from typing import Any
 
-__all__ = ["ALL_COMPONENTS", "BSDFContext", "BSDFFlags", "EmitterFlags", "RayFlags", "TransportMode", "has_flag"]
+__all__ = [
+    "ALL_COMPONENTS",
+    "BSDFContext",
+    "BSDFFlags",
+    "EmitterFlags",
+    "PhaseFunctionContext",
+    "PhaseFunctionFlags",
+    "RayFlags",
+    "TransportMode",
+    "has_flag",
+]
 
 
 class BSDFFlags(enum.IntFlag):
@@ -46,6 +56,17 @@ class EmitterFlags(enum.IntFlag):
     SpatiallyVarying = 0x10
 
 
+class PhaseFunctionFlags(enum.IntFlag):
+    """Properties of a phase function; the values are Mitsuba's."""
+
+    Empty = 0x0
+    Isotropic = 0x1
+    """The density is the same in all directions."""
+    Anisotropic = 0x2
+    Microflake = 0x4
+    """Extinction, too, depends on the direction: see `djpt.phase.PhaseFunction.projected_area`."""
+
+
 class RayFlags(enum.IntFlag):
     """The fields of a surface interaction that are computed, and what their derivatives follow; Mitsuba's values.
 
@@ -82,6 +103,9 @@ class TransportMode(enum.IntEnum):
 ALL_COMPONENTS = 0xFFFFFFFF
 """The value of `BSDFContext.component` that stands for all lobes."""
 
+ALL_PHASE_FUNCTIONS = 0x7
+"""The value of `PhaseFunctionContext.type_mask` that leaves out no component."""
+
 
 @dataclass
 class BSDFContext:
@@ -112,6 +136,35 @@ class BSDFContext:
 
     def of_part(self, first: int) -> BSDFContext:
         """The context for a nested BSDF whose lobes are numbered from `first` on in the BSDF around it."""
+        return self if self.component == ALL_COMPONENTS else replace(self, component=self.component - first)
+
+    def reverse(self) -> None:
+        """Turn the direction of transport round."""
+        self.mode = TransportMode(1 - self.mode)
+
+
+@dataclass
+class PhaseFunctionContext:
+    """What phase functions are asked for: the direction of transport, and components.
+
+    It is structure: kernels are traced for it.
+    """
+
+    sampler: Any = None
+    """A source of further random numbers, for the phase functions of scripts; djpt's own need none."""
+    mode: TransportMode = TransportMode.Radiance
+    """From the camera (radiance) or from the light (importance)."""
+    type_mask: int = ALL_PHASE_FUNCTIONS
+    """The `PhaseFunctionFlags` of the components that are asked for."""
+    component: int = ALL_COMPONENTS
+    """The number of the only component that is asked for; by default all are."""
+
+    def __post_init__(self) -> None:
+        self.mode, self.type_mask = TransportMode(int(self.mode)), int(self.type_mask)
+        self.component = ALL_COMPONENTS if self.component is None else int(self.component) & ALL_COMPONENTS
+
+    def of_part(self, first: int) -> PhaseFunctionContext:
+        """The context for a nested phase function whose components are numbered from `first` on in the one around."""
         return self if self.component == ALL_COMPONENTS else replace(self, component=self.component - first)
 
     def reverse(self) -> None:

@@ -69,6 +69,9 @@ class SceneView(Protocol):
     def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
         """The medium of a ray that leaves `si` in the world direction `d`."""
 
+    def target_medium(self, si: SurfaceInteraction3f, d: Vector3f) -> Any:
+        """The `djpt.dispatch.media.MediumPtr` of the medium that a shape names for the side that `d` points to."""
+
     def surface_interaction_of(
         self, pi: PreliminaryIntersection3f, ray: Ray3f, ray_flags: int, active: Bool | bool
     ) -> SurfaceInteraction3f:
@@ -142,13 +145,13 @@ class Interaction3f(Record):
 
     def _along(self, o: Point3f, d: Vector3f, maxt: Float, leaving: Vector3f) -> Ray3f:
         """A ray with the time of the interaction, in the medium on the side that `leaving` points to."""
-        ray = Ray3f(o, d, maxt=maxt, medium=self.target_medium(leaving))
+        ray = Ray3f(o, d, maxt=maxt, medium=self.medium_beyond(leaving))
         if "time" in self.__dict__:
             ray.time = self.time
         return ray
 
-    def target_medium(self, d: Any) -> UInt32 | None:
-        """The medium of a ray that leaves in the world direction `d`; None in scenes without media."""
+    def medium_beyond(self, d: Any) -> UInt32 | None:
+        """The number of the medium of a ray that leaves in the world direction `d`; None in scenes without media."""
         return None
 
 
@@ -348,8 +351,16 @@ class SurfaceInteraction3f(Interaction3f):
 
     # ---- the shape and what belongs to it --------------------------------------------------
 
-    def target_medium(self, d: Any) -> UInt32 | None:
+    def medium_beyond(self, d: Any) -> UInt32 | None:
         return self.scene.medium_beyond(self, d) if self.media else None
+
+    def target_medium(self, d: Any) -> Any:
+        """The medium, a `djpt.dispatch.media.MediumPtr`, that the shape names for the side that `d` points to.
+
+        `d` is a direction in world space, or its cosine with the normal.
+        """
+        direction = self.n * d if dr.depth_v(d) < 2 else Vector3f(d)
+        return self.scene.target_medium(self, direction)
 
     def bsdf(self, ray: Ray3f | None = None) -> Any:
         """The BSDF at this point, a `djpt.dispatch.pointers.BSDFPtr`.
@@ -369,7 +380,7 @@ class SurfaceInteraction3f(Interaction3f):
         return self.shape.is_sensor()
 
     def is_medium_transition(self) -> Bool:
-        """False: shapes have no media of Mitsuba's."""
+        """True where the shape bounds a medium."""
         return self.shape.is_medium_transition()
 
     # ---- derivatives ------------------------------------------------------------------------

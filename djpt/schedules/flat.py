@@ -111,7 +111,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
     start = Lane(
         ray=wide(ray, width),
         sampler=sampler,
-        path=wide(integrator.start(scene), width),
+        path=wide(integrator.begin(scene, sampler), width),
         radiance=dr.zeros(Color3f, width),
         held=dr.full(Bool, False, width) if several else None,
         valid=dr.full(Bool, False, width) if several else None,
@@ -123,7 +123,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
     def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
         si = integrator.trace(scene, lane.path, lane.ray)
         v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
-        here = v.emitted + scene.light_through(v.shadow_ray, v.reflected)
+        here = v.emitted + integrator.arriving(scene, lane.sampler, v)
         running = lane.k < lanes.end
         ready, held = ~v.active & running, None
         valid: Any = v.valid
@@ -139,10 +139,11 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
             held = ready & ~taken
         next_k = lane.k + lanes.stride
         fresh, camera_ray, offset = job.begin(lanes.pixel, next_k, x, y)
+        begun = integrator.begin(scene, fresh)
         after = Lane(
             ray=dr.select(taken, camera_ray, v.ray),
             sampler=dr.select(taken, fresh, lane.sampler),
-            path=v.state.restarted(taken, integrator.start(scene)),
+            path=v.state.restarted(taken, begun),
             radiance=dr.select(taken, 0, radiance),
             held=held,
             valid=None if held is None else valid,

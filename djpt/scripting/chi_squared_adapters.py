@@ -14,7 +14,9 @@ import drjit as dr
 from djpt.description.loader import load_dict
 from djpt.description.scene_files import load_string
 from djpt.errors import DjptError
-from djpt.records import BSDFContext, DirectionSample3f, SurfaceInteraction3f
+from djpt.frame import Frame3f
+from djpt.records import BSDFContext, DirectionSample3f, PhaseFunctionContext, SurfaceInteraction3f
+from djpt.records.media import MediumInteraction3f
 from djpt.scripting.microfacet import MicrofacetDistribution
 from djpt.types import Bool, Float, Point2f, Vector3f
 
@@ -107,12 +109,34 @@ def MicrofacetAdapter(md_type: Any, alpha: float, sample_visible: bool = False) 
 
 
 def PhaseFunctionAdapter(phase_type: str, extra: Any, wi: Sequence[float] = (0, 0, 1), ctx: Any = None) -> Functions:
-    """Mitsuba's adapter of phase functions.
+    """Directions that a phase function scatters to, by three uniform numbers.
 
-    Raises:
-        DjptError: always: djpt has no participating media.
+    Args:
+        phase_type: the type of the plugin.
+        extra: its dictionary, or XML text with its parameters.
+        wi: where the light comes from.
+        ctx: which components are asked for.
     """
-    raise DjptError(f"PhaseFunctionAdapter: djpt has no participating media, so no phase function '{phase_type}'")
+    context = PhaseFunctionContext() if ctx is None else ctx
+
+    def interaction(lanes: int) -> MediumInteraction3f:
+        mi = dr.zeros(MediumInteraction3f, lanes)
+        mi.wi = Vector3f(wi)
+        mi.sh_frame = Frame3f.from_normal(mi.wi)
+        return mi
+
+    def sample(numbers: Any, *arguments: Any) -> tuple[Vector3f, Float]:
+        phase = plugin("phase", phase_type, extra, arguments)
+        mi = interaction(dr.width(numbers))
+        wo, _, pdf = phase.sample(context, mi, numbers[0], Point2f(numbers[1], numbers[2]), Bool(True))
+        return wo, dr.select(pdf == 0, Float(0), 1) + dr.zeros(Float, dr.width(numbers))
+
+    def density(wo: Vector3f, *arguments: Any) -> Float:
+        phase = plugin("phase", phase_type, extra, arguments)
+        pdf = phase.eval_pdf(context, interaction(dr.width(wo)), wo, Bool(True))[1]
+        return pdf + dr.zeros(Float, dr.width(wo))
+
+    return sample, density
 
 
 def SpectrumAdapter(value: Any) -> Functions:

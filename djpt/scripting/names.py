@@ -8,10 +8,17 @@ __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
+    "djpt.dispatch.phases": "PhaseFunctionPtr",
+    "djpt.dispatch.media": "MediumPtr",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
+    "djpt.media.base": "Medium",
+    "djpt.phase.base": "PhaseFunction",
+    "djpt.phase.microflakes": "SGGXPhaseFunctionParams sggx_pdf sggx_projected_area sggx_sample",
+    "djpt.records.flags": "PhaseFunctionContext PhaseFunctionFlags",
+    "djpt.records.media": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
     "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
@@ -43,16 +50,14 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
-    "djpt.scripting.plugin_kinds": (
-        "Endpoint Medium PhaseFunction Volume register_medium register_phase register_phasefunction register_volume"
-    ),
+    "djpt.scripting.plugin_kinds": "Endpoint register_phasefunction",
     "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
         "sample_tea_float32 sample_tea_float64"
     ),
-    "djpt.scripting.records": "MediumInteraction3f MeshPtr Ray2f RayDifferential3f",
+    "djpt.scripting.records": "MeshPtr Ray2f RayDifferential3f",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
     "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (
@@ -61,6 +66,7 @@ EXPORTS: dict[str, str] = {
         "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
     "djpt.scripting.structs": "Struct",
+    "djpt.scripting.tensor_file": "TensorFile",
     "djpt.scripting.thread": "Thread",
     "djpt.scripting.transforms": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
@@ -72,6 +78,8 @@ EXPORTS: dict[str, str] = {
     "djpt.sensors.base": "Sensor",
     "djpt.sensors.projective": "ProjectiveCamera",
     "djpt.textures.base": "Texture",
+    "djpt.volumes.base": "Volume",
+    "djpt.volumes.volume_grid": "VolumeGrid",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
 
@@ -82,6 +90,7 @@ SUBMODULES: dict[str, str] = {
     "misc": "djpt.scripting.misc",
     "quad": "djpt.quad",
     "spline": "djpt.scripting.splines",
+    "tensor_io": "djpt.scripting.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
 

@@ -47,7 +47,7 @@ KINDS = {
     "volume": ObjectType.Volume,
     "medium": ObjectType.Medium,
     "bsdf": ObjectType.BSDF,
-    "phase function": ObjectType.PhaseFunction,
+    "phase": ObjectType.PhaseFunction,
     "integrator": ObjectType.Integrator,
 }
 """The kinds of Mitsuba by the names that djpt has for them."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from djpt.dispatch.pointers import ShapePtr
-from djpt.frame import Frame3f
-from djpt.records import Interaction3f, Ray3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
+from djpt.records import Ray3f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
 
-__all__ = ["MediumInteraction3f", "MeshPtr", "Ray2f", "RayDifferential3f"]
+__all__ = ["MeshPtr", "Ray2f", "RayDifferential3f"]
 
 
 class Ray2f(Ray3f):
@@ -43,32 +42,6 @@ class RayDifferential3f(Ray3f):
         """Move the neighbouring rays closer to this one (`amount` < 1), as for several samples per pixel."""
         self.o_x, self.o_y = ((o - self.o) * amount + self.o for o in (self.o_x, self.o_y))
         self.d_x, self.d_y = ((d - self.d) * amount + self.d for d in (self.d_x, self.d_y))
-
-
-class MediumInteraction3f(Interaction3f):
-    """A point in a medium. djpt has no media that scatter: scripts may fill one in, no query returns one."""
-
-    title = "MediumInteraction"
-
-    sh_frame: Frame3f
-    wi: Vector3f
-    sigma_s: Color3f
-    sigma_n: Color3f
-    sigma_t: Color3f
-    combined_extinction: Color3f
-    mint: Float
-
-    @property
-    def medium(self) -> None:
-        """None: there are no media that scatter."""
-
-    def to_local(self, v: Vector3f) -> Vector3f:
-        """World direction to `sh_frame`."""
-        return self.sh_frame.to_local(v)
-
-    def to_world(self, v: Vector3f) -> Vector3f:
-        """`sh_frame` to world."""
-        return self.sh_frame.to_world(v)
 
 
 class MeshPtr(ShapePtr):

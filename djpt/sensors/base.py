@@ -28,9 +28,10 @@ __all__ = ["Sensor"]
 class Sensor(SampledRays, Plugin):
     """A camera or meter: the rays of film positions, with a film and a sampler of its own.
 
-    Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up;
-    no scale; default identity), `shutter_open` and `shutter_close` (0: nothing moves yet, so they
-    change no image), a nested `film` (default `hdrfilm`) and `sampler` (default `independent`).
+    Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up; no scale; default
+    identity), `shutter_open` and `shutter_close` (0: nothing moves yet, so they change no image), `medium` (the one
+    that rays start in; default: the scene finds it), a nested `film` (default `hdrfilm`) and `sampler` (default
+    `independent`).
     """
 
     kind: ClassVar[str] = "sensor"
@@ -55,6 +56,7 @@ class Sensor(SampledRays, Plugin):
             problem = f"must have 1 x 1 pixels, found {width} x {height}: a '{props.plugin_name()}' measures one number"
             raise props.error("film", problem)
         self._sampler: Sampler = props.child("sampler") or default(props, "sampler", "independent")
+        self._medium = props.child("medium")
         self.to_world = props.transform("to_world")
         try:
             self.check_placement(self.to_world)
@@ -77,6 +79,8 @@ class Sensor(SampledRays, Plugin):
         for name in ("shutter_open", "shutter_open_time"):
             callback.put(name, getattr(self, f"_{name}"), attribute=f"_{name}")
         callback.put("film", self._film)
+        if self._medium is not None:
+            callback.put("medium", self._medium)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "to_world":
@@ -102,6 +106,10 @@ class Sensor(SampledRays, Plugin):
         self._film = copy.copy(self._film)  # it may be another sensor's as well
         self._film.resize(width, height)
         self.parameters_changed(("film",))
+
+    def get_medium(self) -> Any:
+        """The medium that rays start in, if it was given; else a scene finds it: see `djpt.media.placement.Media`."""
+        return self._medium
 
     def sampler(self) -> Sampler:
         """The sampler that the sensor's images are rendered with."""

@@ -72,6 +72,8 @@ class Shape(ShapeQuestions):
         self._bsdf = props.child("bsdf")
         self._emitter = props.child("emitter")
         self._sensor = props.child("sensor")
+        self._interior = props.plugin("interior", "medium", None)
+        self._exterior = props.plugin("exterior", "medium", None)
         self.flip_normals = props.boolean("flip_normals", False)
         # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
         self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
@@ -84,6 +86,9 @@ class Shape(ShapeQuestions):
             if nested is not None:
                 callback.put(name, nested)
         callback.put("silhouette_sampling_weight", self.silhouette_sampling_weight)
+        for name, medium in (("interior_medium", self._interior), ("exterior_medium", self._exterior)):
+            if medium is not None:
+                callback.put(name, medium)
         self.traverse_geometry(callback)
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:

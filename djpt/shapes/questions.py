@@ -61,6 +61,8 @@ class ShapeQuestions(Plugin):
     _bsdf: Any = None
     _emitter: Any = None
     _sensor: Any = None
+    _interior: Any = None
+    _exterior: Any = None
     users: Sequence[weakref.ref[Any]] = ()
     """The scenes that the shape stands in."""
     original: Any = None
@@ -122,14 +124,16 @@ class ShapeQuestions(Plugin):
         return False
 
     def is_medium_transition(self) -> bool:
-        """False: shapes have no media of Mitsuba's."""
-        return False
+        """Whether the surface bounds a medium: one was given, as `interior` or `exterior`."""
+        return self._interior is not None or self._exterior is not None
 
-    def interior_medium(self) -> None:
-        """None: absorption belongs to dielectric BSDFs."""
+    def interior_medium(self) -> Any:
+        """The medium inside, or None. (Absorption in glass belongs to its BSDF.)"""
+        return self._interior
 
-    def exterior_medium(self) -> None:
-        """None: absorption belongs to dielectric BSDFs."""
+    def exterior_medium(self) -> Any:
+        """The medium outside, or None."""
+        return self._exterior
 
     def shape_type(self) -> ShapeType:
         """The kind of the shape, with Mitsuba's number."""

@@ -14,5 +14,6 @@ if TYPE_CHECKING:
     from djpt.textures.rgb import ConstantTexture as ConstantTexture
     from djpt.textures.spectrum import SpectrumTexture as SpectrumTexture
     from djpt.textures.uniform import UniformTexture as UniformTexture
+    from djpt.textures.volume import VolumeTexture as VolumeTexture
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

@@ -22,6 +22,7 @@ from djpt.kernels import as_float, maximum, minimum
 from djpt.textures.brightness import cell_weights
 from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
+from djpt.textures.wrapping import WRAP_MODES, lerp, wrapped
 from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
 from djpt.warp import square_to_tent
 
@@ -59,7 +60,7 @@ class Bitmap(UVTexture):
         super().__init__(props)
         raw = props.boolean("raw", False)
         self.filter_type = props.string("filter_type", "bilinear", choices=("bilinear", "nearest"))
-        self.wrap_mode = props.string("wrap_mode", "repeat", choices=("repeat", "mirror", "clamp"))
+        self.wrap_mode = props.string("wrap_mode", "repeat", choices=WRAP_MODES)
         precision = props.string("format", "auto", choices=("auto", "variant", "float16", "fp16", "uint8"))
         props.boolean("accel", True)
         self._allowed = Allowed()
@@ -234,30 +235,13 @@ class Bitmap(UVTexture):
 
     def _wrap(self, i: Float, axis: int) -> UInt32:
         """The number of a texel along an axis; `i` is whole, but may lie outside."""
-        count = self.counts[axis]
-        if self.wrap_mode == "repeat":
-            i = remainder(i, count)
-        elif self.wrap_mode == "mirror":
-            i = remainder(i, 2 * count)
-            i = minimum(i, 2 * count - 1 - i)
-        # Also for safety: no uv whatsoever may lead out of memory.
-        return UInt32(minimum(maximum(i, 0), count - 1))
+        return wrapped(i, self.counts[axis], self.wrap_mode)
 
     def _texel(self, x: UInt32, y: UInt32, active: Bool | bool) -> Any:
         index = y * UInt32(self.counts.x) + x
         if dr.is_tensor_v(self.data):  # outside of kernels there is no table
             return dr.gather(Float if self.channels == 1 else Color3f, self.data.array, index, active)
         return self.data.at(index, active)
-
-
-def remainder(i: Float, n: Float) -> Float:
-    """The remainder of `i` by `n`, whole numbers up to some millions: half a unit keeps off the steps of floor."""
-    return dr.fma(-n, dr.floor((i + 0.5) * dr.rcp(n)), i)
-
-
-def lerp(a: Any, b: Any, t: Float) -> Any:
-    """The linear interpolation from `a` (t = 0) to `b` (t = 1)."""
-    return dr.fma(b - a, t, a)
 
 
 register_texture("bitmap", Bitmap)

@@ -9,6 +9,7 @@ import box
 import cards
 import estimators
 import illumination
+import mist
 import observers
 import proof
 import slopes
@@ -17,7 +18,7 @@ from places import IMAGES
 
 FIGURES = {
     name: getattr(module, name)
-    for module in (proof, box, surfaces, illumination, observers, estimators, slopes, cards)
+    for module in (proof, box, surfaces, illumination, mist, observers, estimators, slopes, cards)
     for name in module.__all__
 }
 """All figures by name; `cards` comes last, as it is cut from the others."""

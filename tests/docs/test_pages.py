@@ -45,7 +45,18 @@ def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
     assert (tmp_path / "html" / "_static" / "tex-svg.js").exists(), "formulas stay TeX without MathJax"
 
 
-PACKAGES = ["integrators", "materials", "shapes", "emitters", "rfilters", "samplers", "sensors", "films"]
+PACKAGES = [
+    "integrators",
+    "materials",
+    "shapes",
+    "emitters",
+    "rfilters",
+    "samplers",
+    "sensors",
+    "films",
+    "phase",
+    "volumes",
+]
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -80,6 +80,7 @@ KINDS = {
     "Samplers": ["sampler"],
     "Films, filters": ["film", "rfilter"],
     "Integrators": ["integrator"],
+    "Phase functions, volumes": ["phase", "volume"],
 }
 
 

@@ -14,7 +14,6 @@ from djpt.chi2 import (
     ChiSquareTest,
     LineDomain,
     MicrofacetAdapter,
-    PhaseFunctionAdapter,
     PlanarDomain,
     SpectrumAdapter,
     SphericalDomain,
@@ -142,8 +141,6 @@ def test_many_tests_share_a_level() -> None:
 
 
 def test_what_is_not_there_says_why() -> None:
-    with pytest.raises(DjptError, match="no participating media, so no phase function 'hg'"):
-        PhaseFunctionAdapter("hg", {"type": "hg"})
     with pytest.raises(DjptError, match="no wavelengths to sample"):
         SpectrumAdapter("<spectrum/>")
     with pytest.raises(ArgumentError, match="'res' must be at least 1"):

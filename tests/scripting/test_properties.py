@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.errors import DjptError, SceneError
+from djpt.errors import SceneError
 
 Type = djpt.Properties.Type
 
@@ -106,12 +106,6 @@ def test_names_of_objects() -> None:
     thing = djpt.Object()
     thing.set_id("thing")
     assert thing.id() == djpt.Object(thing).id() == "thing"
-
-
-@pytest.mark.parametrize("register", [djpt.register_medium, djpt.register_phase, djpt.register_volume])
-def test_media_are_refused(register: Any) -> None:
-    with pytest.raises(DjptError, match=r"djpt has no (media|phase functions|volumes): matter can absorb light"):
-        register("fog", lambda props: None)
 
 
 def test_a_script_registers_a_material() -> None:

@@ -28,7 +28,7 @@ OBJECTS = {
     "film": "film",
     "integrator": "integrator",
     "medium": "medium",
-    "phase": "phase function",
+    "phase": "phase",
     "rfilter": "rfilter",
     "sampler": "sampler",
     "sensor": "sensor",

@@ -1,0 +1,109 @@
+"""Media that are the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.description.numeric import non_negative
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.description.registry import register_medium
+from djpt.errors import SceneError
+from djpt.kernels import as_float, minimum
+from djpt.media.base import FAR, Flight, Medium, of_channel
+from djpt.records import Ray3f
+from djpt.records.flags import PhaseFunctionFlags, has_flag
+from djpt.records.media import MediumInteraction3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, UInt32
+
+__all__ = ["Homogeneous"]
+
+
+class Homogeneous(Medium):
+    """Fog: sigma_t is the same everywhere, and light is left as exp(-sigma_t t).
+
+    Distances are sampled by t = -log(1 - u) / sigma_t, with the sigma_t of one channel.
+
+    Parameters: `sigma_t` (extinction per unit length: a number or rgb, >= 0, default 1), `scale` (a factor of it,
+    default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
+    `has_spectral_extinction` (default true; false: `sigma_t` is grey, and a colour's first channel counts), a phase
+    function and `sample_emitters`.
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.NonDifferentiable}
+    children = ("albedo", "sigma_t", "phase")
+    statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction")
+    m_is_homogeneous = True
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.albedo = props.volume("albedo", 0.75, low=0.0, high=1.0)
+        self.sigma_t = props.volume("sigma_t", 1.0, low=0.0)
+        self.scale = as_float(props.float("scale", 1.0, low=0.0))
+        self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
+        if not self.sigma_t.is_constant:
+            raise SceneError(f"{props.node}: 'sigma_t' must be the same everywhere; a 'heterogeneous' medium varies")
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("scale", self.scale)
+        callback.put("albedo", self.albedo)
+        callback.put("sigma_t", self.sigma_t)
+        super().traverse(callback)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        return as_float(non_negative(value)) if name == "scale" else value
+
+    def has_spectral_extinction(self) -> bool:
+        return self.m_has_spectral_extinction and not self.sigma_t.is_grey
+
+    # ---- coefficients ------------------------------------------------------------------
+
+    def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
+        """sigma_t, for light that comes from `mi.wi`."""
+        sigma_t = self.sigma_t.eval(mi, active) * self.scale
+        if has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake):
+            sigma_t = sigma_t * self.phase.projected_area(mi, active)
+        return sigma_t
+
+    def get_majorant(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
+        return dr.select(active, self.extinction(mi, active), 0)
+
+    def get_scattering_coefficients(
+        self, mi: MediumInteraction3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Color3f, Color3f]:
+        sigma_t = dr.select(active, self.extinction(mi, active), 0)
+        return sigma_t * self.albedo.eval(mi, active), Color3f(0), sigma_t
+
+    def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
+        return Bool(True), Float(0), Float(dr.inf)
+
+    # ---- flights -------------------------------------------------------------------------
+
+    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
+        sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
+        fixed = dr.detach(sigma_t)
+        coloured = self.has_spectral_extinction()
+        t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
+        scattered = active & (t < length)
+        # Mitsuba draws a number here that decides whether the collision is real.
+        stream.next_1d(scattered)
+        albedo = self.albedo.eval(MediumInteraction3f.on(ray, t), scattered)
+        value, pdf = dr.select(scattered, albedo, 1), Color3f(1)
+        if coloured or dr.grad_enabled(sigma_t):
+            flown = minimum(dr.select(scattered, t, length), FAR)
+            density = dr.exp(-flown * sigma_t) * dr.select(scattered, sigma_t, 1)
+            pdf = dr.detach(density)
+            value = value * density if coloured else value * density * dr.rcp(pdf)
+            pdf = pdf if coloured else Color3f(1)
+        return Flight(t, scattered, value, pdf)
+
+    def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
+        sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
+        return dr.exp(-minimum(length, FAR) * sigma_t)
+
+
+register_medium("homogeneous", Homogeneous)

@@ -1,0 +1,259 @@
+"""Which media a scene has, which of them a ray runs through, and how far light gets in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.family import Family, Pointer
+from djpt.dispatch.lookup import Members, Numbers
+from djpt.errors import SceneError
+from djpt.geometry.aggregate import Geometry
+from djpt.geometry.contents import unseen
+from djpt.kernels import wide
+from djpt.records import RAY_EPSILON, Ray3f, SurfaceInteraction3f
+from djpt.shapes.base import Shape
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.dispatch.phases import PhaseFunctionPtr
+    from djpt.media.base import Flight, Medium
+    from djpt.samplers.base import SampleStream
+
+__all__ = ["Media", "absorbing_sides", "all_sides"]
+
+DIRECTIONS = ((0.3651484, 0.5477226, 0.7527727), (-0.6202, 0.3351, -0.7093), (0.2418, -0.9043, 0.3518))
+"""Directions in which boundaries are looked for: arbitrary, but not along an axis, where rays run within faces."""
+
+
+class Media:
+    """Media that a scene follows along its rays. `vacuum` is the number for no medium.
+
+    A ray carries the number of the medium that it runs through (`Ray3f.medium`). The number changes where it leaves a
+    surface that bounds a medium, to the one on the side that it leaves to, and nowhere else.
+    """
+
+    def __init__(
+        self, geometry: Geometry, sides: Sequence[tuple[Any, Any] | None], others: Sequence[Medium] = ()
+    ) -> None:
+        """Number the media.
+
+        Args:
+            geometry: What rays hit.
+            sides: The media inside and outside of each shape (None stands for vacuum); None if it bounds no medium.
+            others: Media that no shape bounds.
+        """
+        found = [medium for pair in sides if pair is not None for medium in pair if medium is not None]
+        self.plugins: list[Medium] = list({id(medium): medium for medium in [*found, *others]}.values())
+        self.ensemble: Ensemble[Medium] = Ensemble(self.plugins)
+        phases = [medium.phase for medium in self.plugins if medium.phase is not None]
+        self._phases: Ensemble[Any] = Ensemble(list({id(phase): phase for phase in phases}.values()))
+        self._phase_of = Numbers([index_of(self._phases.plugins, medium.phase) for medium in self.plugins])
+        self.vacuum = len(self.plugins)
+        self._geometry = geometry
+        # For shapes that bound no medium: one number more.
+        self._kept = self.vacuum + 1
+        self._inside = [self._kept if pair is None else self.number(pair[0]) for pair in sides]
+        self._outside = [self._kept if pair is None else self.number(pair[1]) for pair in sides]
+        self._closed = [i for i, pair in enumerate(sides) if pair is not None and is_closed(geometry, i)]
+        self.prepare()
+
+    def __bool__(self) -> bool:
+        """True if there are any."""
+        return bool(self.plugins)
+
+    def prepare(self) -> None:
+        """Build the tables that kernels read, after the scene was compiled or edited."""
+        self._inside_of_face = self._geometry.per_face(self._inside)
+        self._outside_of_face = self._geometry.per_face(self._outside)
+        self._bounds = Members(self._closed, len(self._inside))
+
+    def number(self, medium: Medium | None) -> int:
+        """The number of a medium, or that of the vacuum."""
+        return index_of(self.plugins, medium)
+
+    @property
+    def ensembles(self) -> Sequence[Ensemble[Any]]:
+        """The plugins whose values kernels look up: media and their phase functions."""
+        return (self.ensemble, self._phases) if self.plugins else ()
+
+    @property
+    def scatter(self) -> bool:
+        """True if light can be scattered."""
+        return any(medium.phase is not None for medium in self.plugins)
+
+    @property
+    def are_coloured(self) -> bool:
+        """True if the extinction of some of them may differ between channels."""
+        return any(medium.has_spectral_extinction() for medium in self.plugins)
+
+    def number_of(self, medium: Any) -> UInt32:
+        """The numbers of media as scripts give them: a medium or None for all lanes, or a `MediumPtr`."""
+        if not isinstance(medium, Pointer):
+            return UInt32(self.number(medium))
+        numbers = Numbers([self.number(plugin) for plugin in medium.plugins] + [self.vacuum])
+        return numbers.at(dr.minimum(medium.index, len(medium.plugins)))
+
+    # ---- which medium ---------------------------------------------------------------------
+
+    def around(self, p: np.ndarray | None, lookup: Lookup) -> int:
+        """The medium that a point (3,) lies in, computed at once; None stands for a point outside of all bodies.
+
+        A ray may slip through an edge: the majority of three decides.
+        """
+        if p is None:
+            return self.vacuum
+        directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
+        numbers = self.at(Point3f(*(float(x) for x in p)), lookup, directions).numpy()
+        return int(np.bincount(numbers).argmax())
+
+    def at(self, p: Point3f, lookup: Lookup, direction: Vector3f | None = None) -> UInt32:
+        """The medium that each point lies in: the one on this side of the first boundary in an arbitrary direction.
+
+        Only closed shapes count as boundaries. Traces rays through the scene: only where paths begin.
+        """
+        d = Vector3f(*DIRECTIONS[0]) if direction is None else direction
+        if not self._closed:
+            return UInt32(self.vacuum)
+
+        def step(walk: Walk) -> tuple[Walk]:
+            ray = Ray3f(walk.o, walk.d)
+            hit = self._geometry.closest(ray)
+            found = hit.is_valid() & walk.active
+            bounds = found & self._bounds.contain(hit.shape_index)
+            surface = self._geometry.surface(ray, hit, lookup, False)
+            leaving = points_outward(surface.n, surface.sh_frame.n, walk.d)
+            side = dr.select(leaving, self._inside_of_face.at(hit.face), self._outside_of_face.at(hit.face))
+            there = ray(dr.select(found, hit.t, 0))
+            on = dr.fma(walk.d, RAY_EPSILON * (1 + dr.max(dr.abs(there))), there)
+            return (Walk(on, walk.d, dr.select(bounds, side, walk.medium), found & ~bounds),)
+
+        start = wide(Walk(Point3f(p), d, UInt32(self.vacuum), Bool(True)), dr.width(p, d))
+        (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="medium")
+        return end.medium
+
+    def beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
+        side = self.side(si, d)
+        elsewhere = UInt32(self.vacuum) if si.medium is None else si.medium
+        return dr.select(side == self._kept, elsewhere, side)
+
+    def side(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
+        """The medium on the side of `si` that `d` points to; `vacuum` + 1 on surfaces that bound no medium."""
+        outward = points_outward(si.n, si.sh_frame.n, d)
+        return dr.select(outward, self._outside_of_face.at(si.face), self._inside_of_face.at(si.face))
+
+    def phases(self, medium: UInt32, lookup: Lookup) -> PhaseFunctionPtr:
+        """The phase functions of media with the numbers `medium`."""
+        from djpt.dispatch.phases import PhaseFunctionPtr
+
+        pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, lookup), self._phase_of.at(medium))
+        return pointer
+
+    def sample_emitters(self, medium: UInt32) -> Bool:
+        """True where emitters are to be sampled from points in a medium."""
+        return Members([i for i, m in enumerate(self.plugins) if m.use_emitter_sampling()], self.vacuum).contain(medium)
+
+    # ---- what becomes of light ---------------------------------------------------------------
+
+    def fill(self, medium: UInt32) -> Bool:
+        """True where a ray's medium isn't the vacuum."""
+        return medium < self.vacuum
+
+    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, lookup: Lookup) -> Flight:
+        """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
+        from djpt.media.base import Flight
+
+        assert ray.medium is not None
+        flight = Flight.none()
+        for group in self.ensemble.groups:
+            mine = self.ensemble.members(group, ray.medium)
+            medium = group.at(self.ensemble.slots(group, ray.medium), lookup)
+            flight = dr.select(mine, medium.fly(ray, length, channel, stream, mine), flight)
+        return flight
+
+    def transmittance(
+        self, ray: Ray3f, length: Float, lookup: Lookup, stream: SampleStream | None = None, active: Bool | bool = True
+    ) -> Color3f:
+        """The share of light that is left after a segment of a ray, or an estimate of it; 1 in vacuum.
+
+        Only estimates need a `stream`.
+        """
+        assert ray.medium is not None
+        left = Color3f(1)
+        for group in self.ensemble.groups:
+            mine = self.ensemble.members(group, ray.medium)
+            medium = group.at(self.ensemble.slots(group, ray.medium), lookup)
+            left = dr.select(mine, medium.transmittance(ray, length, stream, mine & active), left)
+        return left
+
+
+@dataclass
+class Walk:
+    """A ray on its way to the first boundary: loop state."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32
+    active: Bool
+
+
+def index_of(plugins: Sequence[Any], plugin: Any) -> int:
+    """The place of a plugin in a sequence; one beyond the last if it isn't there."""
+    return next((i for i, other in enumerate(plugins) if other is plugin), len(plugins))
+
+
+def points_outward(n: Vector3f, shading: Vector3f, d: Vector3f) -> Bool:
+    """True where a direction points to the outside of a surface, `n` and `shading` being its normals.
+
+    The geometric normal decides, since rays are moved off the surface along it. A mirroring transform has turned it
+    round, but not the shading normal.
+    """
+    return dr.dot(n, d) * dr.dot(n, shading) > 0
+
+
+def is_closed(geometry: Geometry, shape: int) -> bool:
+    """Whether a shape encloses a volume."""
+    return geometry.contents.shapes[shape].is_closed()
+
+
+def absorbing_sides(shapes: Sequence[Shape]) -> list[tuple[Any, Any] | None]:
+    """The media on both sides of shapes if only the BSDFs that absorb are looked at; None for all other shapes."""
+    bodies: dict[int, Medium] = {}
+    return [absorbing_side(shape, bodies) for shape in shapes]
+
+
+def absorbing_side(shape: Shape, bodies: dict[int, Medium]) -> tuple[Any, Any] | None:
+    """The medium inside of a shape whose BSDF absorbs, and the vacuum; `bodies` has those of BSDFs by id."""
+    if unseen(shape) or not shape.bsdf().absorbs:
+        return None
+    from djpt.media.absorption import AbsorbingBody
+
+    bsdf = shape.bsdf()
+    return bodies.setdefault(id(bsdf), AbsorbingBody(bsdf)), None
+
+
+def all_sides(shapes: Sequence[Shape]) -> list[tuple[Any, Any] | None]:
+    """The media on both sides of shapes; None for those that bound no medium.
+
+    Raises:
+        SceneError: A shape has an interior medium, and a BSDF that absorbs.
+    """
+    result: list[tuple[Any, Any] | None] = []
+    for shape, absorbing in zip(shapes, absorbing_sides(shapes), strict=True):
+        if unseen(shape) or not shape.is_medium_transition():
+            result.append(absorbing)
+            continue
+        inside, outside = shape.interior_medium(), shape.exterior_medium()
+        if inside is not None and absorbing is not None:
+            raise SceneError(
+                f"{shape.id()}: the BSDF '{shape.bsdf().id()}' absorbs, and the shape has an 'interior': "
+                "light in it needs one medium"
+            )
+        result.append((absorbing[0] if absorbing is not None else inside, outside))
+    return result

@@ -1,0 +1,96 @@
+"""What a scene knows of its media, and what they leave of light."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.dispatch.ensemble import Lookup
+from djpt.geometry.aggregate import Geometry
+from djpt.media.placement import Media, absorbing_sides, all_sides
+from djpt.records import Ray3f, SurfaceInteraction3f
+from djpt.types import Color3f, Float, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.dispatch.media import MediumPtr
+    from djpt.sensors.base import Sensor
+
+__all__ = ["MediaQueries"]
+
+
+class MediaQueries:
+    """The part of a scene that is about media."""
+
+    geometry: Geometry
+    lookup: Lookup
+    _sensors: list[Sensor]
+    camera_medium: UInt32 | None
+    """The number of the medium that camera rays start in; None if no media are followed."""
+    media: Media
+    """The media that are followed along rays: those that absorb without scattering, or all (see `with_media`)."""
+    every_medium: Media
+
+    def find_media(self) -> None:
+        """Number the media of shapes and sensors."""
+        shapes = self.geometry.contents.shapes
+        self.media = self.every_medium = Media(self.geometry, absorbing_sides(shapes))
+        of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
+        if of_sensors or any(shape.is_medium_transition() for shape in shapes):
+            self.every_medium = Media(self.geometry, all_sides(shapes), of_sensors)
+
+    def prepare_media(self) -> None:
+        """Build the tables of media, after the scene was compiled or edited."""
+        self.media.prepare()
+        self.every_medium.prepare()
+
+    def _view(self) -> Any:
+        """A shallow copy of the scene."""
+        raise NotImplementedError
+
+    # ---- which medium ------------------------------------------------------------------
+
+    def with_media(self) -> Any:
+        """A view of this scene that follows all media along rays, not only those that absorb without scattering."""
+        if self.media is self.every_medium:
+            return self
+        view = self._view()
+        view.media = self.every_medium
+        view.camera_medium = UInt32(view.media.vacuum)
+        return view
+
+    def medium_of(self, sensor: Sensor) -> int:
+        """The number of the medium that a sensor's rays start in: the given one if it is followed, or what is there."""
+        given = self.media.number(sensor.get_medium())
+        return self.media.around(sensor.viewpoint(), self.lookup) if given == self.media.vacuum else given
+
+    def target_medium(self, si: SurfaceInteraction3f, d: Vector3f) -> MediumPtr:
+        """The medium that a shape names for the side of `si` that `d` points to; none if it names none."""
+        from djpt.dispatch.family import Family
+        from djpt.dispatch.media import MediumPtr
+
+        media = self.every_medium
+        pointer: MediumPtr = MediumPtr.into(Family(media.ensemble, self.lookup), media.side(si, d))
+        return pointer
+
+    def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
+        return self.media.beyond(si, d) if self.media else si.medium
+
+    def medium_at(self, p: Point3f) -> UInt32 | None:
+        """The medium that each point lies in, for rays that begin there; None in scenes without media."""
+        return self.media.at(p, self.lookup) if self.media else None
+
+    # ---- what is left of light ----------------------------------------------------------
+
+    def left_by_media(self, ray: Ray3f, light: Color3f) -> Color3f:
+        """The part of `light` that media leave along the segment of a `shadow_ray`, whatever surfaces stand between."""
+        if not self.media or ray.medium is None:
+            return light
+        return light * self.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
+
+    def transmittance(self, ray: Ray3f, distance: Float) -> Color3f:
+        """The share of light that media leave over a distance along a ray from its origin; 1 in vacuum."""
+        if not self.media or ray.medium is None:
+            return Color3f(1)
+        return self.media.transmittance(ray, distance, self.lookup)

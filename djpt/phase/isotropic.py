@@ -1,0 +1,47 @@
+"""Scattering to all directions alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+from djpt.description.properties import Properties
+from djpt.description.registry import register_phase
+from djpt.phase.base import PhaseFunction
+from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
+from djpt.records.media import MediumInteraction3f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.warp import square_to_uniform_sphere
+
+__all__ = ["IsotropicPhaseFunction"]
+
+DENSITY = 1 / (4 * math.pi)
+
+
+class IsotropicPhaseFunction(PhaseFunction):
+    """f = 1 / (4 pi): light that is scattered has forgotten where it came from. No parameters."""
+
+    m_flags = int(PhaseFunctionFlags.Isotropic)
+    statics: ClassVar[Sequence[str]] = ()
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+
+    def sample(
+        self,
+        ctx: PhaseFunctionContext,
+        mi: MediumInteraction3f,
+        sample1: Float,
+        sample2: Point2f,
+        active: Bool | bool = True,
+    ) -> tuple[Vector3f, Color3f, Float]:
+        return square_to_uniform_sphere(sample2), Color3f(1), Float(DENSITY)
+
+    def eval_pdf(
+        self, ctx: PhaseFunctionContext, mi: MediumInteraction3f, wo: Vector3f, active: Bool | bool = True
+    ) -> tuple[Color3f, Float]:
+        return Color3f(DENSITY), Float(DENSITY)
+
+
+register_phase("isotropic", IsotropicPhaseFunction)

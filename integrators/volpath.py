@@ -1,0 +1,189 @@
+"""The path tracer for scenes with media."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
+from djpt.integrators.base import PathState, Vertex, mis_weight
+from djpt.integrators.shadows import light_through_null
+from djpt.integrators.unidirectional import UNBOUNDED, UnidirectionalPath, roulette
+from djpt.media.base import Flight, of_channel
+from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.records.flags import PhaseFunctionContext
+from djpt.records.media import MediumInteraction3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, Normal3f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["VolumetricPath", "VolumetricPathState"]
+
+
+@dataclass
+class VolumetricPathState(PathState):
+    """The state of a path through media."""
+
+    channel: UInt32 | None = None
+    """The channel whose extinction samples distances; None if no medium is coloured."""
+    ratios: Color3f | None = None
+    """The densities with which each channel would have sampled the path, over their mean; None if it isn't needed."""
+
+
+class VolumetricPath(UnidirectionalPath):
+    """Unidirectional path tracing with light sampling, Russian roulette, and scattering in media.
+
+    Between two surfaces light is scattered where the flight that a medium samples ends; there the phase function is
+    what the BSDF is on a surface. Paths go straight through null surfaces, without a vertex, and so do shadow rays:
+    they are weakened by what lies between.
+
+    Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1; null surfaces don't count),
+    `rr_depth` (Russian roulette from the edge after it on, default 5), `hide_emitters`.
+
+    Draws, weights and termination are those of Mitsuba's `volpath`, with one exception: the transmittance of shadow
+    rays through homogeneous media is computed, where Mitsuba estimates it by random numbers.
+    """
+
+    schedules = ("flat", "wave")
+    follows_media = True
+    spectral_mis = False
+    """Whether a flight's density is that of all channels together: see `djpt.integrators.volpathmis`."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.rr_depth = props.integer("rr_depth", 5, low=1)
+
+    def sample(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        scene = scene.with_media()
+        if scene.media and ray.medium is None:
+            ray = ray.replaced(medium=scene.media.number_of(medium))
+        return super().sample(scene, sampler, ray, medium, active)
+
+    def start(self, scene: Scene) -> VolumetricPathState:
+        plain = super().start(scene)
+        plain.covered = Bool(False)
+        return VolumetricPathState(**vars(plain))
+
+    def begin(self, scene: Scene, sampler: SampleStream) -> VolumetricPathState:
+        state, u = self.start(scene), sampler.next_1d()
+        if scene.media.are_coloured:
+            state.channel = UInt32(dr.minimum(u * 3, 2))
+            state.ratios = Color3f(1) if self.spectral_mis else None
+        # Mitsuba draws the number of the roulette before a vertex, also before the first.
+        sampler.next_1d()
+        return state
+
+    def advance(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        assert isinstance(state, VolumetricPathState)
+        assert state.covered is not None
+        most = UNBOUNDED if self.max_depth < 0 else self.max_depth
+        ctx = BSDFContext()
+
+        # ----------------- Flight to the vertex ---------------
+        flight = Flight.none()
+        if ray.medium is not None:
+            length = dr.select(si.is_valid(), si.t, ray.maxt)
+            flight = scene.media.fly(ray, length, state.channel, sampler, scene.lookup)
+        flown, ratios = self.weighed(state, flight)
+        samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
+        inside, surface = flight.scattered, si.is_valid() & ~flight.scattered
+        throughput = state.throughput * flown
+        at = vertex_of(ray, si, flight)
+
+        # ---------------------- Emission ----------------------
+        bsdf = si.bsdf()
+        extends = state.depth + 1 < most
+        lit = extends & ((inside & samples_emitters) | (surface & has_flag(bsdf.flags(), BSDFFlags.Smooth)))
+        met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
+        mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
+        emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
+
+        # ------------ Light sampling, and the next direction ---
+        ds = light.ds
+        # In this order, since Mitsuba's C++ compiler evaluates arguments from the last to the first.
+        u2 = sampler.next_2d()
+        u1 = sampler.next_1d()
+        value, pdf, bs, weight = bsdf.eval_pdf_sample(ctx, si, si.to_local(ds.d), u1, u2, surface)
+        wo, eta = si.to_world(bs.wo), bs.eta
+        crosses = surface & has_flag(bs.sampled_type, BSDFFlags.Null)
+        next_pdf = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf)
+        if scene.media.scatter and ray.medium is not None:
+            phase = scene.media.phases(ray.medium, scene.lookup)
+            mei = MediumInteraction3f.on(ray, flight.t, at.p)
+            of_phase = phase.eval_pdf_sample(PhaseFunctionContext(None), mei, ds.d, u1, u2, inside)
+            value, pdf, wo, weight, next_pdf = dr.select(inside, of_phase, (value, pdf, wo, weight, next_pdf))
+            next_pdf = dr.select(~inside | samples_emitters, next_pdf, 0)
+            eta = dr.select(inside, 1, eta)
+        mis = dr.select(ds.delta, 1, dr.rcp(1 + dr.square(pdf * ds.weight)))
+        reflected = dr.select(lit, throughput * (value * light.weight * mis), 0)
+
+        # ------------------ Russian roulette ------------------
+        depth = dr.select(crosses, state.depth, state.depth + 1)
+        eta = None if state.eta is None else state.eta * eta
+        next_throughput, survives = roulette(sampler, throughput * dr.detach(weight), eta, depth > self.rr_depth)
+
+        # ---------------------- Next vertex -------------------
+        shadow_ray, next_ray = scene.shadow_ray(at, ds), at.spawn_ray(wo)
+        if ray.medium is not None:
+            for leaving in (shadow_ray, next_ray):
+                leaving.medium = dr.select(inside, ray.medium, leaving.medium)
+        covered = state.covered | inside | (surface & ~crosses)
+        sky = scene.environment() is not None and not self.hide_emitters
+        return Vertex(
+            emitted=emitted,
+            reflected=reflected,
+            shadow_ray=shadow_ray,
+            weight=flown * weight,
+            ray=next_ray,
+            state=replace(
+                state,
+                p=dr.select(crosses, state.p, at.p),
+                throughput=next_throughput,
+                bsdf_pdf=dr.select(crosses, state.bsdf_pdf, next_pdf),
+                eta=eta,
+                depth=depth,
+                ratios=ratios,
+                n=None if state.n is None else dr.select(crosses, state.n, at.n),
+                covered=covered,
+            ),
+            active=(inside | surface) & survives & (depth < most),
+            valid=(covered | sky) & Bool(self.max_depth != 0),
+        )
+
+    def weighed(self, state: VolumetricPathState, flight: Flight) -> tuple[Color3f, Color3f | None]:
+        """The weight of a flight: what is left over the density; and the path's `ratios` after it."""
+        if state.ratios is None:
+            return flight.value * dr.rcp(of_channel(flight.pdf, state.channel)), None
+        joint = state.ratios * flight.pdf
+        inverse = dr.rcp(dr.mean(joint))
+        return flight.value * inverse, joint * inverse
+
+    def shown(self, state: PathState, si: SurfaceInteraction3f, emitted: Color3f) -> Color3f:
+        if self.hide_emitters:
+            emitted = dr.select(state.depth == 0, 0, emitted)
+        return Color3f(0) if self.max_depth == 0 else emitted
+
+    def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
+        return light_through_null(scene, sampler, v.shadow_ray, v.reflected)
+
+
+def vertex_of(ray: Ray3f, si: SurfaceInteraction3f, flight: Flight) -> SurfaceInteraction3f:
+    """The surface point, moved to the place in the medium where light is scattered before; the normal is 0 there."""
+    inside = flight.scattered
+    at: SurfaceInteraction3f = si.replaced(
+        p=dr.select(inside, ray(flight.t), si.p), n=dr.select(inside, Normal3f(0), si.n)
+    )
+    at.found_at(dr.select(inside, flight.t, si.t), inside | si.is_valid())
+    return at
+
+
+register_integrator("volpath", VolumetricPath)
