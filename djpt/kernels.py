@@ -31,6 +31,7 @@ __all__ = [
     "opaque",
     "own_copy",
     "own_floats",
+    "recording",
     "shared",
     "wide",
 ]
@@ -49,6 +50,14 @@ def begin_trace() -> None:
     render would compile twice: once with and once without them.
     """
     dr.detail.new_scope(dr.backend_v(Float))
+
+
+def recording() -> bool:
+    """Whether `dr.freeze` records what is computed now, to repeat it with other arrays.
+
+    Arrays must not be read on the host then, nor be made of memory that Dr.Jit doesn't own: see docs/frozen-loops.md.
+    """
+    return bool(dr.flag(dr.JitFlag.FreezingScope))
 
 
 # ---- inputs ----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.description.held import Held, Structure
 from djpt.description.numeric import as_array, as_integer, as_number, describe, is_readable
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
@@ -131,6 +132,8 @@ class SceneParameters(Mapping[str, Any]):
     A scene is brought up to date by the parameters of the scene, not by those of a part of it.
     Iterating yields the keys, as any mapping does (Mitsuba yields pairs: use `items`).
     """
+
+    DRJIT_STRUCT = Held()
 
     def __init__(self, root: Plugin, entries: Mapping[str, Entry], parents: Mapping[int, Plugin | None]) -> None:
         self._root = root
@@ -283,6 +286,11 @@ class SceneParameters(Mapping[str, Any]):
                 keys.add(names.pop())
                 node = self._parents[id(node)]
         return [(node, keys) for _, node, keys in sorted(found.values(), key=lambda item: -item[0])]
+
+    @property
+    def held(self) -> list[Any]:
+        """The names of the parameters, and what functions frozen by `dr.freeze` see of their root."""
+        return [Structure(tuple(self._entries)), *self._root.held]
 
     # ---- display -------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -25,6 +26,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
+from djpt.kernels import recording
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
@@ -168,6 +170,10 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         if shapes or any(plugin.kind in ("emitter", "texture") for plugin in changed):
             self._choices.clear()
         self._prepare()
+
+    def prepare_to_record(self) -> None:
+        if not recording():
+            importlib.import_module("djpt.rendering").prepare_to_record(self)
 
     def _view(self) -> Scene:
         """A shallow copy, to be changed in what makes it a view."""

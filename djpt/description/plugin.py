@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.backends import variant
+from djpt.description.held import Holder
 from djpt.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class Inferred:
         return getattr(sorts_of(plugin), self.sort)
 
 
-class Plugin:
+class Plugin(Holder):
     """A node of the scene: built from checked properties, edited through `traverse()`.
 
     A plugin has four sorts of attributes, which its class declares:

@@ -16,6 +16,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.description.held import SHARED
 from djpt.errors import DjptError
 from djpt.llvm.lanes import core_path, lane_count
 from djpt.types import Float, UInt32
@@ -49,6 +50,7 @@ class Code:
         word = UInt32(np.ctypeslib.as_array((ctypes.c_uint32 * 1).from_address(address)))
         if core().address_of(word) != address:
             raise CallError("Dr.Jit doesn't share the memory of functions")
+        SHARED.append(word)
         return Code(word)
 
 

@@ -9,17 +9,20 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.properties import Properties
+from djpt.films.base import Film
 from djpt.geometry.ray_queries import asked_for
+from djpt.integrators.base import Integrator
 from djpt.llvm.calls import Code, call, reason_against
 from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.rfilters.tent import Tent
+from djpt.schedules.job import image_channels
 from djpt.schedules.reconstruction import Read
 from djpt.schedules.tap_function import ADD_SAMPLES, CHANNELS, Taps, tap_function
 from djpt.types import ArrayXf, Bool, Float, Point2f, UInt32
 
-__all__ = ["CalledSums", "reader", "usable"]
+__all__ = ["CalledSums", "prepare_sums", "reader", "usable"]
 
 
 class CalledSums:
@@ -63,6 +66,13 @@ def reader(memory: Float, taps: Taps, row: int) -> Read:
         return list(sums)
 
     return tap
+
+
+def prepare_sums(film: Film, integrator: Integrator) -> None:
+    """Compile the function that adds an integrator's samples to a film, if they are added by calls."""
+    taps = Taps(film.taps, len(image_channels(film, integrator)))
+    if film.filters and "flat" in integrator.schedules and usable(taps, film.rfilter()):
+        function(tap_function(taps, film.rfilter(), lane_count()))
 
 
 @cache

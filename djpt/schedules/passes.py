@@ -13,6 +13,7 @@ from typing import TypeVar
 import drjit as dr
 
 from djpt.errors import RenderError
+from djpt.kernels import recording
 from djpt.llvm.lanes import small_blocks
 from djpt.schedules.canvas import Canvas
 from djpt.schedules.job import Band, Job
@@ -193,7 +194,8 @@ def one_ahead(items: Iterable[T]) -> Iterator[T]:
     """
     before = None
     for number, item in enumerate(items):
-        if number:
+        # Nobody waits between the kernels of a frozen function.
+        if number and not recording():
             launched = Event()
             launched.record()
             if before is not None:
