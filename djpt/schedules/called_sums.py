@@ -31,7 +31,7 @@ class CalledSums:
     def __init__(self, taps: Taps, rfilter: ReconstructionFilter, lanes: int, memory: Float | None = None) -> None:
         """Begin with the sums in `memory`, which is written to, or with zeros."""
         self.memory = dr.opaque(Float, 0, lanes * taps.sums) if memory is None else memory
-        self._code = function(tap_function(taps, rfilter, lane_count()))
+        self._code = function(taps, rfilter)
         self._lane, self._lanes = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes)
 
     def add(self, corner: Point2f, offset: Point2f, channels: list[Float], active: Bool) -> Bool:
@@ -72,13 +72,29 @@ def prepare_sums(film: Film, integrator: Integrator) -> None:
     """Compile the function that adds an integrator's samples to a film, if they are added by calls."""
     taps = Taps(film.taps, len(image_channels(film, integrator)))
     if film.filters and "flat" in integrator.schedules and usable(taps, film.rfilter()):
-        function(tap_function(taps, film.rfilter(), lane_count()))
+        function(taps, film.rfilter())
 
 
-@cache
-def function(text: str) -> Code:
-    """A function, compiled at the first call."""
-    return Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+_functions: dict[Any, Code] = {}
+"""The functions that have been compiled, by their text, and by what it is written from."""
+
+
+def function(taps: Taps, rfilter: ReconstructionFilter) -> Code:
+    """The function that adds samples to the pixels around their own, compiled at the first call."""
+    width = lane_count()
+    key = (taps, width, type(rfilter), *((k, v) for k, v in vars(rfilter).items() if k != "_id"))
+    try:
+        known = _functions.get(key)
+    except TypeError:  # a filter of a script, with attributes that can't be compared
+        key, known = None, None
+    if known is None:
+        text = tap_function(taps, rfilter, width)
+        if text not in _functions:
+            _functions[text] = Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+        known = _functions[text]
+        if key is not None:
+            _functions[key] = known
+    return known
 
 
 def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
