@@ -24,6 +24,7 @@ __all__ = [
     "as_vector",
     "begin_trace",
     "float_in",
+    "if_stmt",
     "loop_traced_once",
     "mapped",
     "maximum",
@@ -33,6 +34,7 @@ __all__ = [
     "own_floats",
     "recording",
     "shared",
+    "while_loop",
     "wide",
 ]
 
@@ -78,6 +80,22 @@ def as_float(value: float) -> Float:
 def as_vector(v: NDArray[np.floating[Any]]) -> Vector3f:
     """An opaque vector of width 1 from three numbers."""
     return Vector3f(*(as_float(float(x)) for x in v))
+
+
+# ---- loops and branches ----------------------------------------------------------------------
+#
+# Dr.Jit can also evaluate loops turn by turn, if its flags say so: for loops that scripts debug. Those of
+# djpt keep stacks and sums in local memory, which aborts the process then, so they don't ask the flags.
+
+
+def while_loop(state: Any, condition: Any, body: Any, **options: Any) -> Any:
+    """A loop of Dr.Jit that becomes part of a kernel, whatever the flags say. Arguments as for `dr.while_loop`."""
+    return dr.while_loop(state, condition, body, mode="symbolic", **options)
+
+
+def if_stmt(arguments: Any, condition: Any, true_fn: Any, false_fn: Any, **options: Any) -> Any:
+    """A branch of Dr.Jit that becomes part of a kernel, whatever the flags say. Arguments as for `dr.if_stmt`."""
+    return dr.if_stmt(arguments, condition, true_fn, false_fn, mode="symbolic", **options)
 
 
 # ---- loop state ------------------------------------------------------------------------------
@@ -131,7 +149,7 @@ def loop_traced_once(start: T, condition: Callable[[T], Bool], body: Callable[[T
             return body(state)
 
     with dr.scoped_set_flag(optimise, False):
-        result: tuple[T] = dr.while_loop((start,), condition, traced, label=label)
+        result: tuple[T] = while_loop((start,), condition, traced, label=label)
     return result
 
 

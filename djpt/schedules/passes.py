@@ -13,7 +13,7 @@ from typing import TypeVar
 import drjit as dr
 
 from djpt.errors import RenderError
-from djpt.kernels import recording
+from djpt.kernels import recording, while_loop
 from djpt.llvm.lanes import small_blocks
 from djpt.schedules.canvas import Canvas
 from djpt.schedules.job import Band, Job
@@ -141,7 +141,7 @@ def total(job: Job, band: Band, sums: list[Float]) -> list[Float]:
         return g + 1, [o + dr.gather(Float, s, dr.fma(g, stride, pixel)) for o, s in zip(out, sums, strict=True)]
 
     start = [dr.opaque(Float, 0, pixels) for _ in sums]
-    _, result = dr.while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
+    _, result = while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
     dr.eval(result)
     return result
 
