@@ -27,6 +27,7 @@ __all__ = [
     "if_stmt",
     "loop_traced_once",
     "mapped",
+    "may_wait",
     "maximum",
     "minimum",
     "opaque",
@@ -60,6 +61,11 @@ def recording() -> bool:
     Arrays must not be read on the host then, nor be made of memory that Dr.Jit doesn't own: see docs/frozen-loops.md.
     """
     return bool(dr.flag(dr.JitFlag.FreezingScope))
+
+
+def may_wait() -> Any:
+    """A context in which the host may wait for kernels, although `dr.JitFlag.ForbidSynchronization` is set."""
+    return dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False)
 
 
 # ---- inputs ----------------------------------------------------------------------------------
@@ -215,7 +221,8 @@ def own_array(kind: type[T], values: NDArray[Any]) -> T:
         return kind()
     memory = dr.empty(kind, len(values))
     # The host sees the same memory, once no kernel uses what stood there before.
-    np.asarray(memory)[:] = values
+    with may_wait():
+        np.asarray(memory)[:] = values
     return memory
 
 

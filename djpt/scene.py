@@ -26,7 +26,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
-from djpt.kernels import recording
+from djpt.kernels import may_wait, recording
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
@@ -75,7 +75,8 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
         self._environment = infinite[0] if infinite else None
-        self._compile()
+        with may_wait():
+            self._compile()
 
     def _of_kind(self, kind: str) -> list[Any]:
         return [plugin for _, plugin in self.named if plugin.kind == kind]

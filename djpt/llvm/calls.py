@@ -18,6 +18,7 @@ import numpy as np
 
 from djpt.description.held import SHARED
 from djpt.errors import DjptError
+from djpt.kernels import may_wait
 from djpt.llvm.lanes import core_path, lane_count
 from djpt.types import Float, UInt32
 
@@ -130,6 +131,7 @@ def reason_against(proved: Callable[[], bool], otherwise: str) -> str | None:
     try:
         if lane_count() not in WIDTHS:
             return f"packets have {lane_count()} lanes"
-        return None if proved() else otherwise
+        with may_wait():
+            return None if proved() else otherwise
     except (CallError, DjptError, OSError, AttributeError) as error:
         return str(error)
