@@ -27,13 +27,12 @@ __all__ = [
     "if_stmt",
     "loop_traced_once",
     "mapped",
-    "may_wait",
     "maximum",
+    "may_wait",
     "minimum",
     "opaque",
     "own_copy",
     "own_floats",
-    "recording",
     "shared",
     "while_loop",
     "wide",
@@ -53,14 +52,6 @@ def begin_trace() -> None:
     render would compile twice: once with and once without them.
     """
     dr.detail.new_scope(dr.backend_v(Float))
-
-
-def recording() -> bool:
-    """Whether `dr.freeze` records what is computed now, to repeat it with other arrays.
-
-    Arrays must not be read on the host then, nor be made of memory that Dr.Jit doesn't own: see docs/frozen-loops.md.
-    """
-    return bool(dr.flag(dr.JitFlag.FreezingScope))
 
 
 def may_wait() -> Any:

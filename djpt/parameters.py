@@ -11,8 +11,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.description.held import Held, Structure
-from djpt.description.numeric import as_array, as_integer, as_number, describe, is_readable
+from djpt.description.frozen import Held, Structure, recording
+from djpt.description.numeric import as_array, as_integer, as_number, describe
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
@@ -368,6 +368,6 @@ def convert_array(value: Any, current: Any) -> Any:
         raise SceneError(f"must be {wanted}, found {describe(value)}") from error
     if not dr.is_tensor_v(target) and dr.width(current) == 1 != dr.width(converted):
         raise SceneError(f"must be {wanted}, found {describe(value)}")
-    if is_readable():
+    if not recording():
         as_array(dr.detach(converted))  # raises if a number isn't finite
     return converted

@@ -7,11 +7,12 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.description.frozen import recording
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
-from djpt.kernels import begin_trace, recording
+from djpt.kernels import begin_trace
 from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
 from djpt.schedules.base import Schedule
@@ -163,9 +164,12 @@ def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tupl
 
 
 def prepare_to_record(scene: Scene) -> None:
-    """Compile the functions that add samples to the films of a scene, which a frozen function must know beforehand."""
+    """Make what a frozen function can't make when it renders a scene, and what needs the values of parameters."""
+    integrator = find_integrator(scene, None)
     for sensor in scene.sensors():
-        prepare_sums(sensor.film(), find_integrator(scene, None))
+        prepare_sums(sensor.film(), integrator)
+        sensor.film().reserve(channel_names(scene, sensor))
+    integrator.prepare_scene(scene.choosing_emitters(integrator.emitter_choice))
 
 
 # ---- what is rendered -------------------------------------------------------------------------

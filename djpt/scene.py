@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.description.frozen import recording
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register
@@ -26,7 +27,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
-from djpt.kernels import may_wait, recording
+from djpt.kernels import may_wait
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
@@ -96,6 +97,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         self._set_bounds()
         self._prepare()
         self._choices: dict[str, EmitterChoice] = {}
+        self._brightness: list[float] = []
         self._choice_name = "uniform"
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
@@ -170,6 +172,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
             self._set_bounds()
         if shapes or any(plugin.kind in ("emitter", "texture") for plugin in changed):
             self._choices.clear()
+            self._brightness.clear()
         self._prepare()
 
     def prepare_to_record(self) -> None:

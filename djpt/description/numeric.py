@@ -25,7 +25,6 @@ __all__ = [
     "as_vector",
     "cross_product",
     "describe",
-    "is_readable",
     "non_negative",
 ]
 
@@ -50,11 +49,6 @@ def describe(value: Any) -> str:
         text = ""
     name = type(value).__name__
     return text if text.startswith(name) else f"{name} {text}".rstrip()
-
-
-def is_readable() -> bool:
-    """Whether the contents of arrays can be read now; false while `dr.freeze` records: values aren't checked then."""
-    return not dr.flag(dr.JitFlag.FreezingScope)
 
 
 def as_array(value: Any) -> NDArray[np.float64]:

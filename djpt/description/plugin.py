@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.backends import variant
-from djpt.description.held import Holder
+from djpt.description.frozen import Holder
 from djpt.errors import ParameterError
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.description.held import SHARED
+from djpt.description.frozen import SHARED
 from djpt.errors import DjptError
 from djpt.kernels import may_wait
 from djpt.llvm.lanes import core_path, lane_count

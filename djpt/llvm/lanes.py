@@ -12,8 +12,8 @@ from pathlib import Path
 import drjit as dr
 
 from djpt.backends import VARIANTS, variant
+from djpt.description.frozen import recording
 from djpt.errors import BackendError
-from djpt.kernels import recording
 
 __all__ = [
     "BLOCK",

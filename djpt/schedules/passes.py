@@ -12,8 +12,9 @@ from typing import TypeVar
 
 import drjit as dr
 
+from djpt.description.frozen import recording
 from djpt.errors import RenderError
-from djpt.kernels import recording, while_loop
+from djpt.kernels import while_loop
 from djpt.llvm.lanes import small_blocks
 from djpt.schedules.canvas import Canvas
 from djpt.schedules.job import Band, Job

@@ -13,7 +13,8 @@ from typing import Any, Protocol
 import drjit as dr
 import numpy as np
 
-from djpt.kernels import aligned, recording
+from djpt.description.frozen import recording
+from djpt.kernels import aligned
 from djpt.schedules.called_sums import CalledSums
 from djpt.schedules.job import Band, Job
 from djpt.schedules.reconstruction import add_taps

@@ -20,7 +20,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-__all__ = ["SHARED", "Held", "Holder", "Structure"]
+__all__ = ["SHARED", "Held", "Holder", "Structure", "recording"]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
@@ -29,6 +29,14 @@ PLAIN = (bool, int, float, complex, str, bytes, type(None), type, Enum, np.gener
 
 SMALL = 64
 """Arrays of NumPy up to this size are compared by their numbers, larger ones by identity."""
+
+
+def recording() -> bool:
+    """Whether `dr.freeze` records what is computed now, to repeat it with other arrays.
+
+    Arrays can't be read on the host then, nor be made of memory that Dr.Jit doesn't own.
+    """
+    return bool(dr.flag(dr.JitFlag.FreezingScope))
 
 
 class Structure:
@@ -91,7 +99,7 @@ class Inventory:
         if isinstance(value, PLAIN):
             self._parts.append(value)
         elif dr.is_array_v(value):
-            if dr.is_jit_v(value):
+            if dr.is_jit_v(value) and dr.width(value):
                 self._arrays.append(value)
             else:
                 self._parts.append(repr(value))
