@@ -1,4 +1,4 @@
-"""What an object holds, as functions frozen by `dr.freeze` see it.
+"""What functions frozen by `dr.freeze` see of an object, and whether one of them is being recorded.
 
 A frozen function launches the kernels of an earlier call again, with new arrays. It must therefore be told all arrays
 that its kernels read, and everything else that shaped them. Dr.Jit looks for a `DRJIT_STRUCT`; here it finds one
@@ -9,10 +9,11 @@ where it differs the function is traced again.
 
 from __future__ import annotations
 
+import inspect
 import operator
 import types
 import weakref
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterable
 from enum import Enum
 from functools import partial
 from typing import Any
@@ -24,6 +25,8 @@ __all__ = ["SHARED", "Held", "Holder", "Structure", "recording"]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
+
+Container = list[Any] | dict[Any, Any]
 
 PLAIN = (bool, int, float, complex, str, bytes, type(None), type, Enum, np.generic)
 
@@ -74,15 +77,15 @@ class Inventory:
 
     def __init__(self, root: Any) -> None:
         self._root = weakref.ref(root)
-        self._parts: list[Hashable] = [self._root]
+        self._parts: list[Any] = [self._root]
         self._arrays: list[Any] = []
-        self._visited: dict[int, Any] = {}
-        self._contents: list[tuple[dict[str, Any] | list[Any] | dict[Any, Any], tuple[Any, ...]]] = []
+        self._visited: dict[int, tuple[int, Any]] = {}
+        self._contents: list[tuple[Container, tuple[Any, ...]]] = []
         self._visit_members(root)
         self._shared = len(SHARED)
         self.list = [Structure(tuple(self._parts)), *self._arrays, *SHARED]
         """The structure, and the arrays in an order that depends on the structure alone."""
-        del self._parts, self._arrays
+        del self._parts, self._arrays, self._visited
 
     def is_current(self, root: Any) -> bool:
         """Whether everything is still where it was; arrays may have been changed in place."""
@@ -90,7 +93,7 @@ class Inventory:
             self._root() is root
             and self._shared == len(SHARED)
             and all(
-                len(holder) == len(before) and all(map(operator.is_, now(holder), before))
+                len(holder) == len(before) and all(map(operator.is_, values_of(holder), before))
                 for holder, before in self._contents
             )
         )
@@ -104,9 +107,10 @@ class Inventory:
             else:
                 self._parts.append(repr(value))
         elif id(value) in self._visited:
-            self._parts.append(type(value))
+            self._parts.append(self._visited[id(value)][0])
         else:
-            self._visited[id(value)] = value
+            # The object is kept beside its number so that its id stays taken.
+            self._visited[id(value)] = (len(self._visited), value)
             self._parts.append(type(value))
             self._visit_members(value)
 
@@ -116,7 +120,7 @@ class Inventory:
             small = value.size <= SMALL and value.dtype != object
             self._parts.append((value.shape, value.tobytes()) if small else Same(value))
         elif isinstance(value, (frozenset, set)):
-            self._parts.append(len(value))
+            self._parts.append(frozenset(entry for entry in value if isinstance(entry, PLAIN)))
         elif isinstance(value, tuple):
             self._visit_all(value)
         elif isinstance(value, list):
@@ -136,32 +140,32 @@ class Inventory:
         for value in values:
             self._visit(value)
 
-    def _noted(self, holder: Any) -> tuple[Any, ...]:
+    def _noted(self, holder: Container) -> tuple[Any, ...]:
         """The values in a list or dict, as they are now."""
-        values = tuple(now(holder))
+        values = tuple(values_of(holder))
         self._contents.append((holder, values))
         return values
 
 
-def now(holder: Any) -> Iterator[Any]:
-    """The values in a list or dict; but not the inventories that holders keep."""
-    values: Iterator[Any] = iter(holder.values() if isinstance(holder, dict) else holder)
-    return values
+def values_of(holder: Container) -> Iterable[Any]:
+    """The values in a list or dict."""
+    return holder.values() if isinstance(holder, dict) else holder
 
 
 def members(value: Any) -> tuple[Any, ...]:
     """What an object refers to besides its attributes."""
     if isinstance(value, types.FunctionType):
-        return tuple(cell.cell_contents for cell in value.__closure__ or ())
+        return tuple(inspect.getclosurevars(value).nonlocals.values()) if value.__closure__ else ()
     if isinstance(value, types.MethodType):
         return value.__self__, value.__func__
     if isinstance(value, partial):
         return value.func, value.args, value.keywords
     slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
-    return tuple(getattr(value, name) for name in slots if name != "__weakref__" and hasattr(value, name))
+    return tuple(getattr(value, name) for name in slots if name not in UNSEEN and hasattr(value, name))
 
 
-_inventories: weakref.WeakKeyDictionary[Any, Any] = weakref.WeakKeyDictionary()
+UNSEEN = ("__weakref__", "_inventory")
+"""Slots that say nothing of an object."""
 
 
 class Held:
@@ -179,6 +183,8 @@ class Held:
 class Holder:
     """An object that tells frozen functions what it holds."""
 
+    # A slot, since the attributes of plugins may be inputs of kernels, and copies share them.
+    __slots__ = ("_inventory",)
     DRJIT_STRUCT = Held()
 
     def prepare_to_record(self) -> None:
@@ -187,9 +193,8 @@ class Holder:
     @property
     def held(self) -> list[Any]:
         """The structure of the object, and the arrays that can be reached from it: see `Inventory`."""
-        found = _inventories.get(self)
+        found: Inventory | None = getattr(self, "_inventory", None)
         if found is None or not found.is_current(self):
             self.prepare_to_record()
-            found = Inventory(self)
-            _inventories[self] = found
+            found = self._inventory = Inventory(self)
         return list(found.list)

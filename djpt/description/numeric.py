@@ -14,6 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.frozen import recording
 from djpt.errors import SceneError
 
 __all__ = [
@@ -63,6 +64,11 @@ def as_array(value: Any) -> NDArray[np.float64]:
     jit = dr.is_array_v(value)
     if jit and dr.grad_enabled(value):
         raise SceneError("must be plain numbers, found an array with gradients, which would be lost here")
+    if jit and recording() and value.state != dr.VarState.Literal:
+        raise SceneError(
+            "can't be read while dr.freeze records a function: its value is another one in the next call; "
+            "set it before the call, or make the function's other results depend on it"
+        )
     try:
         found = from_device(dr.detach(value)) if jit else np.array(value)
         if found.dtype.kind not in "iuf":

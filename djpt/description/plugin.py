@@ -18,7 +18,7 @@ from djpt.errors import ParameterError
 if TYPE_CHECKING:
     from djpt.description.properties import Properties
 
-__all__ = ["ParamFlags", "Plugin", "TraversalCallback"]
+__all__ = ["ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 
 
 INFERRED = ("bsdf", "emitter", "texture")

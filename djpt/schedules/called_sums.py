@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.description.plugin import is_plain
 from djpt.description.properties import Properties
 from djpt.films.base import Film
 from djpt.geometry.ray_queries import asked_for
@@ -76,25 +77,19 @@ def prepare_sums(film: Film, integrator: Integrator) -> None:
 
 
 _functions: dict[Any, Code] = {}
-"""The functions that have been compiled, by their text, and by what it is written from."""
+"""The functions that have been compiled, by what they are written from."""
 
 
 def function(taps: Taps, rfilter: ReconstructionFilter) -> Code:
     """The function that adds samples to the pixels around their own, compiled at the first call."""
     width = lane_count()
-    key = (taps, width, type(rfilter), *((k, v) for k, v in vars(rfilter).items() if k != "_id"))
-    try:
-        known = _functions.get(key)
-    except TypeError:  # a filter of a script, with attributes that can't be compared
-        key, known = None, None
-    if known is None:
+    attributes = tuple((name, value) for name, value in vars(rfilter).items() if name != "_id")
+    # A filter of a script may have attributes that can't be compared.
+    key: Any = (taps, width, type(rfilter), attributes) if is_plain(attributes) else tap_function(taps, rfilter, width)
+    if key not in _functions:
         text = tap_function(taps, rfilter, width)
-        if text not in _functions:
-            _functions[text] = Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
-        known = _functions[text]
-        if key is not None:
-            _functions[key] = known
-    return known
+        _functions[key] = Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+    return _functions[key]
 
 
 def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
