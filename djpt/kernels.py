@@ -15,6 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.numeric import may_wait
 from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
@@ -28,7 +29,6 @@ __all__ = [
     "loop_traced_once",
     "mapped",
     "maximum",
-    "may_wait",
     "minimum",
     "opaque",
     "own_copy",
@@ -52,11 +52,6 @@ def begin_trace() -> None:
     render would compile twice: once with and once without them.
     """
     dr.detail.new_scope(dr.backend_v(Float))
-
-
-def may_wait() -> Any:
-    """A context in which the host may wait for kernels, although `dr.JitFlag.ForbidSynchronization` is set."""
-    return dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False)
 
 
 # ---- inputs ----------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import Held, Structure, recording
-from djpt.description.numeric import as_array, as_integer, as_number, describe
+from djpt.description.numeric import as_array, as_integer, as_number, describe, may_wait
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
@@ -272,7 +272,8 @@ class SceneParameters(Mapping[str, Any]):
         refresh = getattr(self._root, "refresh", None)
         if told and refresh is not None:
             edited = {id(entry.owner) for entry, _ in changes}
-            refresh([node for node, _ in told if id(node) in edited])
+            with may_wait():
+                refresh([node for node, _ in told if id(node) in edited])
         return told
 
     def _who_must_know(self, changed: Iterable[Entry]) -> list[tuple[Plugin, set[str]]]:
@@ -315,8 +316,9 @@ class SceneParameters(Mapping[str, Any]):
 
 def tell(told: Iterable[tuple[Plugin, set[str]]]) -> None:
     """Let plugins recompute what they derive from changed parameters."""
-    for node, keys in told:
-        node.parameters_changed(sorted(keys))
+    with may_wait():
+        for node, keys in told:
+            node.parameters_changed(sorted(keys))
 
 
 def state_of(value: Any) -> Any:

@@ -11,6 +11,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording
+from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register
@@ -22,12 +23,11 @@ from djpt.emitters import Emitter
 from djpt.emitters.choice import EmitterChoice, make_choice
 from djpt.emitters.choice.questions import LightQuestions
 from djpt.emitters.choice.sampling import LightSampling
-from djpt.errors import SceneError
+from djpt.errors import ParameterError, SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
-from djpt.kernels import may_wait
 from djpt.materials import BSDF
 from djpt.media.absorption import AbsorbingMedia
 from djpt.records import (
@@ -154,6 +154,8 @@ class Scene(RayQuestions, LightQuestions, Plugin):
     def refresh(self, changed: Sequence[Plugin]) -> None:
         """Renew what was derived from the parameters of the `changed` plugins."""
         assert isinstance(self.lookup, Detached)
+        if recording():
+            self._require_editable(changed)
         self.lookup.forget()
         self._families.clear()
         for shape in self._shapes:
@@ -178,6 +180,15 @@ class Scene(RayQuestions, LightQuestions, Plugin):
     def prepare_to_record(self) -> None:
         if not recording():
             importlib.import_module("djpt.rendering").prepare_to_record(self)
+
+    def _require_editable(self, plugins: Sequence[Plugin]) -> None:
+        """Raise `ParameterError` if an edit of `plugins` can't be part of a frozen function."""
+        for plugin in plugins:
+            if plugin.kind in ("shape", "sensor"):
+                raise ParameterError(
+                    f"{plugin.id()}: {plugin.kind}s can't be edited while dr.freeze records a function, "
+                    "since the host computes what follows: call update() before the function"
+                )
 
     def _view(self) -> Scene:
         """A shallow copy, to be changed in what makes it a view."""

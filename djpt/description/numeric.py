@@ -26,6 +26,7 @@ __all__ = [
     "as_vector",
     "cross_product",
     "describe",
+    "may_wait",
     "non_negative",
 ]
 
@@ -52,6 +53,11 @@ def describe(value: Any) -> str:
     return text if text.startswith(name) else f"{name} {text}".rstrip()
 
 
+def may_wait() -> Any:
+    """A context in which the host may wait for kernels, although `dr.JitFlag.ForbidSynchronization` is set."""
+    return dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False)
+
+
 def as_array(value: Any) -> NDArray[np.float64]:
     """Convert `value` to float64 numbers; the lane axis of width-1 Dr.Jit arrays is dropped.
 
@@ -70,7 +76,8 @@ def as_array(value: Any) -> NDArray[np.float64]:
             "set it before the call, or make the function's other results depend on it"
         )
     try:
-        found = from_device(dr.detach(value)) if jit else np.array(value)
+        with may_wait():
+            found = from_device(dr.detach(value)) if jit else np.array(value)
         if found.dtype.kind not in "iuf":
             raise SceneError(f"must be numbers, found {describe(value)}")
         # Always a new array, which its owner may change.
