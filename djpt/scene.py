@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.frozen import recording
+from djpt.description.frozen import recording, require_editable
 from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
@@ -23,7 +23,7 @@ from djpt.emitters import Emitter
 from djpt.emitters.choice import EmitterChoice, make_choice
 from djpt.emitters.choice.questions import LightQuestions
 from djpt.emitters.choice.sampling import LightSampling
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
@@ -154,8 +154,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
     def refresh(self, changed: Sequence[Plugin]) -> None:
         """Renew what was derived from the parameters of the `changed` plugins."""
         assert isinstance(self.lookup, Detached)
-        if recording():
-            self._require_editable(changed)
+        require_editable(changed)
         self.lookup.forget()
         self._families.clear()
         for shape in self._shapes:
@@ -180,15 +179,6 @@ class Scene(RayQuestions, LightQuestions, Plugin):
     def prepare_to_record(self) -> None:
         if not recording():
             importlib.import_module("djpt.rendering").prepare_to_record(self)
-
-    def _require_editable(self, plugins: Sequence[Plugin]) -> None:
-        """Raise `ParameterError` if an edit of `plugins` can't be part of a frozen function."""
-        for plugin in plugins:
-            if plugin.kind in ("shape", "sensor"):
-                raise ParameterError(
-                    f"{plugin.id()}: {plugin.kind}s can't be edited while dr.freeze records a function, "
-                    "since the host computes what follows: call update() before the function"
-                )
 
     def _view(self) -> Scene:
         """A shallow copy, to be changed in what makes it a view."""
@@ -258,14 +248,6 @@ class Scene(RayQuestions, LightQuestions, Plugin):
     def sensors_dr(self) -> list[Sensor]:
         """All sensors."""
         return self.sensors()
-
-    def silhouette_shapes(self) -> list[Shape]:
-        """None: derivatives by silhouettes aren't computed."""
-        return []
-
-    def shapes_grad_enabled(self) -> bool:
-        """False: there are no gradients by geometry."""
-        return False
 
     def shape_types(self) -> int:
         """The kinds of the shapes: their `ShapeType`s, combined."""

@@ -21,7 +21,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-__all__ = ["SHARED", "Held", "Holder", "Structure", "recording"]
+from djpt.errors import ParameterError
+
+__all__ = ["SHARED", "Held", "Holder", "Structure", "recording", "require_editable"]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
@@ -40,6 +42,16 @@ def recording() -> bool:
     Arrays can't be read on the host then, nor be made of memory that Dr.Jit doesn't own.
     """
     return bool(dr.flag(dr.JitFlag.FreezingScope))
+
+
+def require_editable(plugins: Iterable[Any]) -> None:
+    """Raise `ParameterError` if an edit of some plugins can't be part of a frozen function that is recorded now."""
+    for plugin in plugins:
+        if plugin.kind in ("shape", "sensor") and recording():
+            raise ParameterError(
+                f"{plugin.id()}: {plugin.kind}s can't be edited while dr.freeze records a function, "
+                "since the host computes what follows: call update() before the function"
+            )
 
 
 class Structure:
