@@ -207,7 +207,7 @@ def __getattr__(name: str) -> Any:
 
 def _hint(name: str) -> str:
     """Why Mitsuba's name is left out, or which name is like it."""
-    if name.startswith("_"):
+    if name.startswith(("_", "DRJIT_")):  # protocols that others look for, Dr.Jit in each call of a frozen function
         return ""
     why = importlib.import_module("djpt.scripting.exclusions").reason(name)
     if why:

@@ -15,6 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.numeric import may_wait
 from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "as_vector",
     "begin_trace",
     "float_in",
+    "if_stmt",
     "loop_traced_once",
     "mapped",
     "maximum",
@@ -32,6 +34,7 @@ __all__ = [
     "own_copy",
     "own_floats",
     "shared",
+    "while_loop",
     "wide",
 ]
 
@@ -69,6 +72,22 @@ def as_float(value: float) -> Float:
 def as_vector(v: NDArray[np.floating[Any]]) -> Vector3f:
     """An opaque vector of width 1 from three numbers."""
     return Vector3f(*(as_float(float(x)) for x in v))
+
+
+# ---- loops and branches ----------------------------------------------------------------------
+#
+# Dr.Jit can also evaluate loops turn by turn, if its flags say so: for loops that scripts debug. Those of
+# djpt keep stacks and sums in local memory, which aborts the process then, so they don't ask the flags.
+
+
+def while_loop(state: Any, condition: Any, body: Any, **options: Any) -> Any:
+    """A loop of Dr.Jit that becomes part of a kernel, whatever the flags say. Arguments as for `dr.while_loop`."""
+    return dr.while_loop(state, condition, body, mode="symbolic", **options)
+
+
+def if_stmt(arguments: Any, condition: Any, true_fn: Any, false_fn: Any, **options: Any) -> Any:
+    """A branch of Dr.Jit that becomes part of a kernel, whatever the flags say. Arguments as for `dr.if_stmt`."""
+    return dr.if_stmt(arguments, condition, true_fn, false_fn, mode="symbolic", **options)
 
 
 # ---- loop state ------------------------------------------------------------------------------
@@ -122,7 +141,7 @@ def loop_traced_once(start: T, condition: Callable[[T], Bool], body: Callable[[T
             return body(state)
 
     with dr.scoped_set_flag(optimise, False):
-        result: tuple[T] = dr.while_loop((start,), condition, traced, label=label)
+        result: tuple[T] = while_loop((start,), condition, traced, label=label)
     return result
 
 
@@ -188,7 +207,8 @@ def own_array(kind: type[T], values: NDArray[Any]) -> T:
         return kind()
     memory = dr.empty(kind, len(values))
     # The host sees the same memory, once no kernel uses what stood there before.
-    np.asarray(memory)[:] = values
+    with may_wait():
+        np.asarray(memory)[:] = values
     return memory
 
 

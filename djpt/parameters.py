@@ -11,7 +11,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import as_array, as_integer, as_number, describe, is_readable
+from djpt.description.frozen import Held, Structure, recording
+from djpt.description.numeric import as_array, as_integer, as_number, describe, may_wait
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.transforms import ScalarTransform4f
@@ -131,6 +132,8 @@ class SceneParameters(Mapping[str, Any]):
     A scene is brought up to date by the parameters of the scene, not by those of a part of it.
     Iterating yields the keys, as any mapping does (Mitsuba yields pairs: use `items`).
     """
+
+    DRJIT_STRUCT = Held()
 
     def __init__(self, root: Plugin, entries: Mapping[str, Entry], parents: Mapping[int, Plugin | None]) -> None:
         self._root = root
@@ -269,7 +272,8 @@ class SceneParameters(Mapping[str, Any]):
         refresh = getattr(self._root, "refresh", None)
         if told and refresh is not None:
             edited = {id(entry.owner) for entry, _ in changes}
-            refresh([node for node, _ in told if id(node) in edited])
+            with may_wait():
+                refresh([node for node, _ in told if id(node) in edited])
         return told
 
     def _who_must_know(self, changed: Iterable[Entry]) -> list[tuple[Plugin, set[str]]]:
@@ -283,6 +287,11 @@ class SceneParameters(Mapping[str, Any]):
                 keys.add(names.pop())
                 node = self._parents[id(node)]
         return [(node, keys) for _, node, keys in sorted(found.values(), key=lambda item: -item[0])]
+
+    @property
+    def held(self) -> list[Any]:
+        """The names of the parameters, and what functions frozen by `dr.freeze` see of their root."""
+        return [Structure(tuple(self._entries)), *self._root.held]
 
     # ---- display -------------------------------------------------------------------------
 
@@ -307,8 +316,9 @@ class SceneParameters(Mapping[str, Any]):
 
 def tell(told: Iterable[tuple[Plugin, set[str]]]) -> None:
     """Let plugins recompute what they derive from changed parameters."""
-    for node, keys in told:
-        node.parameters_changed(sorted(keys))
+    with may_wait():
+        for node, keys in told:
+            node.parameters_changed(sorted(keys))
 
 
 def state_of(value: Any) -> Any:
@@ -360,6 +370,6 @@ def convert_array(value: Any, current: Any) -> Any:
         raise SceneError(f"must be {wanted}, found {describe(value)}") from error
     if not dr.is_tensor_v(target) and dr.width(current) == 1 != dr.width(converted):
         raise SceneError(f"must be {wanted}, found {describe(value)}")
-    if is_readable():
+    if not recording():
         as_array(dr.detach(converted))  # raises if a number isn't finite
     return converted

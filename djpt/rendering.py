@@ -7,19 +7,22 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.description.frozen import recording
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
+from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
 from djpt.schedules.base import Schedule
+from djpt.schedules.called_sums import prepare_sums
 from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
-from djpt.types import TensorXf
+from djpt.types import TensorXf, UInt32
 
 __all__ = ["channel_names", "film_image", "image_derivative", "render"]
 
@@ -29,8 +32,8 @@ def render(
     params: Any = None,
     sensor: Any = 0,
     integrator: Any = None,
-    seed: int = 0,
-    seed_grad: int = 0,
+    seed: Seed = 0,
+    seed_grad: Seed = 0,
     spp: int = 0,
     spp_grad: int = 0,
     *,
@@ -50,7 +53,7 @@ def render(
             attached parameter of the scene, listed here or not.
         sensor: Index into ``scene.sensors()``, or a sensor.
         integrator: An integrator in place of the scene's (default: the scene's, else `path`).
-        seed: Seed of the image, 0 <= seed < 2^32.
+        seed: Seed of the image, 0 <= seed < 2^32: a number, or an array of one.
         seed_grad: Seed of the samples that estimate the gradient; 0 derives one from `seed`.
         spp: Samples per pixel; 0 takes the sampler's `sample_count`.
         spp_grad: Samples per pixel for the gradient; 0 takes `spp`.
@@ -80,9 +83,9 @@ def film_image(
     scene: Scene,
     sensor: Any,
     integrator: Integrator,
-    seed: int,
+    seed: Seed,
     spp: int,
-    seed_grad: int = 0,
+    seed_grad: Seed = 0,
     spp_grad: int = 0,
     schedule: str = "auto",
     pass_spp: int = 0,
@@ -111,7 +114,7 @@ def film_image(
 
 
 def image_derivative(
-    scene: Scene, integrator: Integrator, sensor: Any, seed: int, spp: int, grad: TensorXf | None
+    scene: Scene, integrator: Integrator, sensor: Any, seed: Seed, spp: int, grad: TensorXf | None
 ) -> TensorXf:
     """The derivative of an image by samples of the seed itself, for `Integrator.render_forward` and `.._backward`.
 
@@ -165,11 +168,20 @@ def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tupl
     return image_channels(film, estimator) + tuple(estimator.unfiltered_names())
 
 
+def prepare_to_record(scene: Scene) -> None:
+    """Make what a frozen function can't make when it renders a scene, and what needs the values of parameters."""
+    integrator = find_integrator(scene, None)
+    for sensor in scene.sensors():
+        prepare_sums(sensor.film(), integrator)
+        sensor.film().reserve(channel_names(scene, sensor))
+    integrator.prepare_scene(scene.choosing_emitters(integrator.emitter_choice))
+
+
 # ---- what is rendered -------------------------------------------------------------------------
 
 
 def make_job(
-    scene: Scene, sensor: Any, integrator: Any, seed: int, spp: int, pass_spp: int, progress: Progress | None
+    scene: Scene, sensor: Any, integrator: Any, seed: Seed, spp: int, pass_spp: int, progress: Progress | None
 ) -> Job:
     """Check the arguments of `render` and put the pieces together: views of the scene, never a change to it."""
     sensor, integrator = find_sensor(scene, sensor), find_integrator(scene, integrator)
@@ -254,8 +266,15 @@ def check_count(name: str, value: Any) -> int:
     return count
 
 
-def check_seed(name: str, value: Any) -> int:
-    """The value as an int; raises `RenderError` unless it is whole and fits into 32 bits."""
+def check_seed(name: str, value: Any) -> Seed:
+    """The value as an int; raises `RenderError` unless it is whole and fits into 32 bits.
+
+    An array stays one where `dr.freeze` records: the next call of the frozen function may bring another value.
+    """
+    if recording() and dr.is_jit_v(value) and dr.is_integral_v(value) and dr.depth_v(value) == 1:
+        if dr.width(value) != 1:
+            raise RenderError(f"'{name}' must be one whole number, found {dr.width(value)}")
+        return UInt32(value)
     seed = whole(value)
     if seed is None or not 0 <= seed < 2**32:
         raise RenderError(f"'{name}' must be a whole number with 0 <= {name} < 2^32, found {value!r}")

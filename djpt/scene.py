@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import importlib
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
 
+from djpt.description.frozen import recording, require_editable
+from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register
@@ -73,7 +76,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
         self._environment = infinite[0] if infinite else None
-        self._compile()
+        with may_wait():
+            self._compile()
 
     def _of_kind(self, kind: str) -> list[Any]:
         return [plugin for _, plugin in self.named if plugin.kind == kind]
@@ -93,6 +97,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
         self._set_bounds()
         self._prepare()
         self._choices: dict[str, EmitterChoice] = {}
+        self._brightness: list[float] = []
         self._choice_name = "uniform"
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
@@ -150,6 +155,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
     def refresh(self, changed: Sequence[Plugin]) -> None:
         """Renew what was derived from the parameters of the `changed` plugins."""
         assert isinstance(self.lookup, Detached)
+        require_editable(changed)
         self.lookup.forget()
         self._families.clear()
         for shape in self._shapes:
@@ -168,7 +174,12 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
             self._set_bounds()
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self._choices.clear()
+            self._brightness.clear()
         self._prepare()
+
+    def prepare_to_record(self) -> None:
+        if not recording():
+            importlib.import_module("djpt.rendering").prepare_to_record(self)
 
     def _view(self) -> Scene:
         """A shallow copy, to be changed in what makes it a view."""
@@ -238,14 +249,6 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
     def sensors_dr(self) -> list[Sensor]:
         """All sensors."""
         return self.sensors()
-
-    def silhouette_shapes(self) -> list[Shape]:
-        """None: derivatives by silhouettes aren't computed."""
-        return []
-
-    def shapes_grad_enabled(self) -> bool:
-        """False: there are no gradients by geometry."""
-        return False
 
     def shape_types(self) -> int:
         """The kinds of the shapes: their `ShapeType`s, combined."""

@@ -87,6 +87,13 @@ class Integrator(Plugin):
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""
         warn_of_blind_spots(self, scene)
 
+    def prepare_scene(self, scene: Scene) -> None:
+        """Let the scene compute what this integrator will ask for, and what depends on the values of parameters.
+
+        Called before a frozen function renders: while one is recorded, values can't be read.
+        """
+        scene.emitter_choice  # noqa: B018
+
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:

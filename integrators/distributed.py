@@ -12,7 +12,7 @@ from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import Integrator, mis_weight
 from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
-from djpt.kernels import wide
+from djpt.kernels import while_loop, wide
 from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32
@@ -104,7 +104,7 @@ class Distributed(Integrator):
             ahead = dr.select(goes_on, ahead, waiting)
             return (Walk(ahead, walk.sampler, size, radiance, covered, goes_on | waited),)
 
-        (end,) = dr.while_loop((start,), lambda walk: walk.active, body, label="distributed")
+        (end,) = while_loop((start,), lambda walk: walk.active, body, label="distributed")
         return end.radiance, end.covered, []
 
     def direct(self, scene: Scene, sampler: SampleStream, si: SurfaceInteraction3f, active: Bool) -> Color3f:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import drjit as dr
-import numpy as np
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
@@ -87,8 +85,12 @@ class ParticleTracer(PassIntegrator):
 
     # ---- passes ------------------------------------------------------------------------
 
+    def prepare_scene(self, scene: Scene) -> None:
+        super().prepare_scene(scene)
+        scene.brightness  # noqa: B018
+
     def begin(self, walks: Walks) -> Splats:
-        return Splats(walks.film, brightness(walks.scene))
+        return Splats(walks.film, walks.scene.brightness)
 
     def add_pass(self, walks: Walks, state: Splats, begin: int, end: int) -> Splats:
         scene, camera = walks.scene, walks.camera
@@ -164,17 +166,6 @@ class ParticleTracer(PassIntegrator):
             path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1),
             active=proceed & survives,
         )
-
-
-def brightness(scene: Scene) -> float:
-    """A rough estimate of the radiance in a scene, as a power of two.
-
-    It is that of the power of all emitters, spread over a sphere about the scene.
-    """
-    low, high = scene.bbox()
-    radius = max(float(np.linalg.norm(np.array(high) - np.array(low))) / 2, 1e-6)
-    radiance = sum(e.power() for e in scene.emitters()) / (math.pi * 4 * math.pi * radius**2)
-    return 2.0 ** round(math.log2(radiance)) if radiance > 0 else 1.0
 
 
 register_integrator("ptracer", ParticleTracer)

@@ -12,7 +12,7 @@ from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
-from djpt.kernels import wide
+from djpt.kernels import while_loop, wide
 from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32
@@ -112,7 +112,7 @@ class Whitted(Integrator):
                 ),
             )
 
-        (end,) = dr.while_loop((start,), lambda walk: walk.active, body, label="whitted")
+        (end,) = while_loop((start,), lambda walk: walk.active, body, label="whitted")
         return end.radiance, end.covered, []
 
     def lit(self, scene: Scene, si: SurfaceInteraction3f) -> Color3f:

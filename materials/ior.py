@@ -6,7 +6,8 @@ from typing import Any, Final
 
 import drjit as dr
 
-from djpt.description.numeric import as_array, describe, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array, describe
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError, near_miss
 
@@ -53,7 +54,7 @@ def ior(props: Properties, key: str, default: str | float) -> float:
 
 def check_eta(value: Any) -> Any:
     """Return `value`, about to be assigned to a relative index; raise `ParameterError` unless it is > 0."""
-    if not is_readable():
+    if recording():
         return value
     try:
         positive = (as_array(dr.detach(value) if dr.is_array_v(value) else value) > 0).all()

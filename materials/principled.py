@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import is_readable, non_negative
+from djpt.description.frozen import recording
+from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
@@ -136,7 +137,7 @@ class Principled(PrincipledBase):
             callback.put(name, getattr(self, name))
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        if is_readable():
+        if not recording():
             number = non_negative(dr.detach(value))
             if name == "specular" and number > 1:
                 raise ParameterError(f"must lie in [0, 1], found {number:.9g}")

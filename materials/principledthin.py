@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import is_readable, non_negative
+from djpt.description.frozen import recording
+from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
@@ -99,7 +100,7 @@ class PrincipledThin(PrincipledBase):
             setattr(self, name, as_float(props.float(name, 1.0, low=0.0)))
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        return non_negative(value) if is_readable() else value
+        return non_negative(value) if not recording() else value
 
     def components(self) -> tuple[int, ...]:
         both = BSDFFlags.FrontSide | BSDFFlags.BackSide

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
@@ -95,7 +96,7 @@ class RoughPlastic(SharedWorkBSDF):
             callback.put("specular_reflectance", self.specular_reflectance)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        if name == "alpha" and is_readable():
+        if name == "alpha" and not recording():
             try:
                 ROUGHNESS.require(as_array(dr.detach(value) if dr.is_array_v(value) else value))
             except SceneError as error:
@@ -243,7 +244,7 @@ def integrals(surface: MicrofacetDistribution, eta: Float, transmitted: bool) ->
     integrand is G1(wo, m) times F or 1 - F.
     """
     # As many nodes as Mitsuba takes, whose values these are to be: total reflection needs more.
-    denser = dr.detach(eta)[0] > 1 if is_readable() else transmitted
+    denser = dr.detach(eta)[0] > 1 if not recording() else transmitted
     count = 32 if denser else 128
     x, w = quadrature(count)
     nodes, weights = Float((x + 1) / 2), Float(w / 2)

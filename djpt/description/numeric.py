@@ -14,6 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.frozen import recording
 from djpt.errors import SceneError
 
 __all__ = [
@@ -25,7 +26,7 @@ __all__ = [
     "as_vector",
     "cross_product",
     "describe",
-    "is_readable",
+    "may_wait",
     "non_negative",
 ]
 
@@ -52,9 +53,9 @@ def describe(value: Any) -> str:
     return text if text.startswith(name) else f"{name} {text}".rstrip()
 
 
-def is_readable() -> bool:
-    """Whether the contents of arrays can be read now; false while `dr.freeze` records: values aren't checked then."""
-    return not dr.flag(dr.JitFlag.FreezingScope)
+def may_wait() -> Any:
+    """A context in which the host may wait for kernels, although `dr.JitFlag.ForbidSynchronization` is set."""
+    return dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False)
 
 
 def as_array(value: Any) -> NDArray[np.float64]:
@@ -69,8 +70,14 @@ def as_array(value: Any) -> NDArray[np.float64]:
     jit = dr.is_array_v(value)
     if jit and dr.grad_enabled(value):
         raise SceneError("must be plain numbers, found an array with gradients, which would be lost here")
+    if jit and recording() and value.state != dr.VarState.Literal:
+        raise SceneError(
+            "can't be read while dr.freeze records a function: its value is another one in the next call; "
+            "set it before the call, or make the function's other results depend on it"
+        )
     try:
-        found = from_device(dr.detach(value)) if jit else np.array(value)
+        with may_wait():
+            found = from_device(dr.detach(value)) if jit else np.array(value)
         if found.dtype.kind not in "iuf":
             raise SceneError(f"must be numbers, found {describe(value)}")
         # Always a new array, which its owner may change.

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 
 from djpt.backends import variant
+from djpt.description.frozen import Holder
 from djpt.errors import ParameterError
 
 if TYPE_CHECKING:
     from djpt.description.properties import Properties
 
-__all__ = ["ParamFlags", "Plugin", "TraversalCallback"]
+__all__ = ["ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 
 
 INFERRED = ("bsdf", "emitter", "medium", "phase", "texture", "volume")
@@ -77,7 +78,7 @@ class Inferred:
         return getattr(sorts_of(plugin), self.sort)
 
 
-class Plugin:
+class Plugin(Holder):
     """A node of the scene: built from checked properties, edited through `traverse()`.
 
     A plugin has four sorts of attributes, which its class declares:

@@ -24,7 +24,7 @@ import drjit as dr
 from djpt.description.plugin import Plugin
 from djpt.dispatch.lookup import Flat, Members, Numbers, Rows
 from djpt.dispatch.tables import Buffer, channels_of
-from djpt.kernels import opaque
+from djpt.kernels import if_stmt, opaque
 from djpt.types import Bool, UInt32
 
 __all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "structure"]
@@ -318,7 +318,7 @@ class Ensemble(Generic[P]):
             if active is None or is_attached(group, lookup):
                 result = dr.select(mine, evaluate(), result)
             else:
-                (result,) = dr.if_stmt(
+                (result,) = if_stmt(
                     (result,), mine & active, lambda result: (evaluate(),), lambda result: (result,), label="bsdf"
                 )
         return result

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.distributions.grids import cell_masses, corner_table, halve
-from djpt.kernels import aligned_floats, as_vector, maximum, minimum
+from djpt.kernels import aligned_floats, as_vector, if_stmt, maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Hierarchical2D", "entry", "lerp", "place_in_cell"]
@@ -89,7 +89,7 @@ class Hierarchical2D(Plugin):
         if active is True:
             return self._sample(sample)
         nothing = UInt32(0), UInt32(0), Point2f(0), Float(0)
-        found: tuple[UInt32, UInt32, Point2f, Float] = dr.if_stmt(
+        found: tuple[UInt32, UInt32, Point2f, Float] = if_stmt(
             (sample,), Bool(active), self._sample, lambda sample: nothing, label="quadtree"
         )
         return found
@@ -105,7 +105,7 @@ class Hierarchical2D(Plugin):
         if active is True:
             return self._descend(sample)
         nothing = UInt32(0), UInt32(0), Point2f(0)
-        found: tuple[UInt32, UInt32, Point2f] = dr.if_stmt(
+        found: tuple[UInt32, UInt32, Point2f] = if_stmt(
             (sample,), Bool(active), self._descend, lambda sample: nothing, label="quadtree"
         )
         return found

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import is_readable, non_negative
+from djpt.description.frozen import recording
+from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -111,7 +112,7 @@ class EnvironmentMap(OrientedEmitter):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "scale":
-            if is_readable():
+            if not recording():
                 non_negative(number(value) if dr.is_array_v(value) else value)
             return value
         if name != "data":
@@ -120,7 +121,7 @@ class EnvironmentMap(OrientedEmitter):
             texels = as_texels(value)
             if texels.shape[2] != 3:
                 raise SceneError(f"must have 3 channels, found {texels.shape[2]}")
-            if is_readable():
+            if not recording():
                 check_texels(numbers_of(texels))
                 check_radiance(texels)
         except SceneError as error:
@@ -130,7 +131,7 @@ class EnvironmentMap(OrientedEmitter):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)
         if "data" in keys:
-            if is_readable() and not dr.grad_enabled(self.data):
+            if not recording() and not dr.grad_enabled(self.data):
                 self.data = with_halo(texels_of(self.data))
             self._measure()
 
@@ -138,7 +139,7 @@ class EnvironmentMap(OrientedEmitter):
         """Compute what kernels read besides the texels: counts, densities and the table of both."""
         rows, columns = self.data.shape[0], self.data.shape[1] - 2
         self.rows, self.columns = dr.opaque(UInt32, rows), dr.opaque(UInt32, columns)
-        texels = numbers_of(self.data)[:, 1:-1] if is_readable() else np.ones((rows, columns, 3))
+        texels = numbers_of(self.data)[:, 1:-1] if not recording() else np.ones((rows, columns, 3))
         self._mean = mean_over_sphere(texels)
         weights = luminance(texels)
         everywhere = corner_weights(weights)
@@ -319,7 +320,7 @@ def is_attached(table: Any) -> bool:
 def with_halo(texels: TensorXf) -> TensorXf:
     """Texels (H, W, 1 or 3) as (H, W + 2, 3): three channels, and at each end a column that repeats the other end."""
     rows, columns, channels = texels.shape
-    if not dr.grad_enabled(texels) and is_readable():
+    if not dr.grad_enabled(texels) and not recording():
         numbers = numbers_of(texels)
         data = aligned_floats((rows, columns + 2, 3))
         data[:, 1:-1], data[:, 0], data[:, -1] = numbers, numbers[:, -1], numbers[:, 0]

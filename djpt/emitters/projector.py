@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import as_array, is_readable, non_negative
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -64,7 +65,7 @@ class Projector(OrientedEmitter):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name == "scale":
-            if is_readable():
+            if not recording():
                 non_negative(dr.detach(value))
             return value
         return super().check_parameter(name, value)

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import as_array, as_number, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array, as_number
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -65,7 +66,7 @@ class SpotLight(OrientedEmitter):
         self.beam_width = Float(props.float("beam_width", 0.75 * cutoff, low=0.0, high=cutoff))
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        if name in ("cutoff_angle", "beam_width") and is_readable():
+        if name in ("cutoff_angle", "beam_width") and not recording():
             angle = as_number(dr.detach(value))
             if not 0 <= angle <= 90 or (angle == 0 and name == "cutoff_angle"):
                 raise ParameterError(f"must lie in {'(' if name == 'cutoff_angle' else '['}0, 90], found {angle:g}")
@@ -74,7 +75,7 @@ class SpotLight(OrientedEmitter):
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         super().parameters_changed(keys)
-        if is_readable():
+        if not recording():
             beam, cutoff = number(self.beam_width), number(self.cutoff_angle)
             if beam > cutoff:
                 raise ParameterError(f"{self.id()}: beam_width {beam:g} must be at most cutoff_angle, {cutoff:g}")

@@ -150,6 +150,13 @@ class Film(Plugin):
         """Keep a finished image (H, W, C), for scripts that ask the film for it; `names` are those of its channels."""
         self._image, self._image_names = TensorXf(dr.detach(image)), tuple(names)
 
+    def reserve(self, names: Sequence[str]) -> None:
+        """Keep a black image if there is none: a frozen function can replace one, but not add what wasn't there."""
+        if self._image is None:
+            width, height = self.crop_size()
+            shape = (height, width, len(names))
+            self.keep(TensorXf(dr.opaque(Float, 0, width * height * len(names)), shape=shape), names)
+
     # ---- what is rendered ---------------------------------------------------------
 
     @property

@@ -134,6 +134,10 @@ class HDRFilm(Film):
         """Raise `RenderError`: only films with `FilmFlags.Special` turn colours into channels of their own."""
         raise RenderError(f"{self.id()}: this film stores red, green and blue: pass them to ImageBlock.put")
 
+    def reserve(self, names: Sequence[str]) -> None:
+        if self._storage is None:
+            super().reserve(names)
+
     def develop(self, raw: bool = False) -> TensorXf:
         """The image (H, W, C): sums over weights, in the channels of the pixel format and then the `aovs`.
 

@@ -65,8 +65,7 @@ class Geometry:
         """A view of this geometry for rays that start near the `points` (3,), or this one if it will do."""
         if self.triangles is None or not len(points):
             return self
-        center = np.array(self.triangles.tree.center).ravel()
-        triangles = self.triangles.seen_from(max(float(np.linalg.norm(p - center)) for p in points))
+        triangles = self.triangles.seen_from(points)
         if triangles is self.triangles:
             return self
         view = copy.copy(self)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
+from djpt.kernels import while_loop
 from djpt.types import Bool, Float, UInt32
 
 __all__ = ["Zero", "first_zero"]
@@ -101,5 +102,5 @@ def first_zero(f: Callable[[Float], Float], start: Float, end: Float, reach: Flo
         Bool(no),
         active & (start < end) & ~no,
     )
-    (search,) = dr.while_loop((search,), lambda s: s.active, lambda s: (step(s),), labels=("search",))
+    (search,) = while_loop((search,), lambda s: s.active, lambda s: (step(s),), labels=("search",))
     return Zero(search.bracketed, search.t)

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.dispatch.lookup import Members
 from djpt.geometry.aggregate import Geometry
-from djpt.kernels import wide
+from djpt.kernels import while_loop, wide
 from djpt.records import RAY_EPSILON, Ray3f
 from djpt.types import Bool, Point3f, UInt32, Vector3f
 
@@ -56,5 +56,5 @@ def is_inside(geometry: Geometry, p: Point3f, active: Bool | bool = True, shapes
         return (Walk(on, crossings, found),)
 
     start = wide(Walk(Point3f(p), UInt32(0), Bool(active)), dr.width(p, active))
-    (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="inside")
+    (end,) = while_loop((start,), lambda walk: walk.active, step, label="inside")
     return (end.crossings & 1) == 1

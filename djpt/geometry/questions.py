@@ -173,6 +173,14 @@ class RayQuestions:
             self._families["shapes"] = Family(Ensemble(self.geometry.contents.shapes), self.lookup)
         return ShapePtr.into(self._families["shapes"], dr.select(si.is_valid(), si.shape_index, NONE))
 
+    def silhouette_shapes(self) -> list[Any]:
+        """None: derivatives by silhouettes aren't computed."""
+        return []
+
+    def shapes_grad_enabled(self) -> bool:
+        """False: there are no gradients by geometry."""
+        return False
+
     def _family(self, ensemble: Ensemble[Any]) -> Family[Any]:
         """The plugins of an ensemble, for pointers: the same object for each, so that pointers can be compared."""
         key = id(ensemble)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
 
 from djpt.dispatch.lookup import Numbers
 from djpt.frame import Frame3f, coordinate_system
@@ -18,7 +20,7 @@ from djpt.geometry.canonical import FLAT_KINDS
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
-from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near
+from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.kernels import float_in
@@ -45,7 +47,7 @@ class Triangles:
         self._first_face = Numbers(meshes.first_face)
         self._mesh_count = len(meshes.meshes)
         start = time.perf_counter()
-        self.tree = forest.tree()
+        self._use(forest.tree())
         self.build_seconds = time.perf_counter() - start
         self._far = False
 
@@ -54,13 +56,18 @@ class Triangles:
         if meshes:
             self.meshes.refresh()
         self._first_face = Numbers(self.meshes.first_face)
-        self.tree = self.forest.tree()
+        self._use(self.forest.tree())
 
-    def seen_from(self, distance: float) -> Triangles:
-        """A view of these triangles for rays that start as far as `distance` from the centre.
+    def _use(self, tree: RayTree) -> None:
+        self.tree = tree
+        self._center = np.array(tree.center).ravel()
+
+    def seen_from(self, points: Sequence[NDArray[np.float64]]) -> Triangles:
+        """A view of these triangles for rays that start near the `points` (3,).
 
         From far away rays are moved near, see `enter`. Whether they are is structure, since it costs a few per cent.
         """
+        distance = max(float(np.linalg.norm(p - self._center)) for p in points)
         if self._far or not distance > FAR * self.tree.extent:
             return self
         view = copy.copy(self)

@@ -24,7 +24,7 @@ from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
 from djpt.gradients.modes import Forward, Mode, Reverse
 from djpt.kernels import begin_trace
 from djpt.llvm.lanes import small_blocks
-from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
@@ -41,19 +41,14 @@ from djpt.schedules.reconstruction import add_samples, collected, sample_adjoint
 from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
-__all__ = ["Derivative", "attached_image", "derivative_of", "differentiable", "gradient_seed"]
+__all__ = ["Derivative", "attached_image", "derivative_of", "differentiable"]
 
 MAX_ATTACHED_SAMPLES = 2**25
 """The largest number of samples for plain AD, which holds the graph of all of them at once."""
 
 
-def gradient_seed(seed: int, seed_grad: int) -> int:
-    """The seed of the gradient's samples: as in Mitsuba a hash of `seed`, unless one is given."""
-    return seed_grad or int(sample_tea_32(UInt32(seed), UInt32(1))[0][0])
-
-
 def differentiable(
-    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: int, spp_grad: int
+    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: Seed, spp_grad: int
 ) -> TensorXf:
     """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 

@@ -17,7 +17,7 @@ from djpt.geometry.query import Query
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.kernels import wide
+from djpt.kernels import if_stmt, while_loop, wide
 from djpt.records import Ray3f
 from djpt.scene import Scene
 from djpt.schedules.job import Job
@@ -137,10 +137,10 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
         ended = lane.query.cursor.ended
-        (lane,) = dr.if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
+        (lane,) = if_stmt((lane,), ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)
 
-    (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label=mode.label + ", machine")
+    (end,) = while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label=mode.label + ", machine")
     return end.sums, end.entry
 
 
@@ -156,6 +156,6 @@ def known_free(scene: Scene, integrator: PathIntegrator, lane: Lane, shadow_ray:
     if 0 <= integrator.longest_path <= NOTED:
         return noted
     beyond = lane.again & ~lane.shadow & (depth >= NOTED)
-    return dr.if_stmt(
+    return if_stmt(
         (noted, shadow_ray), beyond, lambda noted, ray: ~scene.geometry.blocked(ray), lambda noted, ray: noted
     )

@@ -7,9 +7,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Attached
-from djpt.gradients.derivatives import attached_image, gradient_seed
+from djpt.gradients.derivatives import attached_image
 from djpt.gradients.leaves import Parameter, attached_parameters
 from djpt.integrators.base import Integrator
+from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.scene import Scene
 from djpt.types import TensorXf
 
@@ -31,9 +32,9 @@ def image_by_itself(
     scene: Scene,
     params: Any,
     sensor: Any,
-    seed: int,
+    seed: Seed,
     spp: int,
-    seed_grad: int,
+    seed_grad: Seed,
     spp_grad: int,
 ) -> TensorXf:
     """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
@@ -60,7 +61,7 @@ class OwnDerivative:
         scene: Scene,
         params: Any,
         sensor: Any,
-        seed: int,
+        seed: Seed,
         spp: int,
         parameters: list[Parameter],
     ) -> None:

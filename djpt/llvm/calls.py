@@ -16,6 +16,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.description.frozen import SHARED
+from djpt.description.numeric import may_wait
 from djpt.errors import DjptError
 from djpt.llvm.lanes import core_path, lane_count
 from djpt.types import Float, UInt32
@@ -49,6 +51,7 @@ class Code:
         word = UInt32(np.ctypeslib.as_array((ctypes.c_uint32 * 1).from_address(address)))
         if core().address_of(word) != address:
             raise CallError("Dr.Jit doesn't share the memory of functions")
+        SHARED.append(word)
         return Code(word)
 
 
@@ -128,6 +131,7 @@ def reason_against(proved: Callable[[], bool], otherwise: str) -> str | None:
     try:
         if lane_count() not in WIDTHS:
             return f"packets have {lane_count()} lanes"
-        return None if proved() else otherwise
+        with may_wait():
+            return None if proved() else otherwise
     except (CallError, DjptError, OSError, AttributeError) as error:
         return str(error)

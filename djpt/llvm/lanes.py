@@ -12,6 +12,7 @@ from pathlib import Path
 import drjit as dr
 
 from djpt.backends import VARIANTS, variant
+from djpt.description.frozen import recording
 from djpt.errors import BackendError
 
 __all__ = [
@@ -66,7 +67,8 @@ def lane_count() -> int:
 def small_blocks() -> Iterator[None]:
     """Let threads take work in small portions, of `BLOCK` lanes, in kernels that are launched inside.
 
-    The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time. GPUs have no such portions.
+    The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time. GPUs have no such portions. While
+    `dr.freeze` records, the portions become small for good: Dr.Jit will launch the same kernels without asking.
     """
     if VARIANTS[variant()] != "llvm":
         yield
@@ -82,7 +84,8 @@ def small_blocks() -> Iterator[None]:
     try:
         yield
     finally:
-        set_size(usual)
+        if not recording():
+            set_size(usual)
 
 
 def features() -> list[str]:

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import as_number, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
@@ -44,7 +45,7 @@ class HGPhaseFunction(PhaseFunction):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         jit = dr.is_array_v(value) and dr.is_jit_v(value)
-        if is_readable():
+        if not recording():
             try:
                 number = as_number(dr.detach(value) if jit else value)
             except SceneError as error:

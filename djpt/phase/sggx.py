@@ -8,7 +8,7 @@ from typing import ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import is_readable
+from djpt.description.frozen import recording
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
@@ -55,7 +55,7 @@ class SGGXPhaseFunction(PhaseFunction):
         """Find the largest area that flakes show: that at a point of the grid, as matrices are interpolated."""
         if not isinstance(self.S, GridVolume):
             self.largest = as_float(1.0)
-        elif is_readable():
+        elif not recording():
             s = numbers_of(self.S.data).reshape(-1, 6)
             eigenvalues = np.linalg.eigvalsh(s[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3))
             self.largest = as_float(float(np.sqrt(max(eigenvalues.max(), 0.0))))

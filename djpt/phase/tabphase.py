@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import as_array, describe, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
@@ -130,7 +131,7 @@ def as_numbers(value: Any) -> Float:
     numbers = Float(value.array if dr.is_tensor_v(value) else value) if jit else Float(as_array(value).ravel().tolist())
     if len(numbers) < 2:
         raise SceneError(f"must be at least two numbers, found {len(numbers)}")
-    if is_readable():
+    if not recording():
         found = as_array(dr.detach(numbers))
         if found.min() < 0 or found.max() <= 0:
             raise SceneError(f"must not be negative, and not all 0, found {describe(found.tolist())}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import drjit as dr
 
 from djpt.description.registry import register_sampler
+from djpt.kernels import while_loop
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.jittered import PointSets, below_one
@@ -72,7 +73,7 @@ def permute(index: UInt32, count: UInt32, seed: UInt32) -> UInt32:
 
     # Lane-wide from the start, as loops ask for.
     bit = UInt32(1) | (index & 0) | (seed & 0)
-    _, index = dr.while_loop((bit, index | (bit & 0)), lambda bit, index: bit < count, layer, label="shuffle")
+    _, index = while_loop((bit, index | (bit & 0)), lambda bit, index: bit < count, layer, label="shuffle")
     return index
 
 

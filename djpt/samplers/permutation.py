@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import drjit as dr
-
+from djpt.kernels import while_loop
 from djpt.types import Float64, UInt32
 
 __all__ = ["permute_kensler", "quotient", "remainder"]
@@ -48,5 +47,5 @@ def permute_kensler(index: UInt32, n: UInt32, seed: UInt32) -> UInt32:
         i = i & w
         return i ^ (i >> 5)
 
-    (index,) = dr.while_loop((step(index),), lambda i: i >= n, lambda i: (step(i),), label="permute")
+    (index,) = while_loop((step(index),), lambda i: i >= n, lambda i: (step(i),), label="permute")
     return remainder(index + seed, n)

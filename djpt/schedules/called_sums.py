@@ -8,18 +8,22 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.description.plugin import is_plain
 from djpt.description.properties import Properties
+from djpt.films.base import Film
 from djpt.geometry.ray_queries import asked_for
+from djpt.integrators.base import Integrator
 from djpt.llvm.calls import Code, call, reason_against
 from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.rfilters.tent import Tent
+from djpt.schedules.job import image_channels
 from djpt.schedules.reconstruction import Read
 from djpt.schedules.tap_function import ADD_SAMPLES, CHANNELS, Taps, tap_function
 from djpt.types import ArrayXf, Bool, Float, Point2f, UInt32
 
-__all__ = ["CalledSums", "reader", "usable"]
+__all__ = ["CalledSums", "prepare_sums", "reader", "usable"]
 
 
 class CalledSums:
@@ -28,7 +32,7 @@ class CalledSums:
     def __init__(self, taps: Taps, rfilter: ReconstructionFilter, lanes: int, memory: Float | None = None) -> None:
         """Begin with the sums in `memory`, which is written to, or with zeros."""
         self.memory = dr.opaque(Float, 0, lanes * taps.sums) if memory is None else memory
-        self._code = function(tap_function(taps, rfilter, lane_count()))
+        self._code = function(taps, rfilter)
         self._lane, self._lanes = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes)
 
     def add(self, corner: Point2f, offset: Point2f, channels: list[Float], active: Bool) -> Bool:
@@ -65,10 +69,27 @@ def reader(memory: Float, taps: Taps, row: int) -> Read:
     return tap
 
 
-@cache
-def function(text: str) -> Code:
-    """A function, compiled at the first call."""
-    return Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+def prepare_sums(film: Film, integrator: Integrator) -> None:
+    """Compile the function that adds an integrator's samples to a film, if they are added by calls."""
+    taps = Taps(film.taps, len(image_channels(film, integrator)))
+    if film.filters and "flat" in integrator.schedules and usable(taps, film.rfilter()):
+        function(taps, film.rfilter())
+
+
+_functions: dict[Any, Code] = {}
+"""The functions that have been compiled, by what they are written from."""
+
+
+def function(taps: Taps, rfilter: ReconstructionFilter) -> Code:
+    """The function that adds samples to the pixels around their own, compiled at the first call."""
+    width = lane_count()
+    attributes = tuple((name, value) for name, value in vars(rfilter).items() if name != "_id")
+    # A filter of a script may have attributes that can't be compared.
+    key: Any = (taps, width, type(rfilter), attributes) if is_plain(attributes) else tap_function(taps, rfilter, width)
+    if key not in _functions:
+        text = tap_function(taps, rfilter, width)
+        _functions[key] = Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+    return _functions[key]
 
 
 def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import drjit as dr
 
-from djpt.kernels import mapped
+from djpt.kernels import mapped, while_loop
 from djpt.llvm.masks import all_lanes, can_unmask
 from djpt.types import Bool, UInt32
 
@@ -28,10 +28,10 @@ def run_free(start: T, condition: Callable[[T], Bool], body: Callable[[T], T], l
     they must not come to fulfil it again. What it writes to arrays is masked as in any loop.
     """
     if not can_unmask():
-        (end,) = dr.while_loop((start,), condition, lambda state: (body(state),), label=label)
+        (end,) = while_loop((start,), condition, lambda state: (body(state),), label=label)
         return end
     memory = Memory(start, lanes)
-    (arrays,) = dr.while_loop(
+    (arrays,) = while_loop(
         (memory.allocated(),),
         lambda arrays: condition(memory.read(arrays)),
         lambda arrays: (memory.write(arrays, body(memory.read(arrays))),),

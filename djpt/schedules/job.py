@@ -13,6 +13,7 @@ from djpt.films import Film
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f
 from djpt.samplers import SampleIndex, Sampler, SampleStream
+from djpt.samplers.seeds import Seed, opaque_seed
 from djpt.scene import Scene
 from djpt.sensors import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
@@ -48,7 +49,7 @@ class Job:
     film: Film
     integrator: Integrator
     sampler: Sampler
-    seed: int
+    seed: Seed
     spp: int
     progress: Progress | None = None
     pass_spp: int = 0
@@ -60,7 +61,7 @@ class Job:
     def __post_init__(self) -> None:
         border = self.film.border
         self.width, self.height = (n + 2 * border for n in self.film.crop_size())
-        self.seed_value = dr.opaque(UInt32, (self.seed + self.sampler.base_seed) & 0xFFFFFFFF)
+        self.seed_value = opaque_seed(self.seed, self.sampler.base_seed)
         self.spp_value = dr.opaque(UInt32, self.spp)
         self.width_value = dr.opaque(UInt32, self.width)
         self._border = dr.opaque(Float, border)

@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.integrators.passes import LightPath
-from djpt.kernels import wide
+from djpt.kernels import while_loop, wide
 from djpt.records import SurfaceInteraction3f
 from djpt.samplers import SampleStream
 from djpt.schedules.job import Job
@@ -68,5 +68,5 @@ def walk_light(
         return (Lane(dr.select(goes_on, path, new), dr.select(goes_on, lane.sampler, sampler), number),)
 
     state = Lane(wide(path, lanes), sampler, number)
-    (done,) = dr.while_loop((state,), lambda lane: lane.number < stop, body, label="light")
+    (done,) = while_loop((state,), lambda lane: lane.number < stop, body, label="light")
     dr.eval(done.number, sinks)

@@ -23,7 +23,7 @@ import drjit as dr
 from djpt.dispatch.ensemble import Detached
 from djpt.geometry.query import Query
 from djpt.integrators.base import PathIntegrator, PathState
-from djpt.kernels import wide
+from djpt.kernels import if_stmt, while_loop, wide
 from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.job import Band, Job
@@ -154,10 +154,10 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
     def turn(lane: Lane) -> tuple[Lane]:
         through = integrator.path_passes_lights(lane.path, lane.shadow)
         lane.query.cursor = geometry.turn(lane.query, lane.shadow, through)
-        (lane,) = dr.if_stmt((lane,), lane.query.cursor.ended, lambda lane: (advance(lane),), lambda lane: (lane,))
+        (lane,) = if_stmt((lane,), lane.query.cursor.ended, lambda lane: (advance(lane),), lambda lane: (lane,))
         return (lane,)
 
-    (end,) = dr.while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
+    (end,) = while_loop((start,), lambda lane: lanes.left(lane.entry), turn, label="machine")
     return end.entry + end.frame.read(end.entry & 1)
 
 
@@ -168,7 +168,7 @@ def store(write: Write, slot: UInt32, channels: list[Float], active: Bool) -> No
         write(slot, channels, Bool(True))
         return slot
 
-    dr.if_stmt((slot, channels), active, stored, lambda slot, channels: slot)
+    if_stmt((slot, channels), active, stored, lambda slot, channels: slot)
 
 
 def aligned_frame(width: int) -> Any:

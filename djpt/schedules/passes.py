@@ -12,7 +12,9 @@ from typing import TypeVar
 
 import drjit as dr
 
+from djpt.description.frozen import recording
 from djpt.errors import RenderError
+from djpt.kernels import while_loop
 from djpt.llvm.lanes import small_blocks
 from djpt.schedules.canvas import Canvas
 from djpt.schedules.job import Band, Job
@@ -140,7 +142,7 @@ def total(job: Job, band: Band, sums: list[Float]) -> list[Float]:
         return g + 1, [o + dr.gather(Float, s, dr.fma(g, stride, pixel)) for o, s in zip(out, sums, strict=True)]
 
     start = [dr.opaque(Float, 0, pixels) for _ in sums]
-    _, result = dr.while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
+    _, result = while_loop((dr.zeros(UInt32, pixels), start), lambda g, out: g < count, body, label="total")
     dr.eval(result)
     return result
 
@@ -193,7 +195,8 @@ def one_ahead(items: Iterable[T]) -> Iterator[T]:
     """
     before = None
     for number, item in enumerate(items):
-        if number:
+        # Nobody waits between the kernels of a frozen function.
+        if number and not recording():
             launched = Event()
             launched.record()
             if before is not None:

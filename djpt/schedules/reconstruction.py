@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 
+from djpt.kernels import while_loop
 from djpt.rfilters.base import tap_centers
 from djpt.schedules.job import Band, Job
 from djpt.types import Bool, Float, Int32, Point2f, UInt32
@@ -134,7 +135,7 @@ def add_by_pixels(job: Job, band: Band, samples: list[Float], begin: int, end: i
         values = [dr.gather(Float, s, slot) for s in samples]
         return k + 1, add_taps(job, corner, job.film_offset(pixel, k + first), values, Float(1), sums)
 
-    _, result = dr.while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film pixels")
+    _, result = while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film pixels")
     dr.eval(result)
     return result
 
@@ -214,7 +215,7 @@ def collect_row(job: Job, band: Band, lanes: int, read: Read, below: int, place:
         return start + size, result
 
     start = dr.zeros(UInt32, dr.width(column))
-    _, result = dr.while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
+    _, result = while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
     dr.eval(result)
     return result
 
@@ -252,7 +253,7 @@ def add_by_rows(job: Job, band: Band, samples: list[Float], begin: int, end: int
                     sums[at] = dr.fma(value, wy, sums[at])
         return k + 1, sums
 
-    _, result = dr.while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film rows")
+    _, result = while_loop((dr.zeros(UInt32, lanes), sums), lambda k, s: k < count, body, label="film rows")
     dr.eval(result)
     return result
 
@@ -288,7 +289,7 @@ def add_box(job: Job, band: Band, samples: list[Float], begin: int, end: int, su
         slot = dr.fma(k, size, lane)
         return k + 1, [s + dr.gather(Float, b, slot) for s, b in zip(sums, samples, strict=True)]
 
-    _, result = dr.while_loop((dr.zeros(UInt32, pixels), sums), lambda k, s: k < count, body, label="film box")
+    _, result = while_loop((dr.zeros(UInt32, pixels), sums), lambda k, s: k < count, body, label="film box")
     dr.eval(result)
     return result
 
@@ -326,6 +327,6 @@ def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: i
             dr.scatter(buffer, total, dr.fma(k, size, lane))
         return (k + 1,)
 
-    dr.while_loop((dr.zeros(UInt32, pixels),), lambda k: k < count, body, label="film adjoint")
+    while_loop((dr.zeros(UInt32, pixels),), lambda k: k < count, body, label="film adjoint")
     dr.eval(buffers)
     return buffers

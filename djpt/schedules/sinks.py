@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import drjit as dr
 import numpy as np
 
+from djpt.description.frozen import recording
 from djpt.kernels import aligned
 from djpt.schedules.called_sums import CalledSums
 from djpt.schedules.job import Band, Job
@@ -38,6 +39,8 @@ def blank_sums(lanes: int, count: int) -> list[Float]:
 
     All are the same memory, which is only read, and stays in the caches: a film's sums are up to a hundred arrays.
     """
+    if recording():
+        return [dr.opaque(Float, 0, lanes) for _ in range(count)]
     zeros = aligned((lanes,)).view(np.float32)
     return [Float(zeros) for _ in range(count)]
 

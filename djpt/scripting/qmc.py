@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import ArgumentError
+from djpt.kernels import while_loop
 from djpt.samplers import ldsampler
 from djpt.types import Float, UInt32, UInt64, converting
 
@@ -80,7 +81,7 @@ class RadicalInverse:
 
         # Lane-wide, as loops ask for.
         start = (number, number & 0, Float(number & 0) + 1)
-        _, value, factor = dr.while_loop(start, lambda n, v, f: n != 0, step, label="radical inverse")
+        _, value, factor = while_loop(start, lambda n, v, f: n != 0, step, label="radical inverse")
         return dr.minimum(Float(value) * factor, BELOW_ONE)
 
     def permutation(self, arg: int, /) -> NDArray[np.uint16]:

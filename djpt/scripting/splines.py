@@ -14,6 +14,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.errors import ArgumentError
+from djpt.kernels import while_loop
 from djpt.scripting.forms import forms
 from djpt.scripting.mathematics import find_interval
 from djpt.types import Bool, Float, Int32, UInt32, converting
@@ -125,7 +126,7 @@ class Segment:
 
         zero = wanted * 0
         state = (zero, zero + 1, start + zero, zero == zero)
-        return dr.while_loop(state, lambda a, b, t, busy: busy, step, label="spline")[2]
+        return while_loop(state, lambda a, b, t, busy: busy, step, label="spline")[2]
 
 
 # ---- splines ---------------------------------------------------------------------------------

@@ -86,13 +86,13 @@ class Cube(Shape):
     def faces_parameter(self) -> UInt32:
         """The vertex indices of the 12 triangles."""
         quads = np.arange(24).reshape(6, 4)
-        return UInt32(np.concatenate([quads[:, [0, 1, 2]], quads[:, [3, 0, 2]]], 1).astype(np.uint32).ravel())
+        return UInt32(np.concatenate([quads[:, [0, 1, 2]], quads[:, [3, 0, 2]]], 1).ravel().tolist())
 
     @property
     def vertex_positions(self) -> Float:
         """The 24 corners (x, y, z interleaved) in world space."""
         m = self.to_world.matrix
-        return Float((local_vertices()[0] @ m[:3, :3].T + m[:3, 3]).astype(np.float32).ravel())
+        return Float((local_vertices()[0] @ m[:3, :3].T + m[:3, 3]).astype(np.float32).ravel().tolist())
 
     @vertex_positions.setter
     def vertex_positions(self, value: Any) -> None:
@@ -123,12 +123,12 @@ class Cube(Shape):
         """One normal per vertex, in world space."""
         inverse = np.linalg.inv(self.to_world.matrix[:3, :3])
         n = local_vertices()[1] @ inverse
-        return Float((n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32).ravel())
+        return Float((n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32).ravel().tolist())
 
     @property
     def vertex_texcoords(self) -> Float:
         """One uv per vertex."""
-        return Float(np.tile(np.array(CORNERS_UV, dtype=np.float32).ravel(), 6))
+        return Float(np.tile(np.array(CORNERS_UV, dtype=np.float32).ravel(), 6).tolist())
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name in ("faces", "vertex_normals", "vertex_texcoords"):

@@ -269,6 +269,10 @@ class ShapeQuestions(Plugin):
             self._alone = lookup("scene", "scene")(Properties("scene", self.id(), {"shape": only}))
         return self._alone
 
+    def prepare_to_record(self) -> None:
+        if self.original is None:
+            self.alone()
+
     def forget_alone(self) -> None:
         """Drop the scene of the shape alone, after an edit."""
         self.__dict__.pop("_alone", None)

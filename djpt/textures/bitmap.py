@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import is_readable
+from djpt.description.frozen import recording
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
@@ -79,7 +79,7 @@ class Bitmap(UVTexture):
         """Compute what kernels know of the texels as a whole: their resolution and average."""
         height, width, self.channels = self.data.shape
         self.counts = Vector2f(as_float(width), as_float(height))
-        if is_readable():
+        if not recording():
             colour = mean_texel(numbers_of(self.data))
             self.average = as_float(float(colour[0] if self.channels == 1 else np.dot(colour, LUMINANCE)))
 
@@ -103,7 +103,7 @@ class Bitmap(UVTexture):
 
     def _sampled(self) -> Bitmap | None:
         """This texture with a distribution, for calls by a script; None in kernels, where only lights have one."""
-        if not (dr.is_tensor_v(self.data) and is_readable()):
+        if not (dr.is_tensor_v(self.data) and not recording()):
             return None
         if self._twin is None:
             self._twin = copy.copy(self)
@@ -116,7 +116,7 @@ class Bitmap(UVTexture):
         if "data" in keys:
             self._measure()
         # While `dr.freeze` records, the old density stays: less fitting, but a density.
-        if self.distribution is not None and {"data", "to_uv"} & set(keys) and is_readable():
+        if self.distribution is not None and {"data", "to_uv"} & set(keys) and not recording():
             self.prepare_sampling()
 
     def restrict(self, allowed: Allowed, where: str) -> None:
@@ -130,7 +130,7 @@ class Bitmap(UVTexture):
             texels = as_texels(value)
             if texels.shape[2] != self.channels:
                 raise SceneError(f"must keep its {self.channels} channels, found {texels.shape[2]}")
-            if is_readable():
+            if not recording():
                 pixels = numbers_of(texels)
                 check_texels(pixels)
                 self._allowed.require(pixels)

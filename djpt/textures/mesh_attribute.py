@@ -9,7 +9,8 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
@@ -64,7 +65,7 @@ class MeshAttribute(Texture):
         if self.name not in attributes:
             found = ", ".join(attributes) or "none"
             raise SceneError(f"{self.node}: the mesh '{shape.id()}' has no attribute '{self.name}'; found: {found}")
-        if is_readable():
+        if not recording():
             numbers = np.asarray(attributes[self.name][0]) * np.float32(as_array(dr.detach(self.scale)))
             self._allowed.require(numbers, f"{shape.id()}: '{self.name}'")
 

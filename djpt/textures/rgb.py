@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array, describe, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
@@ -62,7 +63,7 @@ class ConstantTexture(Texture):
     def _convert(value: Any) -> Color3f:
         """A width-1 colour from any accepted form; Dr.Jit arrays stay attached to their gradients."""
         jit = dr.is_array_v(value) and dr.is_jit_v(value) and not dr.is_tensor_v(value)
-        if jit and not is_readable():
+        if jit and recording():
             return Color3f(value)
         numbers = as_array(dr.detach(value) if jit else value)
         if numbers.shape not in ((), (3,)):
@@ -78,7 +79,7 @@ class ConstantTexture(Texture):
     def check_parameter(self, name: str, value: Any) -> Any:
         try:
             color = self._convert(value)
-            if is_readable():
+            if not recording():
                 self._allowed.require(self._numbers(color))
         except SceneError as error:
             raise ParameterError(str(error)) from None

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array, as_number, describe, is_readable
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_array, as_number, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
@@ -64,7 +65,7 @@ class UniformTexture(Texture):
                 number = Float(as_number(value))
             except SceneError as error:
                 raise ParameterError(str(error)) from None
-        if is_readable():
+        if not recording():
             try:
                 self._allowed.require(as_array(dr.detach(number)))
             except SceneError as error:

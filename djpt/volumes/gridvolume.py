@@ -12,7 +12,7 @@ from drjit.scalar import Array3i as ScalarArray3i
 from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import is_readable
+from djpt.description.frozen import recording
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_volume
@@ -90,7 +90,7 @@ class GridVolume(Volume):
         self.grid_x, self.grid_y, self.grid_z = (as_vector(row[:3]) for row in matrix)
         self.grid_origin = as_vector(matrix[:, 3])
         self.counts = as_vector(resolution)
-        if is_readable():
+        if not recording():
             average = mean_texel(numbers_of(self.data).reshape(-1, 1, self.channels))
             shares = self._shares()
             self.average = as_float(sum(float(x) * share for x, share in zip(average, shares, strict=True)))
@@ -146,7 +146,7 @@ class GridVolume(Volume):
             voxels = as_voxels(value)
             if voxels.shape[3] != self.channels:
                 raise SceneError(f"must keep its {self.channels} channels, found {voxels.shape[3]}")
-            if is_readable():
+            if not recording():
                 check_voxels(numbers_of(voxels))
                 self._allowed.require(numbers_of(voxels))
         except SceneError as error:

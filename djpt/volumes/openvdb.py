@@ -14,6 +14,7 @@ import numpy as np
 from drjit.scalar import Array3f as ScalarPoint3f
 
 from djpt.errors import FileError, near_miss
+from djpt.files import require_regular
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.volumes.volume_grid import VolumeGrid
 
@@ -40,6 +41,7 @@ def read_openvdb(path: str | os.PathLike[str], name: str = "") -> VolumeGrid:
         tinyvdb: Any = importlib.import_module("tinyvdb")
     except ImportError:
         raise FileError(f"'{path}': files of OpenVDB need the package tinyvdb: pip install 'djpt[vdb]'") from None
+    require_regular(path)
     try:
         with tinyvdb.open(os.fspath(path)) as file:
             file.read_grids()

@@ -16,6 +16,7 @@ from drjit.scalar import Array3u as ScalarArray3u
 from numpy.typing import NDArray
 
 from djpt.errors import ArgumentError, FileError
+from djpt.files import read_bytes
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 
 __all__ = ["VolumeGrid"]
@@ -60,8 +61,10 @@ class VolumeGrid:
     def _read(self, source: Any) -> NDArray[np.float32]:
         name = getattr(source, "name", source)
         try:
-            data = source.read() if hasattr(source, "read") else Path(source).read_bytes()
+            data = source.read() if hasattr(source, "read") else read_bytes(source)
         except OSError as error:
+            if isinstance(error, FileError):
+                raise
             raise FileError(f"'{name}' can't be read: {error.strerror}") from None
         if len(data) < HEADER.size or data[:3] != b"VOL":
             raise FileError(f"'{name}' isn't a file of a volume: it doesn't begin with 'VOL' and a header")

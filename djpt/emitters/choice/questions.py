@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.dispatch.pointers import EmitterPtr, observer
+from djpt.emitters.base import Emitter
 from djpt.emitters.choice.base import EmitterChoice
 from djpt.emitters.choice.sampling import LightSampling
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 
@@ -18,6 +22,9 @@ __all__ = ["LightQuestions"]
 class LightQuestions:
     """The part of a scene that chooses an emitter and asks it."""
 
+    _brightness: list[float]
+    """The estimate of `brightness`, once it was asked for."""
+
     @property
     def light_sampling(self) -> LightSampling:
         """The emitters, the way to choose among them, and the way to read their values."""
@@ -26,6 +33,14 @@ class LightQuestions:
     @property
     def emitter_choice(self) -> EmitterChoice:
         """The way to choose an emitter."""
+        raise NotImplementedError
+
+    def emitters(self) -> list[Emitter]:
+        """All emitters."""
+        raise NotImplementedError
+
+    def bbox(self) -> ScalarBoundingBox3f:
+        """The box about all shapes."""
         raise NotImplementedError
 
     def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
@@ -39,6 +54,19 @@ class LightQuestions:
     def emitter_ptr(self, index: UInt32) -> EmitterPtr:
         """The emitters with the numbers `index`, per lane."""
         raise NotImplementedError
+
+    @property
+    def brightness(self) -> float:
+        """A rough estimate of the radiance in the scene, as a power of two.
+
+        It is that of the power of all emitters, spread over a sphere about the scene.
+        """
+        if not self._brightness:
+            low, high = (np.array(corner).ravel() for corner in self.bbox())
+            radius = max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+            radiance = sum(e.power() for e in self.emitters()) / (math.pi * 4 * math.pi * radius**2)
+            self._brightness.append(2.0 ** round(math.log2(radiance)) if radiance > 0 else 1.0)
+        return self._brightness[0]
 
     def sample_emitter(self, sample: Any, active: Bool | bool = True) -> tuple[UInt32, Float, Float]:
         """Choose an emitter by a uniform number: its number, 1 / probability, and a fresh uniform number."""

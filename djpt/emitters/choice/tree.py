@@ -14,7 +14,7 @@ from djpt.emitters.choice.base import EmitterChoice
 from djpt.emitters.choice.tree_build import LEAF, Lights, build
 from djpt.emitters.choice.tree_nodes import children, pack
 from djpt.errors import SceneError
-from djpt.kernels import own_copy
+from djpt.kernels import own_copy, while_loop
 from djpt.samplers.hashing import sample_tea_32
 from djpt.types import Float, Point3f, UInt32, Vector3f
 
@@ -111,7 +111,7 @@ class TreeChoice(EmitterChoice):
             onward = Descent(link, at.probability * (mine * dr.rcp(total)), u)
             return (dr.select(mine > 0, onward, Descent(UInt32(NOWHERE), Float(0), at.u)),)
 
-        (end,) = dr.while_loop((start,), lambda at: at.link < LEAF, step, label="light tree")
+        (end,) = while_loop((start,), lambda at: at.link < LEAF, step, label="light tree")
         found = (end.link != NOWHERE) & (end.probability > 0)
         index = dr.select(found, end.link - LEAF, 0)
         tree_inverse = dr.select(found, dr.rcp(end.probability), 0)
@@ -144,7 +144,7 @@ class TreeChoice(EmitterChoice):
 
         # Where there is no such emitter, there is no way to go.
         start = dr.select(in_tree, link, NOWHERE)
-        _, result = dr.while_loop((start, Float(result)), lambda link, _: link < LEAF, step, label="light tree")
+        _, result = while_loop((start, Float(result)), lambda link, _: link < LEAF, step, label="light tree")
         return dr.select(in_tree, result, 0)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
+from djpt.kernels import while_loop
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, UInt32
 
@@ -37,7 +38,7 @@ class BruteForce:
 
     def _search(self, ray: Approach, any_hit: bool) -> Found:
         count = dr.opaque(UInt32, self.table.count)
-        _, found = dr.while_loop(
+        _, found = while_loop(
             (dr.zeros(UInt32, ray.lanes), ray.nothing_yet()),
             lambda face, found: (face < count) & ((found.face == NO_FACE) if any_hit else Bool(True)),
             lambda face, found: (face + 1, self.table.visit(ray, face, found)),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
-from djpt.kernels import as_vector, shared, wide
+from djpt.kernels import as_vector, shared, while_loop, wide
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, UInt32
 
@@ -90,7 +90,7 @@ class UniformGrid:
         cell = [dr.clip(UInt32(dr.maximum(begin[a], 0)), 0, self._n[a] - 1) for a in range(3)]
         zero = UInt32(0)
         walk = wide(Walk(cell, zero, zero, Float(0), ray.nothing_yet(), entry <= leave), ray.lanes)
-        (walk,) = dr.while_loop(
+        (walk,) = while_loop(
             (self._arrive(ray, walk),),
             lambda walk: walk.active,
             lambda walk: (self._step(ray, walk, any_hit),),
@@ -119,7 +119,7 @@ class UniformGrid:
 
     def _step(self, ray: Approach, walk: Walk, any_hit: bool) -> Walk:
         """Test the cell's triangles, then go on."""
-        item, found = dr.while_loop(
+        item, found = while_loop(
             (walk.item, walk.found),
             lambda item, found: (item < walk.end) & ((found.face == NO_FACE) if any_hit else Bool(True)),
             lambda item, found: (item + 1, self.table.visit(ray, dr.gather(UInt32, self._faces, item), found)),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
-from djpt.kernels import as_vector, shared, wide
+from djpt.kernels import as_vector, shared, while_loop, wide
 from djpt.records import Ray3f
 from djpt.types import ArrayXu, Bool, Float, UInt32
 
@@ -128,7 +128,7 @@ class KdTree:
 
         def visit(begin: Float, found: Found, active: Bool) -> tuple[Float, Found, Bool]:
             item, end, until = self._descend(ray, begin, leave)
-            _, found = dr.while_loop(
+            _, found = while_loop(
                 (item, found),
                 lambda item, found: (item < end) & ((found.face == NO_FACE) if any_hit else Bool(True)),
                 lambda item, found: (item + 1, self.table.visit(ray, dr.gather(UInt32, self._faces, item), found)),
@@ -140,7 +140,7 @@ class KdTree:
                 active &= found.face == NO_FACE
             return until, found, active
 
-        _, found, _ = dr.while_loop(
+        _, found, _ = while_loop(
             (enter, ray.nothing_yet(), enter <= leave), lambda begin, found, active: active, visit, label="kd-tree"
         )
         result: Found = found
@@ -170,7 +170,7 @@ class KdTree:
             return (head & 3) != LEAF
 
         root: tuple[UInt32, UInt32, Float] = wide((*self._node(UInt32(0)), leave), ray.lanes)
-        head, tail, until = dr.while_loop(root, inner, down, label="descent")
+        head, tail, until = while_loop(root, inner, down, label="descent")
         return tail, tail + (head >> 2), until
 
     def statistics(self) -> Statistics:

@@ -11,7 +11,7 @@ from djpt.geometry.bvh.approach import enter
 from djpt.geometry.bvh.records import EMPTY, Records
 from djpt.geometry.bvh.traversal import Cursor, start, turn, visit
 from djpt.geometry.query import Found
-from djpt.kernels import wide
+from djpt.kernels import if_stmt, while_loop, wide
 from djpt.records import Ray3f
 from djpt.types import ArrayXf, Bool, Float, Point3f, UInt32, Vector3f
 
@@ -29,7 +29,7 @@ def search(
     if lanes >= 2 * BATCH and through_lights is None and not dr.flag(dr.JitFlag.SymbolicScope):
         return batched(records, ray, any_hit, active, lanes)
     origin, entry = enter(records, ray)
-    (end,) = dr.while_loop(
+    (end,) = while_loop(
         (wide(start(records, origin, ray.d, ray.maxt - entry, active), lanes),),
         lambda cursor: cursor.current != EMPTY,
         lambda cursor: (visit(records, cursor, origin, ray.d, Bool(any_hit), through_lights),),
@@ -87,10 +87,10 @@ def batched(records: Records, ray: Ray3f, any_hit: bool, active: Bool | bool, la
     def body(flight: Flight) -> tuple[Flight]:
         flight.cursor = turn(records, flight.cursor, flight.origin, flight.d, Bool(any_hit))
         ended = flight.cursor.current == EMPTY
-        (flight,) = dr.if_stmt((flight,), ended, lambda flight: (land(flight),), lambda flight: (flight,))
+        (flight,) = if_stmt((flight,), ended, lambda flight: (land(flight),), lambda flight: (flight,))
         return (flight,)
 
     first = wide(fetch(dr.arange(UInt32, BATCH)), BATCH)
-    (end,) = dr.while_loop((first,), lambda flight: flight.index < count, body, label="ray batch")
+    (end,) = while_loop((first,), lambda flight: flight.index < count, body, label="ray batch")
     dr.eval(end.index, t, record, inside)
     return Found(*enter(records, ray), t, record, inside)

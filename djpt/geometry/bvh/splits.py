@@ -16,7 +16,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.kernels import float_in, maximum, minimum, wide
+from djpt.kernels import float_in, maximum, minimum, while_loop, wide
 from djpt.types import ArrayXu, Float, UInt32
 
 __all__ = [
@@ -147,7 +147,7 @@ def center_bounds(records: UInt32, chosen: Sample) -> Bounds:
         centers = [center(box, a) for a in range(3)]
         return i + 1, unite(bounds, [*centers, *(-c for c in centers)])
 
-    _, bounds = dr.while_loop(
+    _, bounds = while_loop(
         (dr.zeros(UInt32, lanes), nothing(lanes)), lambda i, _: i < chosen.count, turn, label="centroids"
     )
     return list(bounds)
@@ -183,12 +183,12 @@ def binned_split(records: UInt32, nodes: Nodes) -> Split:
 
     bins = dr.alloc_local(Float, 3 * BINS * 6, value=Float(dr.inf))
     counts = dr.alloc_local(UInt32, 3 * BINS, value=UInt32(0))
-    _, bins, counts = dr.while_loop(
+    _, bins, counts = while_loop(
         (dr.zeros(UInt32, lanes), bins, counts), lambda i, *_: i < chosen.count, throw, label="bins"
     )
     best = wide(no_split(), lanes)
     right_costs = dr.alloc_local(Float, BINS)
-    _, best, *_ = dr.while_loop(
+    _, best, *_ = while_loop(
         (dr.zeros(UInt32, lanes), best, bins, counts, right_costs),
         lambda axis, *_: axis < 3,
         lambda axis, best, bins, counts, right_costs: sweep(axis, best, bins, counts, right_costs, bounds, scale),
@@ -214,7 +214,7 @@ def sweep(
         right_costs[bin] = dr.select(count > 0, cost, dr.inf)
         return bin - 1, box, count, bins, counts, right_costs
 
-    _, _, _, bins, counts, right_costs = dr.while_loop(
+    _, _, _, bins, counts, right_costs = while_loop(
         (dr.full(UInt32, BINS - 1, lanes), nothing(lanes), dr.zeros(UInt32, lanes), bins, counts, right_costs),
         lambda bin, *_: bin > 0,
         from_right,
@@ -229,7 +229,7 @@ def sweep(
         split = Split(total, UInt32(axis), Float(base), Float(factor), Float(bin + 1))
         return bin + 1, box, count, better(best, split), bins, counts, costs
 
-    _, _, _, best, bins, counts, right_costs = dr.while_loop(
+    _, _, _, best, bins, counts, right_costs = while_loop(
         (dr.zeros(UInt32, lanes), nothing(lanes), dr.zeros(UInt32, lanes), best, bins, counts, right_costs),
         lambda bin, *_: bin < BINS - 1,
         from_left,
@@ -270,7 +270,7 @@ def exact_split(records: UInt32, nodes: Nodes) -> Split:
 
         empty = [nothing(lanes) for _ in range(3)]
         also = [nothing(lanes) for _ in range(3)]
-        _, left, right, counts = dr.while_loop(
+        _, left, right, counts = while_loop(
             (UInt32(nodes.start), empty, also, [dr.zeros(UInt32, lanes) for _ in range(3)]),
             lambda j, *_: j < end,
             assign,
@@ -283,5 +283,5 @@ def exact_split(records: UInt32, nodes: Nodes) -> Split:
         return i + 1, best
 
     best = wide(no_split(), lanes)
-    _, best = dr.while_loop((UInt32(nodes.start), best), lambda i, _: i < end, try_candidate, label="candidates")
+    _, best = while_loop((UInt32(nodes.start), best), lambda i, _: i < end, try_candidate, label="candidates")
     return best

@@ -22,7 +22,7 @@ from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUM
 from djpt.geometry.canonical import intersect
 from djpt.geometry.query import NONE
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
-from djpt.kernels import float_in, maximum, minimum
+from djpt.kernels import float_in, if_stmt, maximum, minimum, while_loop
 from djpt.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
@@ -140,7 +140,7 @@ def turn(
         return cursor
 
     # A loop, though the number of rounds is known: unrolled, the code outgrows the processor's caches.
-    cursor, _, _ = dr.while_loop(
+    cursor, _, _ = while_loop(
         (cursor, UInt32(0), any_hit),
         lambda cursor, i, any_hit: (i < ROUNDS) & going(cursor),
         lambda cursor, i, any_hit: (steps(cursor, any_hit), i + 1, any_hit),
@@ -178,7 +178,7 @@ def crossed(
             after = dr.select((words[12] & SOLID) != 0, after, pass_portal(cursor, after, words, placed, o, d))
         return (after,)
 
-    (cursor,) = dr.if_stmt((cursor,), cursor.waiting, cross, lambda cursor: (cursor,))
+    (cursor,) = if_stmt((cursor,), cursor.waiting, cross, lambda cursor: (cursor,))
     return cursor
 
 

@@ -1,0 +1,212 @@
+"""What functions frozen by `dr.freeze` see of an object, and whether one of them is being recorded.
+
+A frozen function launches the kernels of an earlier call again, with new arrays. It must therefore be told all arrays
+that its kernels read, and everything else that shaped them. Dr.Jit looks for a `DRJIT_STRUCT`; here it finds one
+whose single field lists what can be reached from the object: first, as one hashable value, all that isn't an array
+of Dr.Jit, which is structure; then the arrays. Arrays may have other values in the next call, structure may not:
+where it differs the function is traced again.
+"""
+
+from __future__ import annotations
+
+import inspect
+import operator
+import types
+import weakref
+from collections.abc import Hashable, Iterable
+from enum import Enum
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.errors import ParameterError
+
+__all__ = ["SHARED", "Held", "Holder", "Structure", "recording", "require_editable"]
+
+SHARED: list[Any] = []
+"""Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
+
+Container = list[Any] | dict[Any, Any]
+
+PLAIN = (bool, int, float, complex, str, bytes, type(None), type, Enum, np.generic)
+
+SMALL = 64
+"""Arrays of NumPy up to this size are compared by their numbers, larger ones by identity."""
+
+
+def recording() -> bool:
+    """Whether `dr.freeze` records what is computed now, to repeat it with other arrays.
+
+    Arrays can't be read on the host then, nor be made of memory that Dr.Jit doesn't own.
+    """
+    return bool(dr.flag(dr.JitFlag.FreezingScope))
+
+
+def require_editable(plugins: Iterable[Any]) -> None:
+    """Raise `ParameterError` if an edit of some plugins can't be part of a frozen function that is recorded now."""
+    for plugin in plugins:
+        if plugin.kind in ("shape", "sensor") and recording():
+            raise ParameterError(
+                f"{plugin.id()}: {plugin.kind}s can't be edited while dr.freeze records a function, "
+                "since the host computes what follows: call update() before the function"
+            )
+
+
+class Structure:
+    """A hashable value; not a tuple, since Dr.Jit would look for arrays in it."""
+
+    __slots__ = ("parts",)
+
+    def __init__(self, parts: tuple[Hashable, ...]) -> None:
+        self.parts = parts
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Structure) and self.parts == other.parts
+
+    def __hash__(self) -> int:
+        return hash(self.parts)
+
+
+class Same:
+    """A hashable value that stands for one object, and keeps it alive."""
+
+    __slots__ = ("what",)
+
+    def __init__(self, what: Any) -> None:
+        self.what = what
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and self.what is other.what
+
+    def __hash__(self) -> int:
+        return id(self.what)
+
+
+class Inventory:
+    """The arrays and the structure that can be reached from an object."""
+
+    def __init__(self, root: Any) -> None:
+        self._root = weakref.ref(root)
+        self._parts: list[Any] = [self._root]
+        self._arrays: list[Any] = []
+        self._visited: dict[int, tuple[int, Any]] = {}
+        self._contents: list[tuple[Container, tuple[Any, ...]]] = []
+        self._visit_members(root)
+        self._shared = len(SHARED)
+        self.list = [Structure(tuple(self._parts)), *self._arrays, *SHARED]
+        """The structure, and the arrays in an order that depends on the structure alone."""
+        del self._parts, self._arrays, self._visited
+
+    def is_current(self, root: Any) -> bool:
+        """Whether everything is still where it was; arrays may have been changed in place."""
+        return (
+            self._root() is root
+            and self._shared == len(SHARED)
+            and all(
+                len(holder) == len(before) and all(map(operator.is_, values_of(holder), before))
+                for holder, before in self._contents
+            )
+        )
+
+    def _visit(self, value: Any) -> None:
+        if isinstance(value, PLAIN):
+            self._parts.append(value)
+        elif dr.is_array_v(value):
+            if dr.is_jit_v(value) and dr.width(value):
+                self._arrays.append(value)
+            else:
+                self._parts.append(repr(value))
+        elif id(value) in self._visited:
+            self._parts.append(self._visited[id(value)][0])
+        else:
+            # The object is kept beside its number so that its id stays taken.
+            self._visited[id(value)] = (len(self._visited), value)
+            self._parts.append(type(value))
+            self._visit_members(value)
+
+    def _visit_members(self, value: Any) -> None:
+        """Visit what an object consists of, in an order that it keeps."""
+        if isinstance(value, np.ndarray):
+            small = value.size <= SMALL and value.dtype != object
+            self._parts.append((value.shape, value.tobytes()) if small else Same(value))
+        elif isinstance(value, (frozenset, set)):
+            self._parts.append(frozenset(entry for entry in value if isinstance(entry, PLAIN)))
+        elif isinstance(value, tuple):
+            self._visit_all(value)
+        elif isinstance(value, list):
+            self._visit_all(self._noted(value))
+        elif isinstance(value, dict):
+            self._parts.extend(key for key in value if isinstance(key, str))
+            self._visit_all(self._noted(value))
+        else:
+            self._visit_all(members(value))
+            own = getattr(value, "__dict__", None)
+            if isinstance(own, dict) and not isinstance(value, types.ModuleType):
+                self._parts.extend(own)
+                self._visit_all(self._noted(own))
+
+    def _visit_all(self, values: tuple[Any, ...]) -> None:
+        self._parts.append(len(values))
+        for value in values:
+            self._visit(value)
+
+    def _noted(self, holder: Container) -> tuple[Any, ...]:
+        """The values in a list or dict, as they are now."""
+        values = tuple(values_of(holder))
+        self._contents.append((holder, values))
+        return values
+
+
+def values_of(holder: Container) -> Iterable[Any]:
+    """The values in a list or dict."""
+    return holder.values() if isinstance(holder, dict) else holder
+
+
+def members(value: Any) -> tuple[Any, ...]:
+    """What an object refers to besides its attributes."""
+    if isinstance(value, types.FunctionType):
+        return tuple(inspect.getclosurevars(value).nonlocals.values()) if value.__closure__ else ()
+    if isinstance(value, types.MethodType):
+        return value.__self__, value.__func__
+    if isinstance(value, partial):
+        return value.func, value.args, value.keywords
+    slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
+    return tuple(getattr(value, name) for name in slots if name not in UNSEEN and hasattr(value, name))
+
+
+UNSEEN = ("__weakref__", "_inventory")
+"""Slots that say nothing of an object."""
+
+
+class Held:
+    """The attribute `DRJIT_STRUCT` of objects that only frozen functions look into.
+
+    Anywhere else Dr.Jit treats them as it treats Python's own objects: it carries them along.
+    """
+
+    def __get__(self, holder: Any, owner: type) -> dict[str, type]:
+        if not dr.flag(dr.JitFlag.EnableObjectTraversal):
+            raise AttributeError("DRJIT_STRUCT")
+        return {"held": list}
+
+
+class Holder:
+    """An object that tells frozen functions what it holds."""
+
+    # A slot, since the attributes of plugins may be inputs of kernels, and copies share them.
+    __slots__ = ("_inventory",)
+    DRJIT_STRUCT = Held()
+
+    def prepare_to_record(self) -> None:
+        """Make what can't be made while a frozen function is recorded."""
+
+    @property
+    def held(self) -> list[Any]:
+        """The structure of the object, and the arrays that can be reached from it: see `Inventory`."""
+        found: Inventory | None = getattr(self, "_inventory", None)
+        if found is None or not found.is_current(self):
+            self.prepare_to_record()
+            found = self._inventory = Inventory(self)
+        return list(found.list)

@@ -1,0 +1,216 @@
+"""Functions frozen by `dr.freeze` that render: the same bits as without, with other parameters and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+from drjit.opt import Adam
+
+import djpt
+from djpt.types import Color3f, TensorXf, UInt32
+from tests.kit.renders import box, pixels
+
+RED = "red.reflectance.value"
+AREAS: dict[str, Any] = {"type": "aov", "aovs": "depth:depth,n:sh_normal", "colour": {"type": "path"}}
+
+
+def with_mesh(scene: dict[str, Any]) -> None:
+    """Add a mesh to a scene."""
+    mesh = djpt.Mesh("tetrahedron", 4, 4)
+    corners = np.array([[-0.3, -0.3, 0], [0.3, -0.3, 0], [0, 0.3, 0], [0, 0, 0.4]], np.float32)
+    params = djpt.traverse(mesh)
+    params["vertex_positions"] = corners.ravel()
+    params["faces"] = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.uint32).ravel()
+    params.update()
+    scene["tetrahedron"] = mesh
+
+
+SCENES: dict[str, Callable[[], dict[str, Any]]] = {
+    "sums in registers": lambda: box(8),
+    "sums by calls": lambda: box(8, "gaussian"),
+    "sums per tap": lambda: box(8, "lanczos"),
+    "a mesh": lambda: box(8, "gaussian", edit=with_mesh),
+    "several channels": lambda: box(8, "gaussian", AREAS),
+    "light paths": lambda: box(8, "gaussian", {"type": "ptracer"}),
+}
+
+
+def image(scene: djpt.Scene, seed: UInt32) -> TensorXf:
+    return djpt.render(scene, spp=2, seed=seed)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_frozen_rendering_gives_the_same_bits(name: str) -> None:
+    scene = djpt.load_dict(SCENES[name]())
+    params, frozen = djpt.traverse(scene), dr.freeze(image)
+    seen = []
+    for k in range(4):
+        params[RED] = Color3f(0.2 + 0.2 * k, 0.1, 0.1)
+        params.update()
+        found, expected = pixels(frozen(scene, UInt32(k))), pixels(image(scene, UInt32(k)))
+        np.testing.assert_array_equal(found, expected)
+        seen.append(found)
+    assert not np.array_equal(seen[2], seen[3])
+    assert frozen.n_recordings == 2, "the second one finds out which arrays have other values each time"
+
+
+@pytest.mark.parametrize("schedule", ["machine", "wave"])
+def test_every_schedule_can_be_frozen(schedule: str) -> None:
+    scene = djpt.load_dict(box(8, edit=with_mesh))
+    frozen = dr.freeze(lambda scene, seed: djpt.render(scene, spp=2, seed=seed, schedule=schedule))
+    for k in range(3):
+        expected = djpt.render(scene, spp=2, seed=k, schedule=schedule)
+        np.testing.assert_array_equal(pixels(frozen(scene, UInt32(k))), pixels(expected))
+
+
+def test_passes_can_be_frozen() -> None:
+    scene = djpt.load_dict(box(8, "gaussian"))
+    frozen = dr.freeze(lambda scene, seed: djpt.render(scene, spp=4, seed=seed, pass_spp=1))
+    for k in range(3):
+        np.testing.assert_array_equal(pixels(frozen(scene, UInt32(k))), pixels(djpt.render(scene, spp=4, seed=k)))
+
+
+# ---- derivatives ---------------------------------------------------------------------------------
+
+
+def reverse(scene: djpt.Scene, target: TensorXf, seed: UInt32) -> Any:
+    """The loss; its gradient is left to the parameters."""
+    params = djpt.traverse(scene)
+    loss = dr.mean(dr.square(djpt.render(scene, params, spp=2, seed=seed) - target), axis=None)
+    dr.backward(loss)
+    return loss
+
+
+INTEGRATORS: dict[str, dict[str, Any]] = {"replay": {"type": "path"}, "plain AD": {"type": "direct"}}
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_an_optimisation_by_frozen_steps_gives_the_same_values(name: str, rfilter: str) -> None:
+    def run(step: Callable[..., Any]) -> list[list[float]]:
+        scene = djpt.load_dict(box(8, rfilter, INTEGRATORS[name]))
+        target, params, found = djpt.render(scene, spp=16), djpt.traverse(scene), []
+        optimizer = Adam(lr=0.02, params={RED: Color3f(0.4, 0.3, 0.6)})
+        for k in range(5):
+            params.update(optimizer)
+            loss = step(scene, target, UInt32(k))
+            optimizer.step()
+            found.append([*np.array(optimizer[RED]).ravel().tolist(), loss.array[0]])
+        return found
+
+    frozen = dr.freeze(reverse)
+    # Dr.Jit computes the loss in other kernels, with other roundings.
+    np.testing.assert_allclose(run(frozen), run(reverse), rtol=1e-6)
+    assert frozen.n_recordings == 2
+
+
+def test_a_whole_step_with_its_optimiser_can_be_frozen() -> None:
+    def step(scene: djpt.Scene, optimizer: Adam, target: TensorXf, seed: UInt32) -> Any:
+        djpt.traverse(scene).update(optimizer)
+        loss = reverse(scene, target, seed)
+        optimizer.step()
+        return loss
+
+    def run(step: Callable[..., Any]) -> list[list[float]]:
+        scene = djpt.load_dict(box(8))
+        target, optimizer, found = djpt.render(scene, spp=16), Adam(lr=0.02), []
+        optimizer[RED] = Color3f(0.4, 0.3, 0.6)
+        for k in range(6):
+            step(scene, optimizer, target, UInt32(k))
+            found.append(np.array(optimizer[RED]).ravel().tolist())
+        return found
+
+    np.testing.assert_allclose(run(dr.freeze(step)), run(step), rtol=1e-6)
+
+
+def test_forward_derivatives_can_be_frozen() -> None:
+    def change(scene: djpt.Scene, seed: UInt32) -> TensorXf:
+        params = djpt.traverse(scene)
+        dr.enable_grad(params[RED])
+        dr.set_grad(params[RED], Color3f(1, 0, 0))
+        params.update()
+        return dr.forward_to(djpt.render(scene, params, spp=2, seed=seed))
+
+    scene, frozen = djpt.load_dict(box(8)), dr.freeze(change)
+    for k in range(3):
+        np.testing.assert_array_equal(pixels(frozen(scene, UInt32(k))), pixels(change(scene, UInt32(k))))
+
+
+# ---- what is an input, and what is structure -----------------------------------------------------
+
+
+def test_another_count_of_samples_is_another_recording() -> None:
+    scene = djpt.load_dict(box(8))
+    frozen = dr.freeze(lambda scene, spp: djpt.render(scene, spp=spp))
+    for spp in (2, 4, 2, 4):
+        np.testing.assert_array_equal(pixels(frozen(scene, spp)), pixels(djpt.render(scene, spp=spp)))
+    assert frozen.n_recordings == 2 + 1, "the film has another image now than at first"
+
+
+def test_edits_of_structure_are_seen() -> None:
+    scene = djpt.load_dict(box(8))
+    params, frozen = djpt.traverse(scene), dr.freeze(image)
+    for size, corner in ((8, 0.5), (4, 0.5), (4, 0.2)):
+        params["sensor.film.size"] = (size, size)
+        params["sensor.to_world"] = djpt.ScalarTransform4f().look_at([corner, 0, 3.9], [0, 0, 0], [0, 1, 0])
+        params.update()
+        found = pixels(frozen(scene, UInt32(0)))
+        assert found.shape == (size, size, 3)
+        np.testing.assert_array_equal(found, pixels(image(scene, UInt32(0))))
+
+
+def test_a_frozen_function_serves_another_scene() -> None:
+    frozen = dr.freeze(image)
+    for colour in (0.1, 0.7):
+        scene = djpt.load_dict(
+            box(8, edit=lambda d, c=colour: d["green"]["reflectance"].update(value=[c, 0.2, 0.2]))  # type: ignore[misc]
+        )
+        np.testing.assert_array_equal(pixels(frozen(scene, UInt32(1))), pixels(image(scene, UInt32(1))))
+
+
+def test_the_film_has_the_image_of_a_frozen_function() -> None:
+    scene, frozen = djpt.load_dict(box(8)), dr.freeze(image)
+    for k in range(3):
+        found = frozen(scene, UInt32(k))
+        np.testing.assert_array_equal(pixels(scene.sensors()[0].film().develop()), pixels(found))
+
+
+def test_scenes_are_no_trees_of_arrays_elsewhere() -> None:
+    """Dr.Jit looks into scenes when it calls frozen functions, and nowhere else."""
+    scene = djpt.load_dict(box(8))
+    assert not hasattr(scene, "DRJIT_STRUCT")
+    assert not hasattr(djpt.traverse(scene), "DRJIT_STRUCT")
+
+
+# ---- errors ----------------------------------------------------------------------------------------
+
+
+def test_shapes_must_be_moved_outside() -> None:
+    scene = djpt.load_dict(box(8))
+
+    @dr.freeze
+    def moved(scene: djpt.Scene, seed: UInt32) -> TensorXf:
+        params = djpt.traverse(scene)
+        params["floor.to_world"] = djpt.ScalarTransform4f().translate([0, 0.1, 0])
+        params.update()
+        return image(scene, seed)
+
+    with pytest.raises(RuntimeError) as raised:
+        moved(scene, UInt32(0))
+    assert "floor: shapes can't be edited while dr.freeze records a function" in str(causes(raised.value))
+
+
+def test_a_seed_is_one_number() -> None:
+    scene, frozen = djpt.load_dict(box(8)), dr.freeze(image)
+    with pytest.raises(RuntimeError) as raised:
+        frozen(scene, UInt32(1, 2))
+    assert "'seed' must be one whole number, found 2" in str(causes(raised.value))
+
+
+def causes(error: BaseException | None) -> list[str]:
+    """The messages of an error and of its causes."""
+    return [] if error is None else [str(error), *causes(error.__cause__)]
