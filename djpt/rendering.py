@@ -16,7 +16,7 @@ from djpt.scene import Scene
 from djpt.schedules.base import Schedule
 from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
-from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
+from djpt.schedules.job import Job, Progress, image_channels, require_countable
 from djpt.sensors import Sensor
 from djpt.types import TensorXf
 
@@ -179,11 +179,7 @@ def make_job(
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
     job = Job(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
-    if job.samples > MAX_SAMPLES:
-        raise RenderError(
-            f"{job.width} x {job.height} pixels at {spp} spp are more than 2^32 samples; "
-            "render fewer spp under several seeds and average the images"
-        )
+    require_countable(job.width, job.height, spp)
     return job
 
 

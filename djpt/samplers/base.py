@@ -138,8 +138,29 @@ class Sampler(Plugin):
         self._sample = 0
         self._stream = self._begun() if self._makes_streams() else None
 
+    def begun(self: Own, seed: UInt32 | int, spp: int, pixels: int) -> Own:
+        """A seeded copy for a wavefront of all samples of `pixels` pixels, pixel after pixel.
+
+        There are `spp` of each, or as many as `sample_count` says if it is 0; samplers may round up.
+        """
+        sampler = self.clone()
+        if spp:
+            sampler.set_sample_count(spp)
+        sampler.set_samples_per_wavefront(sampler.sample_count())
+        sampler.seed(seed, pixels * sampler.sample_count())
+        return sampler
+
+    @property
+    def has_streams(self) -> bool:
+        """Whether samples can be computed in any order: each has a stream of its own.
+
+        Classes of scripts may override `next_1d` or `next_2d` in place of `stream`. Such a sampler is only the stream of
+        all lanes of a wavefront.
+        """
+        kind = type(self)
+        return self._makes_streams() and kind.next_1d is Sampler.next_1d and kind.next_2d is Sampler.next_2d
+
     def _makes_streams(self) -> bool:
-        """Whether the class has streams; classes of scripts may override `next_1d` and `next_2d` in their place."""
         return type(self).stream is not Sampler.stream
 
     def _begun(self) -> SampleStream:

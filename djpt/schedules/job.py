@@ -9,6 +9,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached, Ensemble
+from djpt.errors import RenderError
 from djpt.films import Film
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f
@@ -17,7 +18,7 @@ from djpt.scene import Scene
 from djpt.sensors import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
 
-__all__ = ["MAX_SAMPLES", "Band", "Job", "Progress", "image_channels"]
+__all__ = ["Band", "Job", "Progress", "image_channels", "require_countable"]
 
 Progress = Callable[[int, int], None]
 """Called with (samples done, samples in all) after each pass."""
@@ -163,3 +164,12 @@ def camera(sensor: Sensor) -> Sensor:
     # Long tables must exist before a kernel's loop asks for them.
     values.prepare(ensemble.leaves())
     return ensemble.groups[0].at(UInt32(0), values)
+
+
+def require_countable(width: int, height: int, spp: int) -> None:
+    """Raise `RenderError` if there are too many samples."""
+    if width * height * spp > MAX_SAMPLES:
+        raise RenderError(
+            f"{width} x {height} pixels at {spp} spp are more than 2^32 samples; "
+            "render fewer spp under several seeds and average the images"
+        )

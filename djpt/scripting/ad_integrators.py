@@ -9,7 +9,6 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached, Detached
-from djpt.errors import RenderError
 from djpt.films.base import FilmFlags
 from djpt.gradients.leaves import attached_parameters
 from djpt.gradients.own_rendering import attached_view
@@ -17,7 +16,7 @@ from djpt.integrators.base import Integrator
 from djpt.rendering import find_sensor
 from djpt.samplers.base import Sampler
 from djpt.scene import Scene
-from djpt.schedules.job import MAX_SAMPLES
+from djpt.schedules.job import require_countable
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 
@@ -73,20 +72,11 @@ class ADIntegrator(Integrator):
         Raises:
             RenderError: More than 2^32 samples.
         """
-        film, sampler = sensor.film(), sensor.sampler().clone()
-        if spp:
-            sampler.set_sample_count(spp)
-        spp = sampler.sample_count()
-        sampler.set_samples_per_wavefront(spp)
         width, height = sampled_grid(sensor)
-        if width * height * spp > MAX_SAMPLES:
-            raise RenderError(
-                f"{width} x {height} pixels at {spp} spp are more than 2^32 samples; "
-                "render fewer spp under several seeds and average the images"
-            )
-        sampler.seed(seed, width * height * spp)
-        film.prepare(list(aovs))
-        return sampler, spp
+        require_countable(width, height, spp or sensor.sampler().sample_count())
+        sampler = sensor.sampler().begun(seed, spp, width * height)
+        sensor.film().prepare(list(aovs))
+        return sampler, sampler.sample_count()
 
     def sample_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Color3f, Point2f]:
         """The rays of all samples, their weights, and their positions on the film in pixels.
