@@ -13,7 +13,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.integrators.blind_spots import warn_of_blind_spots
 from djpt.integrators.walk import walk
-from djpt.records import Ray3f, Reference, SurfaceInteraction3f
+from djpt.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 
@@ -128,6 +128,15 @@ class Integrator(Plugin):
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
         rendering().image_derivative(scene, self, sensor, seed, spp, grad_in)
+
+    def skip_area_emitters(
+        self, scene: Scene, ray: Ray3f, coherent: bool = False, active: Bool | bool = True
+    ) -> PreliminaryIntersection3f:
+        """The first hit of a ray with a shape that doesn't emit: for `hide_emitters`.
+
+        `coherent` is there for the signature.
+        """
+        return scene.closest_hit(ray, active, through_lights=Bool(True))
 
     def cancel(self) -> None:
         """Ask a rendering to stop, from its `progress` function or another thread: it raises `RenderError`."""

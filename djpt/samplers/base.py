@@ -154,8 +154,8 @@ class Sampler(Plugin):
     def has_streams(self) -> bool:
         """Whether samples can be computed in any order: each has a stream of its own.
 
-        Classes of scripts may override `next_1d` or `next_2d` in place of `stream`. Such a sampler is only the stream of
-        all lanes of a wavefront.
+        Classes of scripts may override `next_1d` or `next_2d` in place of `stream`. Such a sampler is nothing but the
+        stream of all lanes of a wavefront.
         """
         kind = type(self)
         return self._makes_streams() and kind.next_1d is Sampler.next_1d and kind.next_2d is Sampler.next_2d

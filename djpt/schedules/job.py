@@ -94,7 +94,7 @@ class Job:
         pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
-        return self._camera_ray(position, Point2f(0.5))
+        return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5))
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
@@ -114,11 +114,14 @@ class Job:
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return stream, self._camera_ray(position, aperture), offset
+        return stream, self._camera_ray(pixel, position, offset, aperture), offset
 
-    def _camera_ray(self, position: Point2f, aperture: Point2f) -> Ray3f:
-        """The ray through a position on the crop window, in pixels."""
-        ray = self.camera.ray_through(position * self._inverse_crop, aperture)
+    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f) -> Ray3f:
+        """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel."""
+        if self.sensor.by_pixel:
+            ray = self.camera.ray_of_pixel(pixel, offset, aperture)
+        else:
+            ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
         return ray
 

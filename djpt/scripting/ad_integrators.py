@@ -20,7 +20,7 @@ from djpt.schedules.job import require_countable
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 
-__all__ = ["ADIntegrator", "RBIntegrator"]
+__all__ = ["ADIntegrator", "CppADIntegrator", "RBIntegrator"]
 
 UNBOUNDED = 0xFFFFFFFF
 """The attribute `max_depth` of paths without a longest one."""
@@ -51,16 +51,33 @@ class ADIntegrator(Integrator):
 
     # ---- what subclasses override ------------------------------------------------------
 
-    def sample(self, *args: Any, **options: Any) -> Any:
+    def sample(  # type: ignore[override]
+        self,
+        mode: dr.ADMode,
+        scene: Scene,
+        sampler: Sampler,
+        ray: Any,
+        depth: UInt32,
+        δL: Color3f | None,
+        δaovs: Sequence[Float] | None,
+        state_in: Any,
+        active: Bool,
+    ) -> Any:
         """The result of all samples: (radiance, whether each is covered, a list of AOVs, a state).
 
-        Called with keywords:
+        Called with keywords, so that a subclass may name the ones that it uses, and take the others by ``**kwargs``.
 
-        * `mode`: ``dr.ADMode.Primal``: estimate radiance; ``Forward``: its derivative; ``Backward``: add to the
-          gradients of parameters what follows from `δL`.
-        * `scene`, `sampler`, seeded, and `ray`, a ray with differentials per lane; `active`, true.
-        * `depth`, 0; `δL` and `δaovs`, the adjoints in backward mode, else None; `state_in`, the state that a call in
-          primal mode returned, for `RBIntegrator` alone, else None.
+        Args:
+            mode: ``dr.ADMode.Primal``: estimate radiance; ``Forward``: its derivative; ``Backward``: add to the
+                gradients of parameters what follows from `δL`.
+            scene: The scene.
+            sampler: The random numbers of all lanes, seeded.
+            ray: A ray with differentials per lane.
+            depth: 0.
+            δL: The adjoint of the radiance in backward mode, else None.
+            δaovs: Those of the AOVs.
+            state_in: For `RBIntegrator` alone, the state that a call in primal mode returned, else None.
+            active: True.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method sample(mode, scene, sampler, ray, ..)")
 
@@ -169,6 +186,10 @@ class ADIntegrator(Integrator):
                 )
                 self.splat(camera, spp, position, color * weight, valid, aovs)
                 return camera.film().develop()
+
+
+CppADIntegrator = ADIntegrator
+"""Mitsuba's name of the base, which is written in C++ there."""
 
 
 class RBIntegrator(ADIntegrator):

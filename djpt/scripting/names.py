@@ -14,6 +14,7 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.unidirectional": "MonteCarloIntegrator",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
+    "djpt.scripting.ad_integrators": "CppADIntegrator",
     "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
     "djpt.scripting.angles": "dir_to_sph sph_to_dir",
     "djpt.scripting.arguments": "ArgParser",
