@@ -12,6 +12,7 @@ from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
+from djpt.samplers import Sampler
 from djpt.scene import Scene
 from djpt.schedules.base import Schedule
 from djpt.schedules.canvas import picture
@@ -178,9 +179,18 @@ def make_job(
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
-    job = Job(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
+    job = job_of(sampler)(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
     require_countable(job.width, job.height, spp)
     return job
+
+
+def job_of(sampler: Sampler) -> type[Job]:
+    """The kind of job that a sampler needs."""
+    if sampler.has_streams:
+        return Job
+    from djpt.schedules.wavefront import WavefrontJob
+
+    return WavefrontJob
 
 
 def require_scene(scene: Any) -> None:

@@ -86,6 +86,10 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
         raise RenderError(
             f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
         )
+    if integrator.stepwise and not samples.sampler.has_streams:
+        from djpt.gradients.wavefront import WavefrontDerivative
+
+        return WavefrontDerivative(samples, schedule, parameters)
     if integrator.stepwise:
         return ReplayDerivative(samples, schedule, parameters)
     return AttachedDerivative(samples, schedule, parameters)

@@ -138,16 +138,18 @@ class Sampler(Plugin):
         self._sample = 0
         self._stream = self._begun() if self._makes_streams() else None
 
-    def begun(self: Own, seed: UInt32 | int, spp: int, pixels: int) -> Own:
-        """A seeded copy for a wavefront of all samples of `pixels` pixels, pixel after pixel.
+    def begun(self: Own, seed: UInt32 | int, spp: int, pixels: int, share: int = 0) -> Own:
+        """A seeded copy for a wavefront of samples of `pixels` pixels, pixel after pixel.
 
-        There are `spp` of each, or as many as `sample_count` says if it is 0; samplers may round up.
+        Each has `spp` samples, or as many as `sample_count` says if it is 0; samplers may round up. The wavefront is
+        the first `share` of them, or all if it is 0; `advance` goes on to the next.
         """
         sampler = self.clone()
         if spp:
             sampler.set_sample_count(spp)
-        sampler.set_samples_per_wavefront(sampler.sample_count())
-        sampler.seed(seed, pixels * sampler.sample_count())
+        share = share or sampler.sample_count()
+        sampler.set_samples_per_wavefront(share)
+        sampler.seed(seed, pixels * share)
         return sampler
 
     @property
@@ -253,4 +255,4 @@ class Sampler(Plugin):
 
 def is_state(value: Any) -> bool:
     """Whether a value consists of Dr.Jit's variables."""
-    return dr.is_array_v(value) or dr.is_struct_v(value)
+    return value is not None and bool(dr.is_array_v(value) or dr.is_struct_v(value))

@@ -111,10 +111,14 @@ class Job:
         The offset is the first two numbers of the stream.
         """
         stream = self.stream(pixel, k)
+        return stream, *self.sampled_ray(stream, pixel, x, y)
+
+    def sampled_ray(self, stream: SampleStream, pixel: UInt32, x: Float, y: Float) -> tuple[Ray3f, Point2f]:
+        """A camera ray by the next numbers of a stream, and its film offset."""
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return stream, self._camera_ray(pixel, position, offset, aperture), offset
+        return self._camera_ray(pixel, position, offset, aperture), offset
 
     def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f) -> Ray3f:
         """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel."""
