@@ -103,9 +103,10 @@ class Integrator(Plugin):
         develop: bool = True,
         evaluate: bool = True,
     ) -> TensorXf:
-        """Render an image of a scene; without derivatives, which `djpt.render` adds.
+        """Render an image of a scene, attached to parameters with gradients by the derivatives of its own samples.
 
-        A class that overrides it renders by itself, and differentiates by `render_forward` and `render_backward`.
+        `djpt.render` estimates derivatives by other samples. A class that overrides it renders by itself, and
+        differentiates by `render_forward` and `render_backward`.
 
         Args:
             scene: What `load_dict` returned.
@@ -115,8 +116,7 @@ class Integrator(Plugin):
             develop: Whether to return the image; else it is left to the film, see `djpt.films.HDRFilm.develop`.
             evaluate: Whether to compute it at once; always done here.
         """
-        with dr.suspend_grad():
-            image = rendering().film_image(scene, sensor, self, seed, spp)
+        image = rendering().film_image(scene, sensor, self, seed, spp, seed_grad=None)
         return image if develop else TensorXf()
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
