@@ -15,6 +15,7 @@ from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
 from djpt.dispatch.lookup import choose
 from djpt.emitters.base import Emitter
+from djpt.kernels import mapped
 from djpt.materials.base import BSDF
 from djpt.records import (
     BSDFContext,
@@ -145,8 +146,9 @@ class BSDFPtr(Pointer[BSDF]):
 
         `method` returns a PyTree; on lanes that aren't `active` it means nothing.
         """
-        # Every surface has a BSDF, so no value is needed for "none".
-        return self.ensemble.call(self.index, self.lookup, method, None, active)
+        found = self.ensemble.call(self.index, self.lookup, method, None, active)
+        # Every surface has a BSDF: only pointers that scripts make can be "none".
+        return dr.select(self.is_valid(), found, mapped(found, dr.zeros_like)) if self.is_of_strangers else found
 
     def _reattached(
         self,

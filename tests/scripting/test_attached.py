@@ -165,3 +165,57 @@ def test_the_derivative_of_a_point_outlasts_a_traversal() -> None:
     si = djpt.load_dict({"type": "scene", "wall": {"type": "rectangle"}}).ray_intersect(djpt.Ray3f(o, [0, 0, 1]))
     dr.forward(o.x)
     assert numbers(dr.grad(si.p)) == [1, 0, 0] and numbers(dr.grad(si.uv)) == [0.5, 0]
+
+
+def own_estimate(m: Any) -> list[float]:
+    """The derivatives of light that a script computes by itself: reflected from a wall, and from a lamp."""
+    box = m.load_dict(m.cornell_box())
+    params = m.traverse(box)
+    white, light = "white.reflectance.value", "light.emitter.radiance.value"
+    dr.enable_grad(params[white])
+    dr.enable_grad(params[light])
+    params.update()
+    si = box.ray_intersect(m.Ray3f([0, 0, 0], [0.1, -1, 0.2]))
+    ds, lit = box.sample_emitter_direction(si, m.Point2f(0.3, 0.4))
+    value = si.bsdf().eval(m.BSDFContext(), si, si.to_local(ds.d))
+    lamp = box.ray_intersect(m.Ray3f([0, 0, 0], [0, 1, 0]))
+    dr.backward(dr.sum(value * lit + lamp.emitter(box).eval(lamp)))
+    found = [dr.grad(params[key]) for key in (white, light)]
+    dr.eval(found)
+    return [float(g[c][0]) for g in found for c in range(3)]
+
+
+def test_scripts_differentiate_what_they_compute_themselves(mi: Any) -> None:
+    np.testing.assert_allclose(own_estimate(djpt), own_estimate(mi), rtol=1e-4)
+
+
+def test_pointers_of_plugins_are_differentiated() -> None:
+    """Some lanes have no BSDF: there everything is 0."""
+    bsdf = djpt.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}})
+    params = djpt.traverse(bsdf)
+    dr.enable_grad(params["reflectance.value"])
+    params.update()
+    pointer = dr.select(djpt.Bool([True, False, True]), djpt.BSDFPtr(bsdf), dr.zeros(djpt.BSDFPtr))
+    si = dr.zeros(djpt.SurfaceInteraction3f, 3)
+    si.wi = [0, 0, 1]
+    value = pointer.eval(djpt.BSDFContext(), si, [0, 0, 1])
+    np.testing.assert_allclose(np.array(dr.detach(value))[0], [0.5 / np.pi, 0, 0.5 / np.pi], rtol=1e-6)
+    dr.backward(dr.sum(value.x))
+    np.testing.assert_allclose(np.array(dr.grad(params["reflectance.value"])).ravel(), [2 / np.pi, 0, 0], rtol=1e-6)
+    with dr.suspend_grad():
+        assert not dr.grad_enabled(pointer.eval(djpt.BSDFContext(), si, [0, 0, 1]))
+
+
+def test_parameters_with_gradients_are_read_in_loops() -> None:
+    """Without their gradients: tables that carry them can't be made in a loop that Dr.Jit records."""
+    bsdf = djpt.load_dict({"type": "diffuse"})
+    params, pointer = djpt.traverse(bsdf), djpt.BSDFPtr(bsdf)
+    dr.enable_grad(params["reflectance.value"])
+    si = dr.zeros(djpt.SurfaceInteraction3f, 2)
+    si.wi = [0, 0, 1]
+    _, total = dr.while_loop(
+        (djpt.UInt32(0, 0), djpt.Float(0, 0)),
+        lambda i, total: i < 3,
+        lambda i, total: (i + 1, total + pointer.eval(djpt.BSDFContext(), si, [0, 0, 1]).x),
+    )
+    np.testing.assert_allclose(np.array(dr.detach(total)), 1.5 / np.pi, rtol=1e-6)
