@@ -8,7 +8,6 @@ from typing import Any
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.description.registry import register_sensor
 from djpt.errors import ArgumentError, RenderError
 from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
@@ -93,6 +92,3 @@ class FlatSensor(SensorGroup):
         timed: Any = self._ray(source, column - dr.floor(column), Point2f(sample3), active)
         timed.time = Float(time)
         return timed, dr.full(Color3f, self.weight, lanes)
-
-
-register_sensor("flat_sensor", FlatSensor)

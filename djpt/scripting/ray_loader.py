@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.loader import load_dict
+from djpt.description.properties import Properties
 from djpt.errors import ArgumentError
 from djpt.samplers.permutation import permute_kensler
 from djpt.scripting.flat_sensor import FlatSensor
@@ -89,7 +90,7 @@ class RayDataLoader:
             "pixel_format": PIXEL_FORMATS[self.channel_size],
             "rfilter": {"type": "box"},
         }
-        self.flat_sensor: FlatSensor = load_dict({"type": "flat_sensor", "film": film})
+        self.flat_sensor = FlatSensor(Properties("flat_sensor", "flat_sensor", {"film": load_dict(film)}))
         self.flat_sensor.initialize(views, pixels_per_batch)
 
     def next(self) -> tuple[TensorXf, FlatSensor]:

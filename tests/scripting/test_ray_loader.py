@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import drjit as dr
@@ -25,7 +26,9 @@ def camera(mi: Any, x: float = 0.0, **film: Any) -> dict[str, Any]:
 def loader(mi: Any, pixels: int, **options: Any) -> Any:
     sensors = [mi.load_dict(camera(mi, x)) for x in (0.0, 1.0)]
     images = [mi.TensorXf(np.arange(72, dtype=np.float32).reshape(HEIGHT, WIDTH, 3) + 100 * k) for k in range(2)]
-    return mi.ad.RayDataLoader(sensors, images, pixels, **options)
+    # Mitsuba's `ad` lacks the class if it was imported before a variant was set.
+    module = djpt.ad if mi is djpt else importlib.import_module("mitsuba.ad.loaders.ray_loader")
+    return module.RayDataLoader(sensors, images, pixels, **options)
 
 
 @pytest.mark.parametrize("tile", [1, 2, 4, 6])
@@ -134,4 +137,4 @@ def test_what_is_refused(change: dict[str, Any], words: str) -> None:
 
 def test_a_flat_sensor_alone_sees_nothing() -> None:
     with pytest.raises(RenderError, match="has no sensors to look through; call 'initialize' first"):
-        djpt.render(scene(), sensor=djpt.load_dict({"type": "flat_sensor"}), spp=1)
+        djpt.render(scene(), sensor=djpt.ad.FlatSensor(djpt.Properties("flat_sensor")), spp=1)
