@@ -1,4 +1,4 @@
-"""Optimisers under the name that Mitsuba scripts use, those of `drjit.opt`, and what else its `ad` holds.
+"""Optimisers under the name that Mitsuba scripts use, and what else its `ad` holds.
 
 opt = djpt.ad.Adam(lr=0.05, params={key: params[key]})
 """
