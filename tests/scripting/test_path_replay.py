@@ -118,3 +118,17 @@ def test_names_are_mitsubas(mi: Any) -> None:
     assert djpt.ad.common.mis_weight(djpt.Float(1), djpt.Float(1)) == 0.5
     with pytest.raises(AttributeError, match=r"module 'djpt\.ad' has no attribute 'Adamm'"):
         djpt.ad.Adamm  # noqa: B018
+
+
+def test_bodies_absorb() -> None:
+    box = djpt.cornell_box()
+    box["sensor"]["film"].update(width=SIZE, height=SIZE, rfilter={"type": "box"})
+    box["small-box"] = {
+        "type": "sphere",
+        "center": [0, -0.4, 0.3],
+        "radius": 0.4,
+        "bsdf": {"type": "dielectric", "absorption": {"type": "rgb", "value": [3.0, 0.1, 2.0]}},
+    }
+    scene = djpt.load_dict(box)
+    images = [djpt.render(scene, integrator=i, spp=8, seed=1) for i in (made("prb"), djpt.load_dict({"type": "prb"}))]
+    np.testing.assert_allclose(*(np.array(image) for image in images), rtol=1e-4, atol=1e-5)
