@@ -88,7 +88,7 @@ def film_image(
 ) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too.
 
-    Arguments as for `render`; if `seed_grad` is None, the gradient is that of the image's own samples.
+    Arguments as for `render`; the `seed_grad` None is that of the image.
     """
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)

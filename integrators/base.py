@@ -103,10 +103,11 @@ class Integrator(Plugin):
         develop: bool = True,
         evaluate: bool = True,
     ) -> TensorXf:
-        """Render an image of a scene, attached to parameters with gradients by the derivatives of its own samples.
+        """Render an image of a scene with this integrator.
 
-        `djpt.render` estimates derivatives by other samples. A class that overrides it renders by itself, and
-        differentiates by `render_forward` and `render_backward`.
+        It is that of `djpt.render`; derivatives are by the samples of the image itself.
+
+        A class that overrides it renders by itself, and differentiates by `render_forward` and `render_backward`.
 
         Args:
             scene: What `load_dict` returned.
@@ -116,7 +117,7 @@ class Integrator(Plugin):
             develop: Whether to return the image; else it is left to the film, see `djpt.films.HDRFilm.develop`.
             evaluate: Whether to compute it at once; always done here.
         """
-        image = rendering().film_image(scene, sensor, self, seed, spp, seed_grad=None)
+        image: TensorXf = rendering().film_image(scene, sensor, self, seed, spp, seed_grad=None)
         return image if develop else TensorXf()
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:

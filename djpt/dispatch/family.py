@@ -28,10 +28,15 @@ P = TypeVar("P", bound=Plugin)
 
 @dataclass(frozen=True, eq=False)
 class Family(Generic[P]):
-    """Plugins that pointers choose among, and the way to read their values."""
+    """Plugins that pointers choose among, and the way in which rendering reads their values."""
 
     ensemble: Ensemble[P]
-    lookup: Lookup
+    values: Lookup
+
+    @property
+    def lookup(self) -> Lookup:
+        """The way to read the plugins' values: so that gradients follow, where they are tracked."""
+        return followed(self.ensemble, self.values)
 
 
 class Acquaintances:
@@ -85,9 +90,6 @@ class Strangers:
 
 ACQUAINTANCES = Acquaintances()
 
-LATEST: dict[type, weakref.ref[Any]] = {}
-"""The family of the latest pointers of each type."""
-
 
 class Pointer(Record, Generic[P]):
     """A plugin per lane, or none.
@@ -110,9 +112,7 @@ class Pointer(Record, Generic[P]):
                 if plugin is not None and not isinstance(plugin, Plugin):
                     raise SceneError(f"{type(self).__name__}: expected plugins, found {type(plugin).__name__}")
             numbers = [NONE if plugin is None else ACQUAINTANCES.number(plugin) for plugin in lanes]
-            family = ACQUAINTANCES.of(lanes)
-            LATEST[type(self)] = weakref.ref(family)
-            fields = {"index": UInt32(numbers), "home": {family: ()}}
+            fields = {"index": UInt32(numbers), "home": {ACQUAINTANCES.of(lanes): ()}}
         super().__init__(None, **fields)
         # Plugins that nobody else holds must last as long as the pointer.
         self.__dict__["_held"] = plugins
@@ -120,17 +120,14 @@ class Pointer(Record, Generic[P]):
     @classmethod
     def into(cls, family: Family[P], index: UInt32) -> Any:
         """The members of a family with the numbers `index`."""
-        LATEST[cls] = weakref.ref(family)
         return cls.holding(index=index, home={family: ()})
 
     def default(self, name: str) -> Any:
         return UInt32(NONE) if name == "index" else {}
 
     def zero_(self, size: int = 1) -> None:
-        """Complete `dr.zeros`: no plugin, but of the family of the latest pointers, to be selected among them."""
-        latest = LATEST.get(type(self))
-        family = latest() if latest is not None else None
-        self.index, self.home = dr.full(UInt32, NONE, size), {} if family is None else {family: ()}
+        """Complete `dr.zeros`: no plugin."""
+        self.index = dr.full(UInt32, NONE, size)
 
     # ---- the family -----------------------------------------------------------------------
 
@@ -142,16 +139,9 @@ class Pointer(Record, Generic[P]):
 
     @property
     def lookup(self) -> Lookup:
-        """The way to read the plugins' values: so that gradients follow, where they are tracked."""
+        """The way to read the plugins' values."""
         family = only(tuple(self.home))
-        if family is None:
-            return Detached()
-        return followed(family.ensemble, Detached() if isinstance(family, Strangers) else family.lookup)
-
-    @property
-    def is_of_strangers(self) -> bool:
-        """Whether scripts made it, and not a scene."""
-        return isinstance(only(tuple(self.home)), Strangers)
+        return Detached() if family is None or isinstance(family, Strangers) else family.lookup
 
     @property
     def plugins(self) -> Sequence[P]:

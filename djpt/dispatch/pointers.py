@@ -15,7 +15,6 @@ from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
 from djpt.dispatch.lookup import choose
 from djpt.emitters.base import Emitter
-from djpt.kernels import mapped
 from djpt.materials.base import BSDF
 from djpt.records import (
     BSDFContext,
@@ -146,9 +145,8 @@ class BSDFPtr(Pointer[BSDF]):
 
         `method` returns a PyTree; on lanes that aren't `active` it means nothing.
         """
-        found = self.ensemble.call(self.index, self.lookup, method, None, active)
-        # Every surface has a BSDF: only pointers that scripts make can be "none".
-        return dr.select(self.is_valid(), found, mapped(found, dr.zeros_like)) if self.is_of_strangers else found
+        # Every surface has a BSDF, so no value is needed for "none".
+        return self.ensemble.call(self.index, self.lookup, method, None, active)
 
     def _reattached(
         self,

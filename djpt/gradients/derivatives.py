@@ -58,7 +58,7 @@ def differentiable(
     """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 
     Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
-    (0: one derived from that of the image; None: that of the image itself).
+    (0: one derived from that of the image; None: that of the image, which correlates the two).
 
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
