@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar, Protocol, cast
 
 import drjit as dr
 
@@ -239,10 +239,13 @@ class ReplayDerivative:
 class AttachedDerivative:
     """Automatic differentiation of `Integrator.sample`: one attached pass over all samples."""
 
+    at_once: ClassVar[str] = "by plain AD, which holds all samples in memory"
+    """How all samples are differentiated at once, for a message."""
+
     def __init__(self, job: Job, schedule: Schedule, parameters: list[Parameter]) -> None:
         if job.samples > MAX_ATTACHED_SAMPLES:
             raise RenderError(
-                f"'{type(job.integrator).__name__}' is differentiated by plain AD, which holds all samples in memory: "
+                f"'{type(job.integrator).__name__}' is differentiated {self.at_once}: "
                 f"at most {MAX_ATTACHED_SAMPLES} are possible, found {job.samples}; use a smaller spp_grad"
             )
         self.job, self.schedule, self.parameters = job, schedule, parameters

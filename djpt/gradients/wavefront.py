@@ -24,6 +24,8 @@ __all__ = ["WavefrontDerivative"]
 class WavefrontDerivative(AttachedDerivative):
     """The derivative of an image by path replay with one path per lane, all samples at once."""
 
+    at_once = "in one wavefront, because the sampler has no 'stream' for each sample"
+
     def backward(self, image: TensorXf) -> list[Any]:
         job = self._job()
         with dr.suspend_grad():

@@ -89,6 +89,9 @@ class Sampler(Plugin):
     For scripts a sampler can also be a stream itself, of all lanes of a wavefront: once it is seeded, `next_1d` and
     `next_2d` draw from it. Loops of Dr.Jit carry it as state. Rendering doesn't touch that stream.
 
+    A class that a script writes may be nothing but such a stream: images are then made with copies of it, see
+    `djpt.schedules.wavefront`.
+
     Parameters: `sample_count` (samples per pixel when `render` isn't told, default 4), `seed`
     (added to render's seed, default 0).
     """

@@ -10,6 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
+from djpt.gradients import derivatives
 from djpt.schedules import wavefront
 from djpt.types import Color3f
 
@@ -164,3 +165,13 @@ def test_what_is_refused() -> None:
     with pytest.raises(RenderError, match="which 'ParticleTracer' needs: use another integrator"):
         djpt.render(scene, integrator=djpt.load_dict({"type": "ptracer"}), spp=1)
     assert djpt.render(scene, spp=1, schedule="wave").shape == (SIZE, SIZE, 3)
+
+
+def test_too_many_samples_for_a_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(derivatives, "MAX_ATTACHED_SAMPLES", SIZE * SIZE * 4)
+    scene = room(djpt, "path")
+    params = djpt.traverse(scene)
+    dr.enable_grad(params[RED])
+    params.update()
+    with pytest.raises(RenderError, match="differentiated in one wavefront, because the sampler has no 'stream'"):
+        djpt.render(scene, params, spp=5)
