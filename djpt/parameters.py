@@ -352,7 +352,8 @@ def convert_array(value: Any, current: Any) -> Any:
     wanted = f"{dr.size_v(target)} numbers" if fixed else "numbers"
     if dr.is_integral_v(target) and dr.is_array_v(value) and not dr.is_integral_v(value):
         raise SceneError(f"must be integers, found {describe(value)}")
-    parts = [value]
+    # Numbers without a shape are those of a tensor in its order, as those of a NumPy array are.
+    parts = [value if fixed or dr.is_tensor_v(target) or not dr.is_tensor_v(value) else value.array]
     if not dr.is_array_v(value):
         array = as_array(value)
         if dr.is_integral_v(target) and (array != np.round(array)).any():

@@ -13,13 +13,14 @@ from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
+from djpt.samplers import Sampler
 from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
 from djpt.schedules.base import Schedule
 from djpt.schedules.called_sums import prepare_sums
 from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
-from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
+from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels, require_countable
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.types import TensorXf, UInt32
@@ -85,13 +86,16 @@ def film_image(
     integrator: Integrator,
     seed: Seed,
     spp: int,
-    seed_grad: Seed = 0,
+    seed_grad: Seed | None = 0,
     spp_grad: int = 0,
     schedule: str = "auto",
     pass_spp: int = 0,
     progress: Progress | None = None,
 ) -> TensorXf:
-    """The image of an integrator that djpt runs by a schedule; the film keeps it, too. Arguments as for `render`."""
+    """The image of an integrator that djpt runs by a schedule; the film keeps it, too.
+
+    Arguments as for `render`; the `seed_grad` None is that of the image.
+    """
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)
@@ -197,13 +201,18 @@ def make_job(
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
-    job = Job(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
-    if job.samples > MAX_SAMPLES:
-        raise RenderError(
-            f"{job.width} x {job.height} pixels at {spp} spp are more than 2^32 samples; "
-            "render fewer spp under several seeds and average the images"
-        )
+    job = job_of(sampler)(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
+    require_countable(job.width, job.height, spp)
     return job
+
+
+def job_of(sampler: Sampler) -> type[Job]:
+    """The kind of job that a sampler needs."""
+    if sampler.has_streams:
+        return Job
+    from djpt.schedules.wavefront import WavefrontJob
+
+    return WavefrontJob
 
 
 def require_scene(scene: Any) -> None:

@@ -13,7 +13,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.integrators.blind_spots import warn_of_blind_spots
 from djpt.integrators.walk import walk
-from djpt.records import Ray3f, Reference, SurfaceInteraction3f
+from djpt.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 
@@ -112,7 +112,9 @@ class Integrator(Plugin):
         develop: bool = True,
         evaluate: bool = True,
     ) -> TensorXf:
-        """Render an image of a scene; without derivatives, which `djpt.render` adds.
+        """Render an image of a scene with this integrator.
+
+        It is that of `djpt.render`; derivatives are by the samples of the image itself.
 
         A class that overrides it renders by itself, and differentiates by `render_forward` and `render_backward`.
 
@@ -124,8 +126,7 @@ class Integrator(Plugin):
             develop: Whether to return the image; else it is left to the film, see `djpt.films.HDRFilm.develop`.
             evaluate: Whether to compute it at once; always done here.
         """
-        with dr.suspend_grad():
-            image = rendering().film_image(scene, sensor, self, seed, spp)
+        image: TensorXf = rendering().film_image(scene, sensor, self, seed, spp, seed_grad=None)
         return image if develop else TensorXf()
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
@@ -137,6 +138,15 @@ class Integrator(Plugin):
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
         rendering().image_derivative(scene, self, sensor, seed, spp, grad_in)
+
+    def skip_area_emitters(
+        self, scene: Scene, ray: Ray3f, coherent: bool = False, active: Bool | bool = True
+    ) -> PreliminaryIntersection3f:
+        """The first hit of a ray with a shape that doesn't emit: for `hide_emitters`.
+
+        `coherent` is there for the signature.
+        """
+        return scene.closest_hit(ray, active, through_lights=Bool(True))
 
     def cancel(self) -> None:
         """Ask a rendering to stop, from its `progress` function or another thread: it raises `RenderError`."""

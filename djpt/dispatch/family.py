@@ -11,6 +11,7 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
+from djpt.dispatch.followed import followed
 from djpt.dispatch.lookup import Members, Numbers, choose
 from djpt.errors import SceneError
 from djpt.records import Record
@@ -27,10 +28,15 @@ P = TypeVar("P", bound=Plugin)
 
 @dataclass(frozen=True, eq=False)
 class Family(Generic[P]):
-    """Plugins that pointers choose among, and the way to read their values."""
+    """Plugins that pointers choose among, and the way in which rendering reads their values."""
 
     ensemble: Ensemble[P]
-    lookup: Lookup
+    values: Lookup
+
+    @property
+    def lookup(self) -> Lookup:
+        """The way to read the plugins' values: so that gradients follow, where they are tracked."""
+        return followed(self.ensemble, self.values)
 
 
 class Acquaintances:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar, Protocol, cast
 
 import drjit as dr
 
@@ -48,17 +48,23 @@ MAX_ATTACHED_SAMPLES = 2**25
 
 
 def differentiable(
-    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: Seed, spp_grad: int
+    job: Job,
+    schedule: Schedule,
+    parameters: list[Parameter],
+    unused: list[Any],
+    seed_grad: Seed | None,
+    spp_grad: int,
 ) -> TensorXf:
     """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 
     Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
-    (0: one derived from that of the image).
+    (0: one derived from that of the image; None: that of the image, which correlates the two).
 
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
-    samples = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None, pass_spp=0)
+    seed = job.seed if seed_grad is None else gradient_seed(job.seed, seed_grad)
+    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0)
     derivative = derivative_of(samples, schedule, parameters)
 
     def primal() -> TensorXf:
@@ -81,6 +87,10 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
         raise RenderError(
             f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
         )
+    if integrator.stepwise and not samples.sampler.has_streams:
+        from djpt.gradients.wavefront import WavefrontDerivative
+
+        return WavefrontDerivative(samples, schedule, parameters)
     if integrator.stepwise:
         return ReplayDerivative(samples, schedule, parameters)
     return AttachedDerivative(samples, schedule, parameters)
@@ -229,10 +239,13 @@ class ReplayDerivative:
 class AttachedDerivative:
     """Automatic differentiation of `Integrator.sample`: one attached pass over all samples."""
 
+    at_once: ClassVar[str] = "by plain AD, which holds all samples in memory"
+    """How all samples are differentiated at once, for a message."""
+
     def __init__(self, job: Job, schedule: Schedule, parameters: list[Parameter]) -> None:
         if job.samples > MAX_ATTACHED_SAMPLES:
             raise RenderError(
-                f"'{type(job.integrator).__name__}' is differentiated by plain AD, which holds all samples in memory: "
+                f"'{type(job.integrator).__name__}' is differentiated {self.at_once}: "
                 f"at most {MAX_ATTACHED_SAMPLES} are possible, found {job.samples}; use a smaller spp_grad"
             )
         self.job, self.schedule, self.parameters = job, schedule, parameters

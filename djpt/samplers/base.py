@@ -89,6 +89,9 @@ class Sampler(Plugin):
     For scripts a sampler can also be a stream itself, of all lanes of a wavefront: once it is seeded, `next_1d` and
     `next_2d` draw from it. Loops of Dr.Jit carry it as state. Rendering doesn't touch that stream.
 
+    A class that a script writes may be nothing but such a stream: images are then made with copies of it, see
+    `djpt.schedules.wavefront`.
+
     Parameters: `sample_count` (samples per pixel when `render` isn't told, default 4), `seed`
     (added to render's seed, default 0).
     """
@@ -138,8 +141,31 @@ class Sampler(Plugin):
         self._sample = 0
         self._stream = self._begun() if self._makes_streams() else None
 
+    def begun(self: Own, seed: UInt32 | int, spp: int, pixels: int, share: int = 0) -> Own:
+        """A seeded copy for a wavefront of samples of `pixels` pixels, pixel after pixel.
+
+        Each has `spp` samples, or as many as `sample_count` says if it is 0; samplers may round up. The wavefront is
+        the first `share` of them, or all if it is 0; `advance` goes on to the next.
+        """
+        sampler = self.clone()
+        if spp:
+            sampler.set_sample_count(spp)
+        share = share or sampler.sample_count()
+        sampler.set_samples_per_wavefront(share)
+        sampler.seed(seed, pixels * share)
+        return sampler
+
+    @property
+    def has_streams(self) -> bool:
+        """Whether samples can be computed in any order: each has a stream of its own.
+
+        Classes of scripts may override `next_1d` or `next_2d` in place of `stream`. Such a sampler is nothing but the
+        stream of all lanes of a wavefront.
+        """
+        kind = type(self)
+        return self._makes_streams() and kind.next_1d is Sampler.next_1d and kind.next_2d is Sampler.next_2d
+
     def _makes_streams(self) -> bool:
-        """Whether the class has streams; classes of scripts may override `next_1d` and `next_2d` in their place."""
         return type(self).stream is not Sampler.stream
 
     def _begun(self) -> SampleStream:
@@ -232,4 +258,4 @@ class Sampler(Plugin):
 
 def is_state(value: Any) -> bool:
     """Whether a value consists of Dr.Jit's variables."""
-    return dr.is_array_v(value) or dr.is_struct_v(value)
+    return value is not None and bool(dr.is_array_v(value) or dr.is_struct_v(value))

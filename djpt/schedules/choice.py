@@ -13,6 +13,8 @@ __all__ = ["choose"]
 
 SCHEDULES = {"machine": "Machine", "flat": "Flat", "progressive": "Progressive", "wave": "Wave"}
 """The modules of the schedules and their classes, the fastest first."""
+FOR_LANES = {"wavefront": "Wavefront"}
+"""The one for samplers that are nothing but a stream of lanes."""
 NAMES = ("auto", "flat", "machine", "wave")
 
 
@@ -26,6 +28,9 @@ def choose(name: str, job: Job) -> Schedule:
     """
     if name not in NAMES:
         raise RenderError(f"unknown schedule '{name}'{near_miss(str(name), NAMES)}")
+    if not job.sampler.has_streams:
+        require_lanes(name, job)
+        return schedule("wavefront")
     possible, has_tree = job.integrator.schedules, job.scene.geometry.triangles is not None
     if name in ("flat", "machine") and name not in possible:
         raise RenderError(
@@ -40,8 +45,17 @@ def choose(name: str, job: Job) -> Schedule:
     return schedule(next(n for n in SCHEDULES if n in possible and (stepwise or n != "machine")))
 
 
+def require_lanes(name: str, job: Job) -> None:
+    """Raise `RenderError` unless a job can be done with one lane per sample, and nothing else was asked for."""
+    sampler = f"the sampler '{type(job.sampler).__name__}' has next_1d and next_2d, but no 'stream' for each sample"
+    if name in ("flat", "machine"):
+        raise RenderError(f"{sampler}: use schedule='wave'")
+    if "wave" not in job.integrator.schedules:
+        raise RenderError(f"{sampler}, which '{type(job.integrator).__name__}' needs: use another integrator")
+
+
 @functools.cache
 def schedule(name: str) -> Schedule:
     """The schedule of a name; imported when it is first used."""
-    made: Schedule = getattr(importlib.import_module(f"djpt.schedules.{name}"), SCHEDULES[name])()
+    made: Schedule = getattr(importlib.import_module(f"djpt.schedules.{name}"), (SCHEDULES | FOR_LANES)[name])()
     return made

@@ -9,6 +9,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached, Ensemble
+from djpt.errors import RenderError
 from djpt.films import Film
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f
@@ -18,7 +19,7 @@ from djpt.scene import Scene
 from djpt.sensors import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
 
-__all__ = ["MAX_SAMPLES", "Band", "Job", "Progress", "image_channels"]
+__all__ = ["Band", "Job", "Progress", "image_channels", "require_countable"]
 
 Progress = Callable[[int, int], None]
 """Called with (samples done, samples in all) after each pass."""
@@ -94,7 +95,7 @@ class Job:
         pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
-        return self._camera_ray(position, Point2f(0.5))
+        return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5))
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
@@ -111,14 +112,21 @@ class Job:
         The offset is the first two numbers of the stream.
         """
         stream = self.stream(pixel, k)
+        return stream, *self.sampled_ray(stream, pixel, x, y)
+
+    def sampled_ray(self, stream: SampleStream, pixel: UInt32, x: Float, y: Float) -> tuple[Ray3f, Point2f]:
+        """A camera ray by the next numbers of a stream, and its film offset."""
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return stream, self._camera_ray(position, aperture), offset
+        return self._camera_ray(pixel, position, offset, aperture), offset
 
-    def _camera_ray(self, position: Point2f, aperture: Point2f) -> Ray3f:
-        """The ray through a position on the crop window, in pixels."""
-        ray = self.camera.ray_through(position * self._inverse_crop, aperture)
+    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f) -> Ray3f:
+        """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel."""
+        if self.sensor.by_pixel:
+            ray = self.camera.ray_of_pixel(pixel, offset, aperture)
+        else:
+            ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
         return ray
 
@@ -164,3 +172,12 @@ def camera(sensor: Sensor) -> Sensor:
     # Long tables must exist before a kernel's loop asks for them.
     values.prepare(ensemble.leaves())
     return ensemble.groups[0].at(UInt32(0), values)
+
+
+def require_countable(width: int, height: int, spp: int) -> None:
+    """Raise `RenderError` if there are too many samples."""
+    if width * height * spp > MAX_SAMPLES:
+        raise RenderError(
+            f"{width} x {height} pixels at {spp} spp are more than 2^32 samples; "
+            "render fewer spp under several seeds and average the images"
+        )

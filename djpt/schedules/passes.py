@@ -63,9 +63,9 @@ Samples = Callable[[Job, Band, int, int], list[Float]]
 # ---- images ----------------------------------------------------------------------------------
 
 
-def stored_image(job: Job, samples: Samples) -> TensorXf:
-    """The image from samples that are stored, pass by pass."""
-    pixels, spp = stored_pixels(job), stored_spp(job)
+def stored_image(job: Job, samples: Samples, pixels: int = 0, spp: int = 0) -> TensorXf:
+    """The image from samples that are stored, by bands of `pixels` and passes of `spp` samples per pixel; 0: few."""
+    pixels, spp = pixels or stored_pixels(job), spp or stored_spp(job)
     if job.film.filters:
 
         def add(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:

@@ -9,7 +9,6 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached, Detached
-from djpt.errors import RenderError
 from djpt.films.base import FilmFlags
 from djpt.gradients.leaves import attached_parameters
 from djpt.gradients.own_rendering import attached_view
@@ -17,11 +16,11 @@ from djpt.integrators.base import Integrator
 from djpt.rendering import find_sensor
 from djpt.samplers.base import Sampler
 from djpt.scene import Scene
-from djpt.schedules.job import MAX_SAMPLES
+from djpt.schedules.job import require_countable
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 
-__all__ = ["ADIntegrator", "RBIntegrator"]
+__all__ = ["ADIntegrator", "CppADIntegrator", "RBIntegrator"]
 
 UNBOUNDED = 0xFFFFFFFF
 """The attribute `max_depth` of paths without a longest one."""
@@ -52,16 +51,33 @@ class ADIntegrator(Integrator):
 
     # ---- what subclasses override ------------------------------------------------------
 
-    def sample(self, *args: Any, **options: Any) -> Any:
+    def sample(  # type: ignore[override]
+        self,
+        mode: dr.ADMode,
+        scene: Scene,
+        sampler: Sampler,
+        ray: Any,
+        depth: UInt32,
+        δL: Color3f | None,
+        δaovs: Sequence[Float] | None,
+        state_in: Any,
+        active: Bool,
+    ) -> Any:
         """The result of all samples: (radiance, whether each is covered, a list of AOVs, a state).
 
-        Called with keywords:
+        Called with keywords, so that a subclass may name the ones that it uses, and take the others by ``**kwargs``.
 
-        * `mode`: ``dr.ADMode.Primal``: estimate radiance; ``Forward``: its derivative; ``Backward``: add to the
-          gradients of parameters what follows from `δL`.
-        * `scene`, `sampler`, seeded, and `ray`, a ray with differentials per lane; `active`, true.
-        * `depth`, 0; `δL` and `δaovs`, the adjoints in backward mode, else None; `state_in`, the state that a call in
-          primal mode returned, for `RBIntegrator` alone, else None.
+        Args:
+            mode: ``dr.ADMode.Primal``: estimate radiance; ``Forward``: its derivative; ``Backward``: add to the
+                gradients of parameters what follows from `δL`.
+            scene: The scene.
+            sampler: The random numbers of all lanes, seeded.
+            ray: A ray with differentials per lane.
+            depth: 0.
+            δL: The adjoint of the radiance in backward mode, else None.
+            δaovs: Those of the AOVs.
+            state_in: For `RBIntegrator` alone, the state that a call in primal mode returned, else None.
+            active: True.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method sample(mode, scene, sampler, ray, ..)")
 
@@ -73,20 +89,11 @@ class ADIntegrator(Integrator):
         Raises:
             RenderError: More than 2^32 samples.
         """
-        film, sampler = sensor.film(), sensor.sampler().clone()
-        if spp:
-            sampler.set_sample_count(spp)
-        spp = sampler.sample_count()
-        sampler.set_samples_per_wavefront(spp)
         width, height = sampled_grid(sensor)
-        if width * height * spp > MAX_SAMPLES:
-            raise RenderError(
-                f"{width} x {height} pixels at {spp} spp are more than 2^32 samples; "
-                "render fewer spp under several seeds and average the images"
-            )
-        sampler.seed(seed, width * height * spp)
-        film.prepare(list(aovs))
-        return sampler, spp
+        require_countable(width, height, spp or sensor.sampler().sample_count())
+        sampler = sensor.sampler().begun(seed, spp, width * height)
+        sensor.film().prepare(list(aovs))
+        return sampler, sampler.sample_count()
 
     def sample_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Color3f, Point2f]:
         """The rays of all samples, their weights, and their positions on the film in pixels.
@@ -111,6 +118,8 @@ class ADIntegrator(Integrator):
         sensor.prepare()
         with dr.resume_grad():
             ray, weight = sensor.sample_ray_differential(time, 0, on_crop, aperture)
+        if scene.media:
+            ray.medium = scene.seen_by(sensor).camera_medium
         # Without a filter the place on the pixel doesn't matter, and can't be rounded to the next one.
         return ray, weight, corner if film.rfilter().is_box_filter() else position
 
@@ -179,6 +188,10 @@ class ADIntegrator(Integrator):
                 )
                 self.splat(camera, spp, position, color * weight, valid, aovs)
                 return camera.film().develop()
+
+
+CppADIntegrator = ADIntegrator
+"""Mitsuba's name of the base, which is written in C++ there."""
 
 
 class RBIntegrator(ADIntegrator):

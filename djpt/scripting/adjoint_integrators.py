@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import drjit as dr
@@ -40,17 +41,13 @@ class AdjointIntegrator(Integrator):
     ) -> TensorXf:
         """Render an image: see `Integrator.render`."""
         camera = find_sensor(scene, sensor)
-        film, sampler = camera.film(), camera.sampler().clone()
-        if spp:
-            sampler.set_sample_count(spp)
-        spp = sampler.sample_count()
-        width, height = film.crop_size()
-        sampler.seed(seed, width * height * spp)
+        film = camera.film()
+        sampler = camera.sampler().begun(seed, spp, math.prod(film.crop_size()))
         camera.prepare()
         with dr.suspend_grad():
             film.prepare(list(self.aov_names()))
             block = film.create_block(normalize=True)
-            self.sample(scene, camera, sampler, block, 1 / spp)
+            self.sample(scene, camera, sampler, block, 1 / sampler.sample_count())
             film.put_block(block)
             image = film.develop() if develop else TensorXf()
             if evaluate:

@@ -8,8 +8,8 @@ __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
-    "djpt.dispatch.phases": "PhaseFunctionPtr",
     "djpt.dispatch.media": "MediumPtr",
+    "djpt.dispatch.phases": "PhaseFunctionPtr",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
@@ -21,6 +21,7 @@ EXPORTS: dict[str, str] = {
     "djpt.records.media": "MediumInteraction3f",
     "djpt.rfilters.base": "ReconstructionFilter",
     "djpt.samplers.base": "Sampler",
+    "djpt.scripting.ad_integrators": "CppADIntegrator",
     "djpt.scripting.adjoint_integrators": "AdjointIntegrator",
     "djpt.scripting.angles": "dir_to_sph sph_to_dir",
     "djpt.scripting.arguments": "ArgParser",

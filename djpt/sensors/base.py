@@ -20,7 +20,7 @@ from djpt.records import DirectionSample3f, Ray3f
 from djpt.samplers.base import Sampler
 from djpt.sensors.sampling import SampledRays
 from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.types import Bool, Float, Point2f, Point3f, Vector3f
+from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Sensor"]
 
@@ -44,6 +44,8 @@ class Sensor(SampledRays, Plugin):
     """Whether rays depend on more than the film position: on two more numbers, drawn after those of the film."""
     weight = 1.0
     """The factor from radiance to what the sensor measures; the same for all its rays."""
+    by_pixel: ClassVar[bool] = False
+    """Whether neighbouring pixels look elsewhere: `ray_of_pixel` then is asked in place of `ray_through`."""
     one_pixel: ClassVar[bool] = False
     """Whether it measures one number: its film then must have one pixel, and has by default."""
 
@@ -178,6 +180,10 @@ class Sensor(SampledRays, Plugin):
         `aperture_sample` in [0, 1)^2 is random only for sensors with `uses_aperture`. The ray's
         `d` has unit length; its origin and `maxt` lie on the near and far plane where there are any.
         """
+        raise NotImplementedError
+
+    def ray_of_pixel(self, pixel: UInt32, offset: Point2f, aperture_sample: Point2f) -> Ray3f:
+        """Sample the ray through a place in [0, 1)^2 on a pixel, which are counted row by row: for `by_pixel` only."""
         raise NotImplementedError
 
     def look_from(

@@ -165,3 +165,49 @@ def test_the_derivative_of_a_point_outlasts_a_traversal() -> None:
     si = djpt.load_dict({"type": "scene", "wall": {"type": "rectangle"}}).ray_intersect(djpt.Ray3f(o, [0, 0, 1]))
     dr.forward(o.x)
     assert numbers(dr.grad(si.p)) == [1, 0, 0] and numbers(dr.grad(si.uv)) == [0.5, 0]
+
+
+def own_estimate(m: Any) -> list[float]:
+    """The derivatives of light that a script computes by itself: reflected from a wall, and from a lamp."""
+    box = m.load_dict(m.cornell_box())
+    params = m.traverse(box)
+    white, light = "white.reflectance.value", "light.emitter.radiance.value"
+    dr.enable_grad(params[white])
+    dr.enable_grad(params[light])
+    params.update()
+    si = box.ray_intersect(m.Ray3f([0, 0, 0], [0.1, -1, 0.2]))
+    ds, lit = box.sample_emitter_direction(si, m.Point2f(0.3, 0.4))
+    value = si.bsdf().eval(m.BSDFContext(), si, si.to_local(ds.d))
+    lamp = box.ray_intersect(m.Ray3f([0, 0, 0], [0, 1, 0]))
+    dr.backward(dr.sum(value * lit + lamp.emitter(box).eval(lamp)))
+    found = [dr.grad(params[key]) for key in (white, light)]
+    dr.eval(found)
+    return [float(g[c][0]) for g in found for c in range(3)]
+
+
+def test_scripts_differentiate_what_they_compute_themselves(mi: Any) -> None:
+    np.testing.assert_allclose(own_estimate(djpt), own_estimate(mi), rtol=1e-4)
+
+
+def test_parameters_with_gradients_are_read_in_loops() -> None:
+    """Without their gradients, unless they were read before: tables can't be made in a loop that Dr.Jit records."""
+    box = small_box()
+    params = djpt.traverse(box)
+    dr.enable_grad(params["white.reflectance.value"])
+    params.update()
+    si = box.ray_intersect(djpt.Ray3f(djpt.Point3f(0, [0, 0.1], 0), [0.1, -1, 0.2]))
+
+    def sums() -> djpt.Float:
+        _, total = dr.while_loop(
+            (djpt.UInt32(0, 0), djpt.Float(0, 0)),
+            lambda i, total: i < 3,
+            lambda i, total: (i + 1, total + si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)).x),
+        )
+        return total
+
+    before = np.array(dr.detach(sums()))
+    once = si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)).x
+    np.testing.assert_allclose(before, 3 * np.array(dr.detach(once)), rtol=1e-6)
+    np.testing.assert_allclose(np.array(dr.detach(sums())), before, rtol=1e-6)
+    with dr.suspend_grad():
+        assert not dr.grad_enabled(si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)))

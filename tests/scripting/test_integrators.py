@@ -214,3 +214,18 @@ def test_kinds_of_plugins() -> None:
     assert isinstance(scene.sensors()[0], djpt.ProjectiveCamera) and isinstance(scene.shapes()[0], djpt.Shape)
     assert isinstance(djpt.load_dict({"type": "path"}), djpt.MonteCarloIntegrator)
     assert not isinstance(scene, djpt.Medium)
+
+
+def test_images_are_attached_by_their_own_samples() -> None:
+    """The image is linear in the light: its derivative is that of the image itself, sample by sample."""
+    key, scene = "light.emitter.radiance.value", room()
+    params = djpt.traverse(scene)
+    scale = Float(1)
+    dr.enable_grad(scale)
+    params[key] = Color3f(18, 14, 7) * scale
+    params.update()
+    image = djpt.load_dict({"type": "path", "max_depth": 4}).render(scene, seed=2, spp=4)
+    dr.forward(scale)
+    np.testing.assert_allclose(np.array(dr.grad(image)), np.array(dr.detach(image)), rtol=1e-4, atol=1e-6)
+    with dr.suspend_grad():
+        assert not dr.grad_enabled(djpt.load_dict({"type": "path"}).render(scene, spp=1))

@@ -1,0 +1,107 @@
+"""Path replay with one path per lane: the second walk of a wavefront whose first one gave the radiance.
+
+What a vertex contributes is that of `djpt.gradients.replay`. Here values are not leaves made anew at each vertex but
+attached to the scene, which gathers them from buffers (`djpt.dispatch.ensemble.Attached`), and the random numbers may
+be those of any sampler that a loop of Dr.Jit can carry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.integrators.base import PathIntegrator
+from djpt.kernels import loop_traced_once, wide
+from djpt.records import Ray3f
+from djpt.samplers.base import SampleStream
+from djpt.scene import Scene
+from djpt.types import Bool, Color3f, Point3f, UInt32, Vector3f
+
+__all__ = ["replayed"]
+
+
+@dataclass
+class ReplayLoop:
+    """Loop state of one path per lane."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32 | None
+    sampler: SampleStream
+    state: Any
+    """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""
+    radiance: Color3f
+    """The radiance still to come."""
+    delta: Color3f
+    """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
+    active: Bool
+
+
+def replayed(
+    integrator: PathIntegrator,
+    mode: dr.ADMode,
+    scene: Scene,
+    sampler: SampleStream,
+    ray: Ray3f,
+    radiance: Color3f,
+    delta: Color3f | None = None,
+    active: Bool | bool = True,
+) -> Color3f:
+    """Follow again the paths whose `radiance` is known, with the same random numbers, and differentiate it.
+
+    Args:
+        integrator: Says what happens at a vertex.
+        mode: ``dr.ADMode.Backward``: propagate the adjoint `delta` of each path to what the scene reads; ``Forward``:
+            propagate from there.
+        scene: A view whose lookups are attached.
+        sampler: In the state that the first walk began with.
+        ray: The camera rays.
+        radiance: What `djpt.integrators.walk.walk` returned.
+        delta: The derivative of the loss with respect to the radiance; in reverse mode only.
+        active: Lanes that have a path.
+
+    Returns:
+        `delta`, or in forward mode the derivative of the radiance.
+    """
+    lanes = dr.width(ray, radiance)
+    start = ReplayLoop(
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
+        sampler=sampler,
+        state=wide(integrator.start(scene), lanes),
+        radiance=wide(radiance, lanes),
+        delta=wide(Color3f(0) if delta is None else delta, lanes),
+        active=Bool(active) & dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: ReplayLoop) -> tuple[ReplayLoop]:
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        si = integrator.trace(scene, lane.state, way)
+        with dr.resume_grad():
+            v = integrator.advance(scene, lane.sampler, lane.state, way, si)
+            here = v.emitted + scene.light_through(v.shadow_ray, v.reflected)
+            left, weight = lane.radiance - dr.detach(here), dr.detach(v.weight)
+            scattered = v.weight * dr.select(weight != 0, left * dr.rcp(weight), 0)
+            outgoing = here + dr.select(v.active, scattered, 0)
+            delta = differentiated(mode, outgoing, lane.delta)
+        onward, state = dr.detach(v.ray), dr.detach(v.state)
+        return (ReplayLoop(onward.o, onward.d, onward.medium, lane.sampler, state, left, delta, v.active),)
+
+    with dr.suspend_grad():
+        (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"{type(integrator).__name__} again")
+    return end.delta
+
+
+def differentiated(mode: dr.ADMode, outgoing: Color3f, delta: Color3f) -> Color3f:
+    """Delta after a vertex with the attached radiance `outgoing`; in reverse mode gradients are propagated."""
+    # A parameter may have no effect at all.
+    if not dr.grad_enabled(outgoing):
+        return delta
+    if mode == dr.ADMode.Backward:
+        loss: Any = outgoing * delta
+        dr.backward_from(loss)
+        return delta
+    return delta + dr.forward_to(outgoing)

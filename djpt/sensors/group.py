@@ -1,0 +1,99 @@
+"""Sensors that hand their rays on to others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.dispatch.ensemble import Detached, Ensemble
+from djpt.errors import RenderError, SceneError
+from djpt.geometry.bounding_box import ScalarBoundingBox3f
+from djpt.records import Ray3f
+from djpt.sensors.base import Sensor
+from djpt.sensors.placement import placed_apart
+from djpt.types import Bool, Point2f, UInt32
+
+__all__ = ["SensorGroup"]
+
+
+class SensorGroup(Sensor):
+    """A sensor whose rays are those of other sensors, one of them per lane. A subclass calls `hold` when it is made."""
+
+    def hold(self, sensors: Sequence[Sensor], names: Sequence[str], carriers: Sequence[Any]) -> None:
+        """Take the sensors: at least one, with their names, and the shapes that carry them, or None.
+
+        Raises:
+            SceneError: They measure in different units.
+        """
+        self.sensors, self.names, self._carriers = list(sensors), list(names), list(carriers)
+        self.weight = self.sensors[0].weight
+        for name, sensor in zip(self.names, self.sensors, strict=True):
+            if sensor.weight != self.weight:
+                raise SceneError(
+                    f"{self.id()}: '{self.names[0]}' and '{name}' measure in different units "
+                    f"({unit(self.sensors[0])} and {unit(sensor)}); put them in groups of their own"
+                )
+        self.uses_aperture = any(sensor.uses_aperture for sensor in self.sensors)
+        self.forget()
+
+    def forget(self) -> None:
+        """Look at the sensors again before the next ray: one of them has changed."""
+        self._cameras: Ensemble[Sensor] | None = None
+        self._lookup = Detached()
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def viewpoint(self) -> NDArray[np.float64] | None:
+        points = [sensor.viewpoint() for sensor in self.sensors]
+        first = points[0]
+        if first is None or any(p is None or not np.array_equal(p, first) for p in points):
+            return None
+        return first
+
+    def bbox(self) -> ScalarBoundingBox3f:
+        box = ScalarBoundingBox3f()
+        for sensor in self.sensors:
+            box.expand(sensor.bbox())
+        return box
+
+    def near_share(self) -> float:
+        shares = {sensor.near_share() for sensor in self.sensors}
+        if len(shares) > 1:
+            raise RenderError(f"{self.id()}: distances need cameras with the same 'near_clip' and 'far_clip'")
+        return shares.pop()
+
+    def starts(self) -> Sequence[NDArray[np.float64]]:
+        return [p for sensor in self.sensors for p in sensor.starts()]
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        for sensor in self.sensors:
+            sensor.set_bounds(center, radius)
+        self.forget()
+
+    def prepare(self) -> None:
+        for sensor, carrier in zip(self.sensors, self._carriers, strict=True):
+            # Shapes of the scene have told their sensors; others are nobody's.
+            if carrier is not None and sensor.shape is None:
+                sensor.shape = placed_apart(carrier)
+            sensor.prepare()
+        self._cameras, self._lookup = Ensemble(self.sensors), Detached()
+        self._lookup.prepare(self._cameras.leaves())
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def ray_of(self, number: UInt32, position: Point2f, aperture_sample: Point2f, active: Bool | bool) -> Ray3f:
+        """The ray of one of the sensors, by its number, through a position of its own film."""
+        if self._cameras is None:
+            self.prepare()
+        assert self._cameras is not None
+        return self._cameras.call(
+            number, self._lookup, lambda sensor: sensor.ray_through(position, aperture_sample, active), None
+        )
+
+
+def unit(sensor: Sensor) -> str:
+    """The quantity that a sensor measures, for a message."""
+    return "radiance" if sensor.weight == 1 else "irradiance"
