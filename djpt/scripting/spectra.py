@@ -13,6 +13,7 @@ import numpy as np
 from djpt.errors import ArgumentError, FileError
 from djpt.images import colorimetry
 from djpt.images.color import LUMINANCE
+from djpt.images.spectrum_files import read_pairs
 from djpt.types import Color3f, Float, UInt32, converting
 
 __all__ = [
@@ -191,22 +192,7 @@ def spectrum_from_file(filename: str | os.PathLike[str]) -> tuple[list[float], l
         FileError: the file can't be read, or a line has other than two numbers.
     """
     check_suffix(filename)
-    try:
-        with open(filename, encoding="utf-8") as file:
-            lines = [line.split("#")[0].split() for line in file]
-    except OSError as error:
-        raise FileError(f"can't read '{os.fspath(filename)}': {error.strerror}") from None
-    wavelengths, values = [], []
-    for number, line in enumerate(lines, 1):
-        if not line:
-            continue
-        try:
-            wavelength, value = map(float, line)
-        except ValueError:
-            raise FileError(f"'{os.fspath(filename)}', line {number}: must be two numbers, found {line}") from None
-        wavelengths.append(wavelength)
-        values.append(value)
-    return wavelengths, values
+    return read_pairs(filename)
 
 
 def spectrum_to_file(filename: str | os.PathLike[str], wavelengths: Sequence[float], values: Sequence[float]) -> None:
