@@ -166,6 +166,15 @@ MATERIALS: dict[str, Panel] = {
     "roughplastic": Panel(
         "roughplastic", "alpha 0.15", lambda: {"type": "roughplastic", "diffuse_reflectance": PLUM, "alpha": 0.15}
     ),
+    "pplastic": Panel(
+        "pplastic",
+        "brushed",
+        lambda: {"type": "pplastic", "diffuse_reflectance": TEAL, "alpha_u": 0.05, "alpha_v": 0.3},
+    ),
+    "hair": Panel("hair", "a coat of dark hair", lambda: {"type": "hair", "azimuthal_roughness": 0.6}),
+    "polarizer": Panel("polarizer", "half of all light", lambda: {"type": "polarizer"}),
+    "retarder": Panel("retarder", "tinted", lambda: {"type": "retarder", "transmittance": rgb(0.9, 0.95, 0.7)}),
+    "circular": Panel("circular", "tinted", lambda: {"type": "circular", "transmittance": rgb(0.7, 0.9, 0.95)}),
     "blendbsdf": Panel(
         "blendbsdf",
         "plaster and gold",
