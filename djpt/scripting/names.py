@@ -61,6 +61,7 @@ EXPORTS: dict[str, str] = {
         "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
     "djpt.scripting.structs": "Struct",
+    "djpt.scripting.tensor_file": "TensorFile",
     "djpt.scripting.thread": "Thread",
     "djpt.scripting.transforms": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
@@ -82,6 +83,7 @@ SUBMODULES: dict[str, str] = {
     "misc": "djpt.scripting.misc",
     "quad": "djpt.quad",
     "spline": "djpt.scripting.splines",
+    "tensor_io": "djpt.scripting.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
 
