@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from djpt.materials.glass import Glass as Glass
     from djpt.materials.hair import Hair as Hair
     from djpt.materials.mask import Mask as Mask
+    from djpt.materials.measured import Measured as Measured
     from djpt.materials.mirror import Mirror as Mirror
     from djpt.materials.normalmap import NormalMap as NormalMap
     from djpt.materials.null import Null as Null

@@ -26,7 +26,7 @@ class Circular(Filter):
 
     def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
         """The transmittance, as in Mitsuba."""
-        return self.transmittance.eval(si, active)
+        return self.passed.eval(si, active)
 
 
 register_bsdf("circular", Circular)

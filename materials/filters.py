@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
+from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.materials.delta import DeltaBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
@@ -20,7 +22,7 @@ class Filter(DeltaBSDF):
     Parameters: `transmittance` (texture in [0, 1], default 1) of an ideal filter's light.
     """
 
-    children = ("transmittance",)
+    children: ClassVar[Sequence[str]] = ("passed",)
 
     share: ClassVar[float] = 1.0
     """The share of unpolarised light that an ideal filter lets through."""
@@ -28,7 +30,11 @@ class Filter(DeltaBSDF):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.transmittance = props.texture("transmittance", 1.0, low=0.0, high=1.0)
+        self.passed = props.texture("transmittance", 1.0, low=0.0, high=1.0)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for name in self.children:
+            callback.put("transmittance" if name == "passed" else name, getattr(self, name))
 
     def components(self) -> tuple[int, ...]:
         return (self.lobe,)
@@ -46,4 +52,4 @@ class Filter(DeltaBSDF):
         return BSDFSample3f.of(-si.wi, 1, BSDFFlags.Null), self.eval_null_transmission(si, active)
 
     def eval_null_transmission(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return self.transmittance.eval(si, active) * self.share
+        return self.passed.eval(si, active) * self.share

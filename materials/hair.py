@@ -142,9 +142,9 @@ class HairAtPoint:
         wi = self.wi = si.wi
         self.sin_i = wi.y
         self.cos_i = dr.safe_sqrt(dr.fma(-wi.y, wi.y, 1))
-        along = dr.square(wi.x) + dr.square(wi.z) == 0  # no height: light runs along the fibre
-        self.phi_i = dr.select(along, 0, dr.atan2(wi.z, dr.select(along, 1, wi.x)))
-        self.gamma_i = dr.select(along, 0, dr.atan2(-wi.x, dr.select(along, 1, wi.z)))
+        along = ~(dr.square(wi.x) + dr.square(wi.z) > 0)  # no height: light runs along the fibre
+        self.phi_i = dr.select(along, Float(0), dr.atan2(wi.z, dr.select(along, 1, wi.x)))
+        self.gamma_i = dr.select(along, Float(0), dr.atan2(-wi.x, dr.select(along, 1, wi.z)))
         h, cos_gamma_i = dr.sincos(self.gamma_i)
         # Refracted directions, along the fibre and across it.
         cos_t = dr.safe_sqrt(1 - dr.square(self.sin_i / bsdf.eta))
@@ -168,7 +168,7 @@ class HairAtPoint:
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
         across = dr.square(wo.x) + dr.square(wo.z) > 0
-        phi_o = dr.select(across, dr.atan2(wo.z, dr.select(across, wo.x, 1)), 0)
+        phi_o = dr.select(across, dr.atan2(wo.z, dr.select(across, wo.x, 1)), Float(0))
         turn = phi_o - self.phi_i
         sin_phi, cos_phi = dr.sincos(self.phi_i)
         fibre = Vector3f(0, 1, 0)

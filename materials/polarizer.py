@@ -17,7 +17,7 @@ class Polarizer(Filter):
     true). The last two have no effect on light without polarisation.
     """
 
-    children = ("theta", "transmittance")
+    children = ("theta", "passed")
     share = 0.5
     lobe = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide | BSDFFlags.Anisotropic)
 

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
-from djpt.description.registry import lookup, register_bsdf
+from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect

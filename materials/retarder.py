@@ -17,7 +17,7 @@ class Retarder(Filter):
     default 90). The last two have no effect on light without polarisation.
     """
 
-    children = ("theta", "delta", "transmittance")
+    children = ("theta", "delta", "passed")
     lobe = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide | BSDFFlags.Anisotropic)
 
     def __init__(self, props: Properties) -> None:

@@ -41,7 +41,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
 def test_every_material_has_a_panel() -> None:
     shown = set().union(*(types_in(panel.bsdf()) for panel in PANELS.values()))
     own = {name for name, factory in registered("bsdf").items() if factory.__module__.startswith("djpt.")}
-    assert len(own) >= 20 and own <= shown
+    assert len(own) >= 20 and own <= shown | {"measured"}  # which needs a file
 
 
 @pytest.mark.parametrize("name", PANELS)

@@ -17,6 +17,7 @@ from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from tests.kit.measured import anisotropic, rough_metal
 from tests.kit.parameter_sets import slow_but_first
 
 __all__ = [
@@ -149,6 +150,12 @@ SETS: dict[str, Callable[[], dict[str, Description]]] = {
         "brushed": {"alpha_u": 0.1, "alpha_v": 0.5, "distribution": "ggx", "eta": 1.7},
         "all facets": {"alpha": 0.3, "sample_visible": False},
         "textured": {"diffuse_reflectance": bitmap(texels(6, 8, 3)), "alpha": bitmap(texels(5, 7, 1, low=0.2))},
+    },
+    "measured": lambda: {
+        "metal": {"filename": rough_metal(17)},
+        "made up": {"filename": anisotropic(1)},
+        "half a turn": {"filename": anisotropic(2)},
+        "a quarter": {"filename": anisotropic(4)},
     },
     "polarizer": lambda: {"ideal": {}, "tinted": {"transmittance": checks(CLAY, 0.9), "theta": 30.0}},
     "retarder": lambda: {"ideal": {}, "tinted": {"transmittance": CLAY, "theta": 30.0, "delta": 45.0}},

@@ -36,6 +36,11 @@ def test_textures_of_roughness_may_hold_zeros(metal: bool) -> None:
     assert agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share >= 0.95
 
 
+def test_the_roughness_of_plastic_may_be_zero() -> None:
+    scene = ball({"type": "roughplastic", "alpha": 0.0})
+    assert agreement(ours(scene, 8, 1), theirs(scene, 8, 1), 1e-3).share >= 0.95
+
+
 QUICK = ["roughconductor-gold", "principled-everything", "mask-diffuse", "roughdielectric-glass"]
 
 

@@ -229,6 +229,7 @@ NOT_RECIPROCAL: dict[str, str] = {
     "normalmap-diffuse": "tilted normals",
     "normalmap-gold": "tilted normals",
     **{f"hair-{name}": "cosines of the fibre's own angles" for name in ("brown", "smooth", "rough", "clear", "dyed")},
+    **{f"measured-{name}": "errors of measurement" for name in ("metal", "made up", "half a turn", "a quarter")},
     "principledthin-everything": "a condition of the specular transmission, as in Mitsuba",
     "principledthin-pane": "a condition of the specular transmission, as in Mitsuba",
 }
