@@ -331,6 +331,7 @@ def sheet(
     seed: int = 0,
     columns: int = 6,
     progress: Progress | None = None,
+    begin: Callable[[str], None] | None = None,
 ) -> NDArray[np.uint8]:
     """Render panels and put them side by side, with labels: (H, W, 3) bytes of sRGB.
 
@@ -341,13 +342,16 @@ def sheet(
         seed: The seed of all panels.
         columns: Panels in a row.
         progress: Called with (samples done, samples in all).
+        begin: Called before each panel, with a line that says which one it is.
     """
     from djpt.images.sheets import Tile, captioned_sheet
 
-    tiles = [
-        Tile(panel.title, panel.subtitle, render_panel(panel, size, spp, seed, i, len(panels), progress))
-        for i, panel in enumerate(panels)
-    ]
+    tiles = []
+    for i, panel in enumerate(panels):
+        if begin is not None:
+            begin(f"{i + 1} of {len(panels)}: {panel.title}, {panel.subtitle}")
+        picture = render_panel(panel, size, spp, seed, i, len(panels), progress)
+        tiles.append(Tile(panel.title, panel.subtitle, picture))
     return captioned_sheet(tiles, columns)
 
 

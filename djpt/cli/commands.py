@@ -12,8 +12,9 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -27,6 +28,8 @@ from djpt.cli.console import (
     SceneName,
     Seed,
     Width,
+    announce,
+    has_terminal,
     number_or_word,
     parameters,
     progress_bar,
@@ -34,6 +37,7 @@ from djpt.cli.console import (
     require_positive,
     short,
 )
+from djpt.cli.pictures import channels_for, layers
 from djpt.errors import RenderError
 
 __all__ = ["ExitCode", "app", "main", "run"]
@@ -41,7 +45,6 @@ __all__ = ["ExitCode", "app", "main", "run"]
 app = typer.Typer(
     help="A differentiable path tracer in pure Python over Dr.Jit that reads Mitsuba 3's scenes.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -56,6 +59,15 @@ WhiteBalance = Annotated[
 ]
 
 
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def command(function: F) -> F:
+    """Make a command of a function; `djpt --help` lists it with the first line of its docstring, never cut off."""
+    summary = (function.__doc__ or "").strip().partition("\n")[0]
+    return app.command(short_help=summary)(function)
+
+
 @app.callback(invoke_without_command=True)
 def _options(
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
@@ -65,7 +77,7 @@ def _options(
         raise typer.Exit(ExitCode.DONE)
 
 
-@app.command()
+@command
 def render(
     scene: SceneName,
     output: Annotated[
@@ -102,6 +114,9 @@ def render(
         tone = _Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
         description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
         loaded = djpt.load_dict(description)
+        names = djpt.channel_names(loaded, sensor=sensor)
+        # Before the long render: can the file hold the image?
+        kept = channels_for(target, names, len(loaded.sensors()[sensor].film().channel_names()))
         start = time.perf_counter()
         samples = 0
         with progress_bar("rendering", "samples", quiet) as show:
@@ -115,19 +130,22 @@ def render(
                 loaded, sensor=sensor, spp=spp or 0, seed=seed, schedule=schedule, progress=progress
             ).numpy()
         seconds = time.perf_counter() - start
-        names = djpt.channel_names(loaded, sensor=sensor) if target.suffix.lower() == ".exr" else None
+        image = image[..., :kept]
         facts = {"scene": name, **_facts(loaded, sensor, spp, seed), "seconds": f"{seconds:.2f}"}
         if tone is not None:
             image, facts = tone.apply(image), {**facts, **tone.facts}
-        djpt.write(target, image, channels=names, metadata=_carried(target, facts))
+        stored = names if target.suffix.lower() == ".exr" else None
+        djpt.write(target, image, channels=stored, metadata=_carried(target, facts))
         if not quiet:
             rows, columns, _ = image.shape
             speed = f"{short(samples / seconds)}samples/s"
             count = facts["spp"]
             print(f"{target}: {columns} x {rows}, {count} spp, {seconds:.2f} s, {speed}")
+            if names[kept:]:
+                print(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
 
 
-@app.command()
+@command
 def tonemap(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help="exr hdr pfm npy: linear values.")],
     output: Annotated[
@@ -154,7 +172,7 @@ def tonemap(
             print(f"{target}: {shown.shape[1]} x {shown.shape[0]}")
 
 
-@app.command()
+@command
 def compare(
     scene: SceneName,
     spp: Annotated[int, typer.Option(help="Samples per pixel of djpt's image.")] = 64,
@@ -213,7 +231,7 @@ def compare(
         raise typer.Exit(ExitCode.DIFFERENT)
 
 
-@app.command()
+@command
 def info(scene: SceneName, define: Defines = None) -> None:
     """Print what SCENE consists of, and how well its triangles can be searched."""
     with readable_errors():
@@ -223,7 +241,7 @@ def info(scene: SceneName, define: Defines = None) -> None:
         print(describe(djpt.load_dict(described(scene, parameters(define))[1])))
 
 
-@app.command()
+@command
 def scenes() -> None:
     """List the built-in scenes."""
     with readable_errors():
@@ -235,7 +253,7 @@ def scenes() -> None:
             print(f"{name:<{width}}  {summary[0] if summary else ''}".rstrip())
 
 
-@app.command()
+@command
 def gallery(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]..", help="Panels; wrong names are answered with all of them.")
@@ -258,14 +276,15 @@ def gallery(
             raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
         chosen = panels(names or ())
         start = time.perf_counter()
+        begin = None if quiet or has_terminal() else announce
         with progress_bar("rendering", "samples", quiet) as progress:
-            djpt.write(output, sheet(chosen, size, spp, seed, progress=progress))
+            djpt.write(output, sheet(chosen, size, spp, seed, progress=progress, begin=begin))
         if not quiet:
             seconds = time.perf_counter() - start
             print(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")
 
 
-@app.command()
+@command
 def doctor() -> None:
     """Print what was found on this machine, what was chosen and why, and what to do."""
     from djpt.cli.doctor import main as examine
@@ -274,7 +293,7 @@ def doctor() -> None:
 
 
 for compares in (ladder.ladder, ladder.bounces, ladder.spp):
-    app.command()(compares)
+    command(compares)
 
 
 def main() -> int:

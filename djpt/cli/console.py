@@ -25,7 +25,9 @@ __all__ = [
     "SceneName",
     "Seed",
     "Width",
+    "announce",
     "fail",
+    "has_terminal",
     "number_or_word",
     "parameters",
     "progress_bar",
@@ -49,7 +51,34 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="An XML file, or a built-in scene; see 'djpt scenes'.")]
+def scenes_like(incomplete: str) -> list[str]:
+    """The built-in scenes, XML files and folders that begin with what was typed, for completion in shells."""
+    from djpt.scenes import NAMES
+
+    folder, _, begin = incomplete.rpartition("/")
+    try:
+        entries = sorted(
+            os.scandir(folder or ("/" if incomplete.startswith("/") else ".")), key=lambda entry: entry.name
+        )
+    except OSError:
+        entries = []
+    prefix = incomplete[: len(incomplete) - len(begin)]
+    files = [
+        f"{prefix}{entry.name}{'/' if entry.is_dir() else ''}"
+        for entry in entries
+        if entry.name.startswith(begin) and (entry.is_dir() or entry.name.endswith(".xml"))
+    ]
+    return [name for name in NAMES if name.startswith(incomplete)] + files
+
+
+SceneName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="An XML file, or a built-in scene; see 'djpt scenes'.",
+        autocompletion=scenes_like,
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed: the same one gives the same image.")]
 Width = Annotated[int | None, typer.Option(help="Pixels; keeps the shape unless --height is given.")]
 Defines = Annotated[
@@ -106,6 +135,16 @@ def require_positive(**options: float | None) -> None:
             raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
 
 
+def has_terminal() -> bool:
+    """Whether there is a terminal to show progress on."""
+    return sys.stderr.isatty() or bool(set(os.environ) & FORCE_TERMINAL)
+
+
+def announce(line: str) -> None:
+    """Print a line of progress at once, for a file or a pipe, where no bar is shown."""
+    print(line, file=sys.stderr, flush=True)
+
+
 @contextlib.contextmanager
 def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """Show a bar with `unit`/s and the time left; gives a function to be called with (done, total).
@@ -114,7 +153,7 @@ def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, 
     """
     nothing: Callable[[int, int], None] = lambda done, total: None  # noqa: E731
     # Asked before `rich` is imported, which takes longer than small pictures.
-    if quiet or not (sys.stderr.isatty() or set(os.environ) & FORCE_TERMINAL):
+    if quiet or not has_terminal():
         yield nothing
         return
 
