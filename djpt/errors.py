@@ -65,12 +65,36 @@ class FileError(DjptError, OSError):
 def near_miss(found: str, possible: Iterable[str]) -> str:
     """Suggest what is possible: ``; did you mean 'x'?`` or ``; possible: a, b, c``.
 
+    Only a word that may be meant is suggested: a beginning of the other, or few letters away, a quarter of them.
     Returns an empty string if `possible` is empty. Meant to be appended to a message.
     """
     names = sorted(set(possible))
     if not names:
         return ""
-    close = difflib.get_close_matches(found, names, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean '{close[0]}'? (possible: {', '.join(names)})"
+    close = (name for name in difflib.get_close_matches(found, names, n=3, cutoff=0.6) if may_mean(found, name))
+    nearest = next(close, None)
+    if nearest is not None:
+        return f"; did you mean '{nearest}'? (possible: {', '.join(names)})"
     return f"; possible: {', '.join(names)}"
+
+
+def may_mean(found: str, name: str) -> bool:
+    """Whether a word looks like a mistake in another one."""
+    a, b = found.lower(), name.lower()
+    if min(len(a), len(b)) >= 3 and (a.startswith(b) or b.startswith(a)):
+        return True
+    return mistakes(a, b) <= max(1, round(max(len(a), len(b)) / 4))
+
+
+def mistakes(a: str, b: str) -> int:
+    """The number of letters to insert, delete, replace or swap with a neighbour (F. J. Damerau, CACM 7(3), 1964)."""
+    before: list[int] = []
+    row = list(range(len(b) + 1))
+    for i, letter in enumerate(a, 1):
+        earlier, before, row = before, row, [i]
+        for j, other in enumerate(b, 1):
+            cost = min(before[j] + 1, row[j - 1] + 1, before[j - 1] + (letter != other))
+            if i > 1 and j > 1 and letter == b[j - 2] and a[i - 2] == other:
+                cost = min(cost, earlier[j - 2] + 1)
+            row.append(cost)
+    return row[-1]

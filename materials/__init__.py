@@ -14,18 +14,24 @@ if TYPE_CHECKING:
     from djpt.materials.blendbsdf import BlendBSDF as BlendBSDF
     from djpt.materials.blinn import Blinn as Blinn
     from djpt.materials.bumpmap import BumpMap as BumpMap
+    from djpt.materials.circular import Circular as Circular
     from djpt.materials.conductor import Conductor as Conductor
     from djpt.materials.dielectric import Dielectric as Dielectric
     from djpt.materials.diffuse import Diffuse as Diffuse
     from djpt.materials.glass import Glass as Glass
+    from djpt.materials.hair import Hair as Hair
     from djpt.materials.mask import Mask as Mask
+    from djpt.materials.measured import Measured as Measured
     from djpt.materials.mirror import Mirror as Mirror
     from djpt.materials.normalmap import NormalMap as NormalMap
     from djpt.materials.null import Null as Null
     from djpt.materials.phong import Phong as Phong
     from djpt.materials.plastic import Plastic as Plastic
+    from djpt.materials.polarizer import Polarizer as Polarizer
+    from djpt.materials.pplastic import PolarizedPlastic as PolarizedPlastic
     from djpt.materials.principled import Principled as Principled
     from djpt.materials.principledthin import PrincipledThin as PrincipledThin
+    from djpt.materials.retarder import Retarder as Retarder
     from djpt.materials.roughconductor import RoughConductor as RoughConductor
     from djpt.materials.roughdielectric import RoughDielectric as RoughDielectric
     from djpt.materials.roughplastic import RoughPlastic as RoughPlastic

@@ -13,7 +13,7 @@ from djpt.textures.base import Texture
 from djpt.types import Float, Normal3f, Point2f, Vector2f, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
-__all__ = ["DISTRIBUTIONS", "MicrofacetDistribution", "alpha_textures", "distribution_name"]
+__all__ = ["DISTRIBUTIONS", "MIN_ALPHA", "MicrofacetDistribution", "alpha_textures", "distribution_name"]
 
 DISTRIBUTIONS: Final = ("beckmann", "ggx")
 

@@ -23,7 +23,7 @@ from djpt.kernels import as_float, opaque
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
-from djpt.materials.microfacet import MicrofacetDistribution, distribution_name
+from djpt.materials.microfacet import MIN_ALPHA, MicrofacetDistribution, distribution_name
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
@@ -36,7 +36,7 @@ INV_PI = 1 / math.pi
 KNOTS = 64
 """Angles at which the coat's transmittance is tabulated, by equal steps of the cosine."""
 
-ROUGHNESS = Allowed(0.0, 1.0, low_open=True)
+ROUGHNESS = Allowed(0.0, 1.0)
 
 
 class RoughPlastic(SharedWorkBSDF):
@@ -56,7 +56,7 @@ class RoughPlastic(SharedWorkBSDF):
         int_ior, ext_ior: index of refraction of the coat and around it (> 0, or a name of `djpt.materials.ior.IOR`;
             defaults `polypropylene`, `air`), which must differ. As a parameter their quotient, `eta`.
         distribution: of the microfacets, `beckmann` (default) or `ggx`.
-        alpha: roughness in (0, 1] (default 0.1); a number, not a texture.
+        alpha: roughness in [0, 1] (default 0.1; at least 1e-4 counts); a number, not a texture.
         sample_visible: sample only microfacets that are seen (default true).
         specular_reflectance: a factor on the coat's reflection (texture in [0, 1]; default: none), which real coats
             don't have.
@@ -85,7 +85,7 @@ class RoughPlastic(SharedWorkBSDF):
         self.nonlinear = props.boolean("nonlinear", False)
         self.distribution = distribution_name(props)
         self.sample_visible = props.boolean("sample_visible", True)
-        self.alpha = as_float(props.float("alpha", 0.1, low=0.0, high=1.0, low_open=True))
+        self.alpha = as_float(props.float("alpha", 0.1, low=0.0, high=1.0))
         self.parameters_changed(["alpha", "eta"])
 
     def traverse(self, callback: TraversalCallback) -> None:
@@ -110,7 +110,7 @@ class RoughPlastic(SharedWorkBSDF):
         # In kernels, a `Table` stands in the place of each tensor.
         self.coat: Any = coat(self.distribution, alpha, eta)
         # Differences: reflection has kinks, at total reflection, which derivatives of a quadrature miss.
-        wide, far = opaque(0.05 * alpha), opaque(0.02 * eta)
+        wide, far = opaque(0.05 * dr.maximum(alpha, MIN_ALPHA)), opaque(0.02 * eta)
         self.coat_by_alpha: Any = self._change((alpha + wide, eta), (alpha - wide, eta), wide, self.alpha)
         self.coat_by_eta: Any = self._change((alpha, eta + far), (alpha, eta - far), far, self.eta)
         # Now, so that no rendering's kernel contains this work.

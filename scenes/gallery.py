@@ -166,6 +166,15 @@ MATERIALS: dict[str, Panel] = {
     "roughplastic": Panel(
         "roughplastic", "alpha 0.15", lambda: {"type": "roughplastic", "diffuse_reflectance": PLUM, "alpha": 0.15}
     ),
+    "pplastic": Panel(
+        "pplastic",
+        "brushed",
+        lambda: {"type": "pplastic", "diffuse_reflectance": TEAL, "alpha_u": 0.05, "alpha_v": 0.3},
+    ),
+    "hair": Panel("hair", "a coat of dark hair", lambda: {"type": "hair", "azimuthal_roughness": 0.6}),
+    "polarizer": Panel("polarizer", "half of all light", lambda: {"type": "polarizer"}),
+    "retarder": Panel("retarder", "tinted", lambda: {"type": "retarder", "transmittance": rgb(0.9, 0.95, 0.7)}),
+    "circular": Panel("circular", "tinted", lambda: {"type": "circular", "transmittance": rgb(0.7, 0.9, 0.95)}),
     "blendbsdf": Panel(
         "blendbsdf",
         "plaster and gold",
@@ -322,6 +331,7 @@ def sheet(
     seed: int = 0,
     columns: int = 6,
     progress: Progress | None = None,
+    begin: Callable[[str], None] | None = None,
 ) -> NDArray[np.uint8]:
     """Render panels and put them side by side, with labels: (H, W, 3) bytes of sRGB.
 
@@ -332,13 +342,16 @@ def sheet(
         seed: The seed of all panels.
         columns: Panels in a row.
         progress: Called with (samples done, samples in all).
+        begin: Called before each panel, with a line that says which one it is.
     """
     from djpt.images.sheets import Tile, captioned_sheet
 
-    tiles = [
-        Tile(panel.title, panel.subtitle, render_panel(panel, size, spp, seed, i, len(panels), progress))
-        for i, panel in enumerate(panels)
-    ]
+    tiles = []
+    for i, panel in enumerate(panels):
+        if begin is not None:
+            begin(f"{i + 1} of {len(panels)}: {panel.title}, {panel.subtitle}")
+        picture = render_panel(panel, size, spp, seed, i, len(panels), progress)
+        tiles.append(Tile(panel.title, panel.subtitle, picture))
     return captioned_sheet(tiles, columns)
 
 

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Command",
     "ExitCode",
+    "announce",
     "fail",
+    "has_terminal",
     "number_or_word",
     "parameters",
     "progress_bar",
@@ -51,6 +53,10 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         with readable_errors():
             return super().invoke(ctx)
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """The first sentence of the help, which Click would cut off."""
+        return (self.help or "").partition("\n")[0]
 
 
 @contextlib.contextmanager
@@ -102,6 +108,16 @@ def require_positive(**options: float | None) -> None:
             raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
 
 
+def has_terminal() -> bool:
+    """Whether there is a terminal to show progress on."""
+    return sys.stderr.isatty() or bool(set(os.environ) & FORCE_TERMINAL)
+
+
+def announce(line: str) -> None:
+    """Print a line of progress at once, for a file or a pipe, where no bar is shown."""
+    print(line, file=sys.stderr, flush=True)
+
+
 @contextlib.contextmanager
 def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """Show a bar with `unit`/s and the time left; gives a function to be called with (done, total).
@@ -110,7 +126,7 @@ def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, 
     """
     nothing: Callable[[int, int], None] = lambda done, total: None  # noqa: E731
     # Asked before `rich` is imported, which takes longer than small pictures.
-    if quiet or not (sys.stderr.isatty() or set(os.environ) & FORCE_TERMINAL):
+    if quiet or not has_terminal():
         yield nothing
         return
 

@@ -9,7 +9,7 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command, progress_bar, require_positive
+from djpt.cli.console import Command, announce, has_terminal, progress_bar, require_positive
 from djpt.errors import RenderError
 
 __all__ = ["command"]
@@ -37,8 +37,9 @@ def command(names: tuple[str, ...], output: Path, spp: int, size: int, seed: int
         raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
     chosen = panels(names)
     start = time.perf_counter()
+    begin = None if quiet or has_terminal() else announce
     with progress_bar("rendering", "samples", quiet) as progress:
-        djpt.write(output, sheet(chosen, size, spp, seed, progress=progress))
+        djpt.write(output, sheet(chosen, size, spp, seed, progress=progress, begin=begin))
     if not quiet:
         seconds = time.perf_counter() - start
         print(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")

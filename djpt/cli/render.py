@@ -57,6 +57,7 @@ def command(
     require_positive(spp=spp, width=width, height=height)
     name, description = described(scene, parameters(define))
     # NumPy is imported after the scene was found.
+    from djpt.cli.pictures import channels_for, layers
     from djpt.cli.tone import Tone, carried
     from djpt.images.image import check_writable
 
@@ -66,6 +67,9 @@ def command(
     tone = Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
     description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     loaded = djpt.load_dict(description)
+    names = djpt.channel_names(loaded, sensor=sensor)
+    # Before the long render: can the file hold the image?
+    kept = channels_for(target, names, len(loaded.sensors()[sensor].film().channel_names()))
     start = time.perf_counter()
     samples = 0
     with progress_bar("rendering", "samples", quiet) as show:
@@ -79,15 +83,18 @@ def command(
             loaded, sensor=sensor, spp=spp or 0, seed=seed, schedule=schedule, progress=progress
         ).numpy()
     seconds = time.perf_counter() - start
-    names = djpt.channel_names(loaded, sensor=sensor) if target.suffix.lower() == ".exr" else None
+    image = image[..., :kept]
     found = {"scene": name, **facts(loaded, sensor, spp, seed), "seconds": f"{seconds:.2f}"}
     if tone is not None:
         image, found = tone.apply(image), {**found, **tone.facts}
-    djpt.write(target, image, channels=names, metadata=carried(target, found))
+    stored = names if target.suffix.lower() == ".exr" else None
+    djpt.write(target, image, channels=stored, metadata=carried(target, found))
     if not quiet:
         rows, columns, _ = image.shape
         speed = f"{short(samples / seconds)}samples/s"
         print(f"{target}: {columns} x {rows}, {found['spp']} spp, {seconds:.2f} s, {speed}")
+        if names[kept:]:
+            print(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
 
 
 def facts(scene: Scene, sensor: int, spp: int | None, seed: int) -> dict[str, Any]:

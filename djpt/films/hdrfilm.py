@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,8 @@ class HDRFilm(Film):
 
     Parameters: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
     `crop_height` (the rest), `pixel_format` (`rgb`, `rgba`, `luminance`, `luminance_alpha`, `xyz` or `xyza`; default
-    `rgb`), `component_format` (checked, then without effect: pixels are float32), `file_format` (for `write`),
+    `rgb`), `component_format` (checked, then without effect: pixels are float32), `file_format` (for `write`; all three
+    in any case),
     `banner` (without effect, for scenes of older versions of Mitsuba), `sample_border`
     (default false: no samples outside the crop, so border pixels see fewer), a nested `rfilter` (default `gaussian`).
 
@@ -41,11 +42,9 @@ class HDRFilm(Film):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.pixel_format = props.string("pixel_format", "rgb").lower()
-        if self.pixel_format not in CHANNELS:
-            props.string("pixel_format", choices=tuple(CHANNELS))  # which says what is possible
-        props.string("component_format", "float16", choices=("float16", "float32", "uint32"))
-        self._extension = EXTENSIONS[props.string("file_format", "openexr", choices=tuple(EXTENSIONS))]
+        self.pixel_format = word(props, "pixel_format", "rgb", CHANNELS)
+        word(props, "component_format", "float16", ("float16", "float32", "uint32"))
+        self._extension = EXTENSIONS[word(props, "file_format", "openexr", EXTENSIONS)]
         props.boolean("banner", False)
         self.m_flags = int(FilmFlags.Alpha if CHANNELS[self.pixel_format][-1] == "A" else FilmFlags.Empty)
         self._storage: ImageBlock | None = None
@@ -202,6 +201,12 @@ class HDRFilm(Film):
         from djpt.images.image import write
 
         write(Path(str(path)).with_suffix(self._extension), self.develop(), channels=self.developed_names())
+
+
+def word(props: Properties, key: str, default: str, possible: Iterable[str]) -> str:
+    """The entry in lower case, which must be one of the possible words."""
+    found = props.string(key, default).lower()
+    return found if found in possible else props.string(key, choices=possible)
 
 
 register_film("hdrfilm", HDRFilm)

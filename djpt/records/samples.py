@@ -237,7 +237,8 @@ class BSDFSample3f(Record):
             wo=wo,
             pdf=Float(pdf),
             eta=Float(eta),
-            sampled_type=UInt32(sampled_type),
+            # Dr.Jit takes flags of several bits for a list of them.
+            sampled_type=UInt32(int(sampled_type) if isinstance(sampled_type, int) else sampled_type),
             sampled_component=UInt32(sampled_component),
         )
         return bs

@@ -9,9 +9,9 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.distributions.search import first_without
 from djpt.errors import ArgumentError
 from djpt.scripting.forms import forms
-from djpt.scripting.mathematics import first_without
 from djpt.types import Bool, Float, UInt32, converting
 
 __all__ = ["ContinuousDistribution", "DiscreteDistribution", "IrregularContinuousDistribution"]

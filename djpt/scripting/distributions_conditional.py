@@ -12,10 +12,10 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.distributions.search import first_without
 from djpt.errors import ArgumentError
 from djpt.scripting.distributions_1d import invert_line
 from djpt.scripting.forms import forms
-from djpt.scripting.mathematics import first_without
 from djpt.types import Bool, Float, TensorXf, UInt32
 
 __all__ = ["ConditionalIrregular1D", "ConditionalRegular1D"]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
+from djpt.distributions.search import find_interval
 from djpt.scripting.forms import forms
 from djpt.scripting.statistics import chi2
 from djpt.types import Bool, Float, UInt32, backend, converting
@@ -112,16 +112,6 @@ def solve_quadratic(a: Float, b: Float, c: Float) -> tuple[Bool, Float, Float]:
         dr.select(linear, single, dr.minimum(x0, x1)),
         dr.select(linear, single, dr.maximum(x0, x1)),
     )
-
-
-def find_interval(size: int, pred: Callable[[UInt32], Bool]) -> UInt32:
-    """The last index i in [0, size - 2] with `pred(i)`, or 0, if `pred` is first true and then false."""
-    return first_without(1, size - 1, pred) - 1
-
-
-def first_without(start: int, end: int, pred: Callable[[UInt32], Bool]) -> UInt32:
-    """The first index from `start` on without `pred(i)`, or `end`; `pred` is first true and then false."""
-    return UInt32(dr.binary_search(start, end, lambda i: pred(UInt32(i))))
 
 
 # ---- integers --------------------------------------------------------------------------------

@@ -10,6 +10,10 @@ EXPORTS: dict[str, str] = {
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
     "djpt.dispatch.media": "MediumPtr",
     "djpt.dispatch.phases": "PhaseFunctionPtr",
+    "djpt.distributions.marginal_2d": (
+        "MarginalContinuous2D0 MarginalContinuous2D1 MarginalContinuous2D2 MarginalContinuous2D3 MarginalDiscrete2D0 "
+        "MarginalDiscrete2D1 MarginalDiscrete2D2 MarginalDiscrete2D3"
+    ),
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
@@ -38,10 +42,6 @@ EXPORTS: dict[str, str] = {
     "djpt.scripting.distributions_2d": "DiscreteDistribution2D",
     "djpt.scripting.distributions_conditional": "ConditionalIrregular1D ConditionalRegular1D",
     "djpt.scripting.distributions_hierarchical": "Hierarchical2D0 Hierarchical2D1 Hierarchical2D2 Hierarchical2D3",
-    "djpt.scripting.distributions_marginal": (
-        "MarginalContinuous2D0 MarginalContinuous2D1 MarginalContinuous2D2 MarginalContinuous2D3 MarginalDiscrete2D0 "
-        "MarginalDiscrete2D1 MarginalDiscrete2D2 MarginalDiscrete2D3"
-    ),
     "djpt.scripting.fresnel": (
         "fresnel fresnel_conductor fresnel_diffuse_reflectance fresnel_polarized lookup_ior reflect refract"
     ),

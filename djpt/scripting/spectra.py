@@ -11,10 +11,11 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.errors import ArgumentError, FileError
-from djpt.files import read_bytes, writing
+from djpt.errors import ArgumentError
+from djpt.files import writing
 from djpt.images import colorimetry
 from djpt.images.color import LUMINANCE
+from djpt.images.spectrum_files import read_pairs
 from djpt.types import Color3f, Float, UInt32, converting
 
 __all__ = [
@@ -193,19 +194,7 @@ def spectrum_from_file(filename: str | os.PathLike[str]) -> tuple[list[float], l
         FileError: the file can't be read, or a line has other than two numbers.
     """
     check_suffix(filename)
-    text = read_bytes(filename).decode("utf-8", "replace")
-    lines = [line.split("#")[0].split() for line in text.splitlines()]
-    wavelengths, values = [], []
-    for number, line in enumerate(lines, 1):
-        if not line:
-            continue
-        try:
-            wavelength, value = map(float, line)
-        except ValueError:
-            raise FileError(f"'{os.fspath(filename)}', line {number}: must be two numbers, found {line}") from None
-        wavelengths.append(wavelength)
-        values.append(value)
-    return wavelengths, values
+    return read_pairs(filename)
 
 
 def spectrum_to_file(filename: str | os.PathLike[str], wavelengths: Sequence[float], values: Sequence[float]) -> None:

@@ -9,10 +9,16 @@ from djpt.lazy import lazily
 if TYPE_CHECKING:
     from djpt.textures.base import Texture as Texture
     from djpt.textures.bitmap import Bitmap as Bitmap
+    from djpt.textures.blackbody import BlackBody as BlackBody
     from djpt.textures.checkerboard import Checkerboard as Checkerboard
+    from djpt.textures.d65 import daylight as daylight
+    from djpt.textures.irregular import IrregularSpectrum as IrregularSpectrum
     from djpt.textures.mesh_attribute import MeshAttribute as MeshAttribute
+    from djpt.textures.rawconstant import RawConstant as RawConstant
+    from djpt.textures.regular import RegularSpectrum as RegularSpectrum
     from djpt.textures.rgb import ConstantTexture as ConstantTexture
     from djpt.textures.spectrum import SpectrumTexture as SpectrumTexture
+    from djpt.textures.srgb import SRGBReflectance as SRGBReflectance
     from djpt.textures.uniform import UniformTexture as UniformTexture
     from djpt.textures.volume import VolumeTexture as VolumeTexture
 else:

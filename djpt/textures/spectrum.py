@@ -5,64 +5,75 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from djpt.description.allowed import Allowed
+from djpt.description.files import resolve
 from djpt.description.numeric import as_array, describe
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
-from djpt.errors import SceneError
-from djpt.images.colorimetry import XYZ_TO_RGB, spectrum_to_rgb
-from djpt.textures.rgb import ConstantTexture
-from djpt.types import Color3f
+from djpt.errors import DjptError, SceneError
+from djpt.images.colorimetry import XYZ_TO_RGB
+from djpt.images.spectrum_files import read_pairs
+from djpt.textures.tabulated import Pairs, TabulatedSpectrum, pairs_of
 
 __all__ = ["SpectrumTexture"]
 
 
-class SpectrumTexture(ConstantTexture):
-    """A spectrum, turned into its colour when it is loaded: rendering is in linear sRGB.
+class SpectrumTexture(TabulatedSpectrum):
+    """A spectrum as it stands in scene files, as a colour: see `TabulatedSpectrum`.
 
     Parameters: `value` (one number for a constant spectrum, or pairs of a wavelength in nm and a value, linear in
-    between; required). Reflectances are seen under D65, radiances are not: a constant reflectance is grey, a constant
-    radiance is the white of equal energies, (1.205, 0.948, 0.909) per unit. Colours that sRGB can't show are clipped
-    to the range of the parameter. As a parameter it is a colour, as in Mitsuba's RGB variants.
+    between), or `filename` of a text file with a pair per line. As a parameter it is a colour, `value`, as in
+    Mitsuba's RGB variants.
     """
 
     def __init__(self, props: Properties) -> None:
-        value = props.raw("value")
-        self._pairs = self._read(value, props)
-        if self._pairs is not None:
-            colour = spectrum_to_rgb(*self._pairs, under_d65=True).tolist()
-            props = Properties(props.plugin_name(), props.node, {"value": colour}, props.id())
-        super().__init__(props)
-        self._reflected = self.value
-        """The colour of a reflectance; a radiance of these numbers has another."""
+        self._constant: float | None = None
+        pairs: Pairs = ([], [])
+        if "filename" in props and "value" not in props:
+            pairs = from_file(props)
+        else:
+            value = props.raw("value")
+            numbers = self._numbers_in(props, value)
+            if numbers.ndim == 0:
+                self._constant = float(numbers)
+            else:
+                pairs = from_list(props, value, numbers)
+        super().__init__(props, pairs)
 
     @staticmethod
-    def _read(value: Any, props: Properties) -> tuple[list[float], list[float]] | None:
-        """Wavelengths and values; None for a number."""
+    def _numbers_in(props: Properties, value: Any) -> NDArray[np.float64]:
         try:
-            array = as_array(value)
+            return as_array(value)
         except SceneError as error:
             raise props.error("value", str(error)) from None
-        if array.ndim == 0:
-            return None
-        if array.ndim != 2 or array.shape[1] != 2 or len(array) < 2:
-            problem = f"must be a number, or two or more pairs of wavelength and value, found {describe(value)}"
-            raise props.error("value", problem)
-        if not (np.diff(array[:, 0]) > 0).all():
-            raise props.error("value", f"must have increasing wavelengths, found {describe(value)}")
-        return array[:, 0].tolist(), array[:, 1].tolist()
 
-    def used_by(self, kind: str) -> None:
-        if kind == "emitter" and self._pairs is not None:
-            self.value = Color3f(*spectrum_to_rgb(*self._pairs, under_d65=False).tolist())
-        elif kind == "emitter":
-            self.value = self._reflected * Color3f(*XYZ_TO_RGB.sum(axis=1).tolist())
+    def _colour(self) -> list[float]:
+        if self._constant is None:
+            return super()._colour()
+        white = XYZ_TO_RGB.sum(axis=1) if self._emitted else np.ones(3)
+        colour: list[float] = (self._constant * white).tolist()
+        return colour
 
-    def restrict(self, allowed: Allowed, where: str) -> None:
-        if self._pairs is not None and allowed.high is not None:
-            self.value = Color3f(*np.minimum(self._numbers(self.value), allowed.high).tolist())
-        super().restrict(allowed, where)
+
+def from_list(props: Properties, value: Any, array: NDArray[np.float64]) -> Pairs:
+    """The spectrum of a list of pairs, `array` by their numbers."""
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) < 2:
+        problem = f"must be a number, or two or more pairs of wavelength and value, found {describe(value)}"
+        raise props.error("value", problem)
+    try:
+        return pairs_of(array[:, 0], array[:, 1])
+    except SceneError as error:
+        raise props.error("value", f"{error}, found {describe(value)}") from None
+
+
+def from_file(props: Properties) -> Pairs:
+    """The spectrum in a text file."""
+    try:
+        wavelengths, values = read_pairs(resolve(props.string("filename")))
+        return pairs_of(np.array(wavelengths), np.array(values))
+    except DjptError as error:
+        raise props.error("filename", str(error)) from None
 
 
 register_texture("spectrum", SpectrumTexture)

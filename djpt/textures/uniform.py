@@ -24,7 +24,7 @@ __all__ = ["UniformTexture"]
 class UniformTexture(Texture):
     """One number; numbers become this where a plugin asks for a scalar, such as a roughness.
 
-    Parameters: `value` (required).
+    Parameters: `value` (required), `wavelength_min` and `wavelength_max` (nm; without effect on colours).
     """
 
     is_constant = True
@@ -33,6 +33,8 @@ class UniformTexture(Texture):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         value = props.raw("value")
+        for key in ("wavelength_min", "wavelength_max"):
+            props.float(key, 0.0)
         try:
             self.value = as_float(as_number(value))
         except SceneError as error:

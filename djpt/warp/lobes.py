@@ -114,22 +114,22 @@ def square_to_rough_fiber_pdf(v: Vector3f, wi: Vector3f, tangent: Vector3f, kapp
     sin_i, sin_o = dr.dot(wi, tangent), dr.dot(v, tangent)
     c = dr.safe_sqrt(dr.fma(-sin_i, sin_i, 1)) * dr.safe_sqrt(dr.fma(-sin_o, sin_o, 1)) * kappa
     s = sin_i * sin_o * kappa
-    # For large kappa the hyperbolic sine and the Bessel function overflow: 2 sinh(kappa) is then exp(kappa).
-    large = dr.exp(-s + _log_bessel(c) - kappa) * kappa
-    small = dr.exp(-s) * _bessel(c) * kappa / (2 * dr.sinh(kappa))
-    return dr.select(kappa > 10, large, small) * (0.5 / math.pi)
-
-
-def _bessel(x: Float) -> Float:
-    """The modified Bessel function I0 by ten terms of its power series, sum of (x / 2)^(2 n) / (n!)^2; for x <= 12."""
-    quarter = 0.25 * dr.square(x)
-    term, total = Float(1), Float(1)
-    for n in range(1, 11):
-        term = term * quarter / (n * n)
-        total = total + term
-    return total
+    # 2 sinh(kappa) = exp(kappa) (1 - exp(-2 kappa)); in this form nothing overflows.
+    return dr.exp(_log_bessel(c) - s - kappa) * kappa * (0.5 / math.pi) / (1 - dr.exp(-2 * kappa))
 
 
 def _log_bessel(x: Float) -> Float:
-    """The logarithm of I0; beyond 12 from its asymptotic expansion exp(x) (1 + 1 / (8 x)) / sqrt(2 pi x)."""
-    return dr.select(x > 12, x + 0.5 * (dr.rcp(8 * x) - dr.log(2 * math.pi * x)), dr.log(_bessel(x)))
+    """The logarithm of the modified Bessel function I0, to 3e-5; x >= 0.
+
+    Ten terms of the power series, sum of (x / 2)^(2 n) / (n!)^2, and beyond 7.5 the asymptotic expansion
+    (https://dlmf.nist.gov/10.40.E1, in logarithms). Mitsuba takes fewer terms of it, and is off by up to 0.6 %.
+    """
+    quarter = 0.25 * dr.square(x)
+    term, series = Float(1), Float(1)
+    for n in range(1, 11):
+        term = term * quarter / (n * n)
+        series = series + term
+    large = x > 7.5
+    r = dr.rcp(dr.select(large, x, 1))
+    tail = r * (1 / 8 + r * (1 / 16 + r * (25 / 384 + r * (13 / 128))))
+    return dr.select(large, x + tail + 0.5 * dr.log(r * (0.5 / math.pi)), dr.log(series))

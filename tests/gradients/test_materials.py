@@ -112,7 +112,7 @@ def delta_power(material: Any) -> Any:
     si.uv = Point2f(u, v)
     s1 = dr.tile((dr.arange(Float, CHOICES) + 0.5) / CHOICES, ROWS)
     bs, weight = material.sample(BSDFContext(), si, s1, Point2f(0.5))
-    weight = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, 0)
+    weight = dr.select((s1 >= 0) & has_flag(bs.sampled_type, BSDFFlags.Delta), weight, 0)  # one per lane
     return dr.block_sum(weight, CHOICES) / CHOICES
 
 

@@ -17,6 +17,7 @@ from djpt.frame import Frame3f
 from djpt.records import SurfaceInteraction3f
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from tests.kit.measured import anisotropic, rough_metal
 from tests.kit.parameter_sets import slow_but_first
 
 __all__ = [
@@ -142,6 +143,29 @@ SETS: dict[str, Callable[[], dict[str, Description]]] = {
         "ggx": {"distribution": "ggx", "alpha": 0.5, "nonlinear": True, "int_ior": 1.9, "diffuse_reflectance": CLAY},
         "all facets": {"alpha": 0.3, "sample_visible": False},
         "textured": {"diffuse_reflectance": checks(CLAY, 0.9), "specular_reflectance": 0.7, "alpha": 0.3},
+    },
+    "pplastic": lambda: {
+        "colour": {"diffuse_reflectance": CLAY, "alpha": 0.2},
+        "polished": {"diffuse_reflectance": TEAL, "alpha": 0.05, "int_ior": 1.9, "specular_reflectance": 0.7},
+        "brushed": {"alpha_u": 0.1, "alpha_v": 0.5, "distribution": "ggx", "eta": 1.7},
+        "all facets": {"alpha": 0.3, "sample_visible": False},
+        "textured": {"diffuse_reflectance": bitmap(texels(6, 8, 3)), "alpha": bitmap(texels(5, 7, 1, low=0.2))},
+    },
+    "measured": lambda: {
+        "metal": {"filename": rough_metal(17)},
+        "made up": {"filename": anisotropic(1)},
+        "half a turn": {"filename": anisotropic(2)},
+        "a quarter": {"filename": anisotropic(4)},
+    },
+    "polarizer": lambda: {"ideal": {}, "tinted": {"transmittance": checks(CLAY, 0.9), "theta": 30.0}},
+    "retarder": lambda: {"ideal": {}, "tinted": {"transmittance": CLAY, "theta": 30.0, "delta": 45.0}},
+    "circular": lambda: {"ideal": {}, "tinted": {"transmittance": CLAY, "left_handed": True}},
+    "hair": lambda: {
+        "brown": {},
+        "smooth": {"longitudinal_roughness": 0.15, "azimuthal_roughness": 0.2, "scale_tilt": 3.0},
+        "rough": {"longitudinal_roughness": 0.9, "azimuthal_roughness": 0.9, "eumelanin": 0.1, "pheomelanin": 1.0},
+        "clear": {"sigma_a": 0.0, "int_ior": 1.8, "scale_tilt": -3.0},
+        "dyed": {"sigma_a": checks(CLAY, TEAL), "scale": 2.0, "azimuthal_roughness": 0.6},
     },
     "principled": lambda: {
         "everything": EVERYTHING,

@@ -259,8 +259,8 @@ def test_an_edit_recomputes_the_coat() -> None:
             "'int_ior' must differ from 'ext_ior', found 1.000277 for both",
         ),
         ({"type": "roughplastic", "int_ior": 1.3, "ext_ior": 1.3}, "'int_ior' must differ from 'ext_ior', found 1.3"),
-        ({"type": "roughplastic", "alpha": 0.0}, r"'alpha' must lie in \(0, 1\], found 0"),
-        ({"type": "roughplastic", "alpha": 1.5}, r"'alpha' must lie in \(0, 1\], found 1.5"),
+        ({"type": "roughplastic", "alpha": -0.1}, r"'alpha' must lie in \[0, 1\], found -0.1"),
+        ({"type": "roughplastic", "alpha": 1.5}, r"'alpha' must lie in \[0, 1\], found 1.5"),
         ({"type": "roughplastic", "alpha_u": 0.1}, "unknown key 'alpha_u' .*; did you mean 'alpha'?"),
         ({"type": "roughplastic", "distribution": "gx"}, "'distribution' can't be 'gx'; did you mean 'ggx'?"),
         ({"type": "roughdielectric", "alpha": 2}, r"'alpha' must lie in \[0, 1\], found 2"),
@@ -280,8 +280,8 @@ def test_errors(description: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("name", "key", "value", "message"),
     [
-        ("rough plastic", "alpha", 0.0, r"alpha: must lie in \(0, 1\], found 0"),
-        ("rough plastic", "alpha", 1.5, r"alpha: must lie in \(0, 1\], found 1.5"),
+        ("rough plastic", "alpha", -0.1, r"alpha: must lie in \[0, 1\], found -0.1"),
+        ("rough plastic", "alpha", 1.5, r"alpha: must lie in \[0, 1\], found 1.5"),
         ("rough plastic", "eta", 0.0, "eta: must be greater than 0"),
         ("plastic", "eta", -1.0, "eta: must be greater than 0"),
         ("glass", "eta", 0.0, "eta: must be greater than 0"),

@@ -72,7 +72,7 @@ def error(name: str) -> float:
     def has_fit(node: Any) -> bool:
         if not isinstance(node, dict):
             return False
-        rough = node["type"] in ("roughconductor", "roughdielectric", "roughplastic")
+        rough = node["type"] in ("roughconductor", "roughdielectric", "roughplastic", "pplastic")
         fit = rough and node.get("distribution", "beckmann") == "beckmann" and node.get("sample_visible", True)
         return fit or any(has_fit(child) for child in node.values())
 
@@ -136,7 +136,7 @@ def test_a_wrong_density_is_noticed() -> None:
 DETACHED = {"principled", "principledthin"}
 """Their `sample` cuts derivatives itself: the statistical test has to do."""
 
-MIXTURES = {"phong", "blinn", "roughplastic", "blendbsdf"}
+MIXTURES = {"phong", "blinn", "roughplastic", "pplastic", "blendbsdf"}
 """Several lobes may lead to one direction: the density is the sum of all."""
 
 
@@ -228,6 +228,8 @@ NOT_RECIPROCAL: dict[str, str] = {
     "bumpmap-gold": "tilted normals",
     "normalmap-diffuse": "tilted normals",
     "normalmap-gold": "tilted normals",
+    **{f"hair-{name}": "cosines of the fibre's own angles" for name in ("brown", "smooth", "rough", "clear", "dyed")},
+    **{f"measured-{name}": "errors of measurement" for name in ("metal", "made up", "half a turn", "a quarter")},
     "principledthin-everything": "a condition of the specular transmission, as in Mitsuba",
     "principledthin-pane": "a condition of the specular transmission, as in Mitsuba",
 }

@@ -69,8 +69,8 @@ MISTAKES: dict[str, tuple[Any, str]] = {
         r"^scene\.a: unknown plugin 'difuse'; did you mean 'diffuse'\? \(possible: .*cube.*\)$",
     ),
     "of Mitsuba": (
-        scene(a={"type": "hair"}),
-        r"^scene\.a: Mitsuba's bsdf 'hair' isn't supported yet; supported: .*diffuse.*twosided",
+        scene(a={"type": "measured_polarized"}),
+        r"^scene\.a: Mitsuba's bsdf 'measured_polarized' isn't supported yet; supported: .*diffuse.*twosided",
     ),
     "medium": (scene(a={"type": "homogeneous"}), r"^scene\.a: Mitsuba's medium .* supported: no medium at all$"),
     "unknown key": (

@@ -8,8 +8,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.scripting.distributions_2d import Interpolated2D, Numbers, Slices, WithParameters, table_of
-from djpt.scripting.mathematics import first_without
+from djpt.distributions.interpolated_2d import Interpolated2D, Numbers, Slices, WithParameters, table_of
+from djpt.distributions.search import first_without
 from djpt.types import Bool, Float, Point2f, UInt32, converting
 from djpt.warp import bilinear_to_square, square_to_bilinear
 

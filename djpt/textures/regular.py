@@ -1,0 +1,68 @@
+"""Spectra given by equidistant wavelengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.description.numeric import as_array
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.description.registry import register_texture
+from djpt.errors import ParameterError, SceneError
+from djpt.textures.tabulated import Pairs, TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
+from djpt.types import Float
+
+__all__ = ["RegularSpectrum"]
+
+
+class RegularSpectrum(TabulatedSpectrum):
+    """A spectrum at equidistant wavelengths, as a colour: see `TabulatedSpectrum`.
+
+    Mitsuba's RGB variants load this texture, but can't render it: its colour here is that of a `spectrum` with the
+    same pairs.
+
+    Parameters: `wavelength_min`, `wavelength_max` (in nm, required), `values` (a list, or text with commas in between;
+    required); or `value`, a nested `spectrum`. In `traverse`: `range` and `values`, which have no derivatives.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        if "value" in props and "values" not in props:
+            wavelengths, values = (np.array(numbers) for numbers in nested_pairs(props))
+            low, high = float(wavelengths[0]), float(wavelengths[-1])
+            if not np.allclose(np.diff(wavelengths), (high - low) / (len(values) - 1), rtol=1e-3):
+                raise props.error("value", "must have equidistant wavelengths; 'irregular' takes any")
+        else:
+            low = props.float("wavelength_min", low=0.0)
+            high = props.float("wavelength_max", low=low, low_open=True)
+            values = list_of_numbers(props, "values")
+        self.range = dr.scalar.Array2f(low, high)
+        self.samples = Float(values.astype(np.float32))
+        try:
+            pairs = pairs_of(np.linspace(low, high, len(values)), values)
+        except SceneError as error:
+            raise props.error("values", str(error)) from None
+        super().__init__(props, pairs)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("range", self.range, ParamFlags.NonDifferentiable)
+        callback.put("values", self.samples, ParamFlags.NonDifferentiable, "samples")
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        return value
+
+    def parameters_changed(self, keys: Sequence[str]) -> None:
+        self.set_pairs(self._edited())
+
+    def _edited(self) -> Pairs:
+        values = as_array(self.samples).reshape(-1)
+        try:
+            return pairs_of(np.linspace(self.range[0], self.range[1], len(values)), values)
+        except SceneError as error:
+            raise ParameterError(f"{self.id()}: {error}") from None
+
+
+register_texture("regular", RegularSpectrum)

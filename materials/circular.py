@@ -1,0 +1,32 @@
+"""Circular polarisers."""
+
+from __future__ import annotations
+
+from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
+from djpt.materials.filters import Filter
+from djpt.records import SurfaceInteraction3f
+from djpt.types import Bool, Color3f
+
+__all__ = ["Circular"]
+
+
+class Circular(Filter):
+    """A circular polariser: half of unpolarised light passes. See `Filter`.
+
+    Parameters: `transmittance` (texture in [0, 1], default 1) and `left_handed` (default false), which has no effect
+    on light without polarisation.
+    """
+
+    share = 0.5
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        props.boolean("left_handed", False)
+
+    def eval_diffuse_reflectance(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The transmittance, as in Mitsuba."""
+        return self.passed.eval(si, active)
+
+
+register_bsdf("circular", Circular)

@@ -1,0 +1,146 @@
+"""Plastic as polarisation researchers model it: a diffuse base under rough facets, without light trapped between."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import drjit as dr
+
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.description.registry import register_bsdf
+from djpt.errors import SceneError
+from djpt.materials.dielectric import optional_texture, tint
+from djpt.materials.fresnel import fresnel, reflect
+from djpt.materials.ior import ior
+from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
+from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.textures.base import Texture
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["PolarizedPlastic"]
+
+INV_PI = 1 / math.pi
+
+
+class PolarizedPlastic(SharedWorkBSDF):
+    """Light is reflected by rough facets, or refracted in, scattered once, and refracted out; black from behind.
+
+    With F, D, G and m as for `RoughConductor`, but the F of a dielectric:
+
+        f = F(wi, m) D G / (4 cos theta_i cos theta_o) + (1 - F(theta_i)) (1 - F(theta_o)) rho / pi.
+
+    The model of S.-H. Baek, D. S. Jeon, X. Tong and M. H. Kim, "Simultaneous Acquisition of Polarimetric SVBRDF and
+    Normals" (TOG 37(6), 2018), for light without polarisation.
+
+    Parameters:
+        diffuse_reflectance: rho (texture in [0, 1], default 0.5).
+        specular_reflectance: a factor on the reflection of the facets (texture in [0, 1]; default: none).
+        eta: relative index of refraction (scalar texture > 0); or
+        int_ior, ext_ior: index of refraction within and around it (> 0, or a name of `djpt.materials.ior.IOR`;
+            defaults `polypropylene`, `air`), which must differ.
+        distribution: of the facets, `beckmann` (default) or `ggx`.
+        alpha: roughness (scalar texture in [0, 1], default 0.1; at least 1e-4 counts); or
+        alpha_u, alpha_v: roughness along dp/du and dp/dv.
+        sample_visible: sample only facets that are seen (default true).
+    """
+
+    children = ("diffuse_reflectance", "eta", "specular_reflectance", "alpha_u", "alpha_v")
+    statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.diffuse_reflectance = props.texture("diffuse_reflectance", 0.5, low=0.0, high=1.0)
+        self.specular_reflectance = optional_texture(props, "specular_reflectance")
+        self.eta = relative_index(props)
+        self.distribution = distribution_name(props)
+        self.sample_visible = props.boolean("sample_visible", True)
+        self.alpha_u, self.alpha_v = alpha_textures(props)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("diffuse_reflectance", self.diffuse_reflectance)
+        callback.put("eta", self.eta)
+        if self.specular_reflectance is not None:
+            callback.put("specular_reflectance", self.specular_reflectance)
+        if self.alpha_v is None:
+            callback.put("alpha", self.alpha_u)
+        else:
+            callback.put("alpha_u", self.alpha_u)
+            callback.put("alpha_v", self.alpha_v)
+
+    def components(self) -> tuple[int, ...]:
+        anisotropic = BSDFFlags.Empty if self.alpha_v is None else BSDFFlags.Anisotropic
+        facets, base = BSDFFlags.GlossyReflection | anisotropic, BSDFFlags.DiffuseReflection
+        return int(facets | BSDFFlags.FrontSide), int(base | BSDFFlags.FrontSide)
+
+    def at(self, ctx: BSDFContext, si: SurfaceInteraction3f, active: Bool | bool) -> BSDFAtPoint:
+        return PolarizedPlasticAtPoint(self, si, active, *self.asked(ctx))
+
+
+class PolarizedPlasticAtPoint:
+    """A `PolarizedPlastic` at one point, seen from `wi`: the work that evaluation and sampling share."""
+
+    def __init__(
+        self, bsdf: PolarizedPlastic, si: SurfaceInteraction3f, active: Bool | bool, shines: bool, scatters: bool
+    ) -> None:
+        """`shines` and `scatters`: whether each lobe is asked for."""
+        self.shines, self.scatters, self.wi = shines, scatters, si.wi
+        alpha_u = bsdf.alpha_u.eval_1(si, active)
+        alpha_v = alpha_u if bsdf.alpha_v is None else bsdf.alpha_v.eval_1(si, active)
+        self.surface = MicrofacetDistribution(bsdf.distribution, alpha_u, alpha_v, bsdf.sample_visible)
+        self.g1_i = self.surface.smith_g1_over_cos(si.wi)
+        self.eta = bsdf.eta.eval_1(si, active)
+        self.tint = tint(bsdf.specular_reflectance, si, active)
+        self.base = bsdf.diffuse_reflectance.eval(si, active) * ((1 - fresnel(si.wi.z, self.eta)[0]) * INV_PI)
+        # Both lobes are drawn by their colours alone, from every direction.
+        diffuse = bsdf.diffuse_reflectance.mean()
+        specular = Float(1) if bsdf.specular_reflectance is None else bsdf.specular_reflectance.mean()
+        total = specular + diffuse
+        self.p_specular = dr.detach(specular * dr.rcp(dr.select(total > 0, total, 1)))
+        if not (shines and scatters):
+            self.p_specular = Float(shines)
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        # The half vector of two directions above the horizon faces both of them.
+        ok = (self.wi.z > 0) & (wo.z > 0)
+        h = self.wi + wo
+        m = h * dr.rsqrt(dr.select(ok, dr.squared_norm(h), 1))
+        cos = dr.dot(self.wi, m)
+        d = self.surface.eval(m)
+        visible = 0.25 * d * self.g1_i
+        value = Color3f(0)
+        if self.shines:
+            value += self.tint * (fresnel(cos, self.eta)[0] * visible * self.surface.smith_g1_over_cos(wo) * wo.z)
+        if self.scatters:
+            value += self.base * ((1 - fresnel(wo.z, self.eta)[0]) * wo.z)
+        pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
+        pdf = dr.lerp(wo.z * INV_PI, pdf, self.p_specular)
+        return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        specular = sample1 < self.p_specular
+        m = self.surface.sample_normal(self.wi, sample2)
+        wo = dr.select(specular, reflect(self.wi, m), square_to_cosine_hemisphere(sample2))
+        value, pdf = self.eval_pdf(wo)
+        weight = value * dr.rcp(dr.select(pdf > 0, pdf, 1))
+        sampled_type = dr.select(specular, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
+        component = dr.select(specular, UInt32(0), UInt32(1))
+        return BSDFSample3f.of(wo, pdf, sampled_type, sampled_component=component), weight
+
+
+def relative_index(props: Properties) -> Texture:
+    """The texture `eta`, or the constant quotient of `int_ior` and `ext_ior`."""
+    if "eta" in props:
+        if "int_ior" in props or "ext_ior" in props:
+            raise props.error("eta", "can't stand beside 'int_ior' and 'ext_ior': give one or the others")
+        return props.texture_1("eta", low=0.0, low_open=True)
+    inner, outer = ior(props, "int_ior", "polypropylene"), ior(props, "ext_ior", "air")
+    if inner == outer:
+        raise SceneError(f"{props.node}: 'int_ior' must differ from 'ext_ior', found {inner:.9g} for both")
+    return props.texture_1("eta", inner / outer, low=0.0, low_open=True)
+
+
+register_bsdf("pplastic", PolarizedPlastic)
