@@ -204,8 +204,13 @@ class PreliminaryIntersection3f(Record):
 
     @property
     def shape(self) -> Any:
-        """The shape that was hit, a `djpt.dispatch.pointers.ShapePtr`; null on a miss."""
-        return at_home(self).shape_at(self)
+        """The shape that was hit, a `djpt.dispatch.pointers.ShapePtr`, null on a miss; or what was assigned."""
+        return self.__dict__["_shape"] if "_shape" in self.__dict__ else at_home(self).shape_at(self)
+
+    @shape.setter
+    def shape(self, shape: Any) -> None:
+        # Dr.Jit's operations don't carry it along.
+        self.__dict__["_shape"] = shape
 
     @property
     def instance(self) -> Any:
@@ -225,6 +230,9 @@ class PreliminaryIntersection3f(Record):
         self, ray: Ray3f, ray_flags: int = 0xE, active: Bool | bool = True
     ) -> SurfaceInteraction3f:
         """The surface point of the hit of `ray`: see `djpt.Scene.ray_intersect` for `ray_flags`."""
+        if not self.home and "_shape" in self.__dict__:
+            found: SurfaceInteraction3f = self.shape.compute_surface_interaction(ray, self, ray_flags, active)
+            return found
         return at_home(self).surface_interaction_of(self, ray, ray_flags, active)
 
 

@@ -7,7 +7,10 @@ from djpt.scripting.array_names import ARRAYS
 __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
+    "djpt.description.endpoint": "Endpoint",
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
+    "djpt.dispatch.mesh_pointers": "MeshPtr",
+    "djpt.dispatch.texture_pointers": "TexturePtr",
     "djpt.films.base": "Film FilmFlags",
     "djpt.films.image_block": "ImageBlock",
     "djpt.integrators.base": "SamplingIntegrator",
@@ -44,7 +47,7 @@ EXPORTS: dict[str, str] = {
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
     "djpt.scripting.plugin_kinds": (
-        "Endpoint Medium PhaseFunction Volume register_medium register_phase register_phasefunction register_volume"
+        "Medium PhaseFunction Volume register_medium register_phase register_phasefunction register_volume"
     ),
     "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
@@ -52,7 +55,7 @@ EXPORTS: dict[str, str] = {
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
         "sample_tea_float32 sample_tea_float64"
     ),
-    "djpt.scripting.records": "MediumInteraction3f MeshPtr Ray2f RayDifferential3f",
+    "djpt.scripting.records": "MediumInteraction3f Ray2f RayDifferential3f",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
     "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import abc
 from typing import Any
 
-from djpt.emitters.base import Emitter
 from djpt.errors import DjptError
-from djpt.sensors.base import Sensor
 
 __all__ = [
-    "Endpoint",
     "Medium",
     "PhaseFunction",
     "Volume",
@@ -19,14 +15,6 @@ __all__ = [
     "register_phasefunction",
     "register_volume",
 ]
-
-
-class Endpoint(abc.ABC):  # noqa: B024 - classes are registered, none is derived from it
-    """What both ends of a path are: emitters and sensors are instances of it."""
-
-
-Endpoint.register(Emitter)
-Endpoint.register(Sensor)
 
 
 class Missing:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from djpt.dispatch.pointers import ShapePtr
 from djpt.frame import Frame3f
 from djpt.records import Interaction3f, Ray3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
+from djpt.types import Color3f, Float, Point2f, Point3f, Vector2f, Vector3f
 
-__all__ = ["MediumInteraction3f", "MeshPtr", "Ray2f", "RayDifferential3f"]
+__all__ = ["MediumInteraction3f", "Ray2f", "RayDifferential3f"]
 
 
 class Ray2f(Ray3f):
@@ -69,23 +68,3 @@ class MediumInteraction3f(Interaction3f):
     def to_world(self, v: Vector3f) -> Vector3f:
         """`sh_frame` to world."""
         return self.sh_frame.to_world(v)
-
-
-class MeshPtr(ShapePtr):
-    """The mesh of each lane, or none."""
-
-    def vertex_count(self) -> UInt32:
-        """The number of vertices; unspecified where there is no mesh."""
-        return self.number(lambda mesh: len(mesh.positions))  # type: ignore[attr-defined]
-
-    def face_count(self) -> UInt32:
-        """The number of triangles; unspecified where there is no mesh."""
-        return self.number(lambda mesh: len(mesh.indices))  # type: ignore[attr-defined]
-
-    def has_vertex_normals(self) -> Bool:
-        """True where the mesh has normals at its vertices."""
-        return self.holds(lambda mesh: mesh.normals is not None)  # type: ignore[attr-defined]
-
-    def has_vertex_texcoords(self) -> Bool:
-        """True where the mesh has texture coordinates."""
-        return self.holds(lambda mesh: mesh.texcoords is not None)  # type: ignore[attr-defined]

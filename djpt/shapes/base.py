@@ -99,6 +99,9 @@ class Shape(ShapeQuestions):
 
     def stand_alone(self) -> None:
         self.place(AxisPool())
+        for nested in (self._emitter, self._sensor):
+            if nested is not None and nested.shape is None:
+                nested.set_shape(self)
 
     # ---- on the host: where the shape is -----------------------------------------
 

@@ -242,9 +242,9 @@ class ShapeQuestions(Plugin):
         """Sample a point of the shape as seen from `it`; the pdf is per unit solid angle there."""
         return self.draw_direction(it.p, Point2f(sample))  # type: ignore[attr-defined]
 
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        """The density of `sample_direction` at `ds`, per unit solid angle at `it`."""
-        return dr.select(active, self.direction_density(it.p, ds), 0)  # type: ignore[attr-defined]
+    def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction` at `ps`, per unit solid angle at `it`."""
+        return dr.select(active, self.direction_density(it.p, ps), 0)  # type: ignore[attr-defined]
 
     def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_position`, per unit area."""
