@@ -354,6 +354,14 @@ class SurfaceInteraction3f(Interaction3f):
         """Shading frame to world."""
         return self.sh_frame.to_world(v)
 
+    def to_local_mueller(self, M_world: Any, wi_world: Vector3f, wo_world: Vector3f) -> Any:
+        """The value `M_world` as it is: light isn't polarised, so there are no frames of polarisation to turn."""
+        return M_world
+
+    def to_world_mueller(self, M_local: Any, wi_local: Vector3f, wo_local: Vector3f) -> Any:
+        """The value `M_local` as it is: see `to_local_mueller`."""
+        return M_local
+
     # ---- the shape and what belongs to it --------------------------------------------------
 
     def target_medium(self, d: Any) -> UInt32 | None:

@@ -13,6 +13,7 @@ LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a descr
 PATHS = "C++ paths: functions take Python's strings and `pathlib.Path`."
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
+PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 OPTIX = "NVIDIA's closed OptiX library, for Mitsuba's CUDA variants only."
 
 REASONS: dict[str, str] = {
@@ -44,6 +45,7 @@ REASONS: dict[str, str] = {
     "get_property": MACHINERY,
     "set_property": MACHINERY,
     "Object.expand": MACHINERY,
+    "*Transform3?.extract": PLANAR,
     "misc.trap_debugger": DEBUGGER,
     "OptixDenoiser*": OPTIX,
 }

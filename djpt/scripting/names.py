@@ -55,7 +55,8 @@ EXPORTS: dict[str, str] = {
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
         "sample_tea_float32 sample_tea_float64"
     ),
-    "djpt.scripting.records": "MediumInteraction3f Ray2f RayDifferential3f",
+    "djpt.scripting.rays": ("Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f"),
+    "djpt.scripting.records": "MediumInteraction3f",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
     "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (
@@ -63,6 +64,7 @@ EXPORTS: dict[str, str] = {
         "depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum spectrum_from_file "
         "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
+    "djpt.scripting.spiral": "Spiral",
     "djpt.scripting.structs": "Struct",
     "djpt.scripting.thread": "Thread",
     "djpt.scripting.transforms": (
