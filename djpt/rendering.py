@@ -79,13 +79,16 @@ def film_image(
     integrator: Integrator,
     seed: int,
     spp: int,
-    seed_grad: int = 0,
+    seed_grad: int | None = 0,
     spp_grad: int = 0,
     schedule: str = "auto",
     pass_spp: int = 0,
     progress: Progress | None = None,
 ) -> TensorXf:
-    """The image of an integrator that djpt runs by a schedule; the film keeps it, too. Arguments as for `render`."""
+    """The image of an integrator that djpt runs by a schedule; the film keeps it, too.
+
+    Arguments as for `render`; the `seed_grad` None is that of the image.
+    """
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)

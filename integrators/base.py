@@ -103,7 +103,9 @@ class Integrator(Plugin):
         develop: bool = True,
         evaluate: bool = True,
     ) -> TensorXf:
-        """Render an image of a scene; without derivatives, which `djpt.render` adds.
+        """Render an image of a scene with this integrator.
+
+        It is that of `djpt.render`; derivatives are by the samples of the image itself.
 
         A class that overrides it renders by itself, and differentiates by `render_forward` and `render_backward`.
 
@@ -115,8 +117,7 @@ class Integrator(Plugin):
             develop: Whether to return the image; else it is left to the film, see `djpt.films.HDRFilm.develop`.
             evaluate: Whether to compute it at once; always done here.
         """
-        with dr.suspend_grad():
-            image = rendering().film_image(scene, sensor, self, seed, spp)
+        image: TensorXf = rendering().film_image(scene, sensor, self, seed, spp, seed_grad=None)
         return image if develop else TensorXf()
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:

@@ -11,7 +11,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.plugin import Plugin
-from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
+from djpt.dispatch.ensemble import Attached, Detached, Ensemble, Lookup
 from djpt.dispatch.lookup import Members, Numbers, choose
 from djpt.errors import SceneError
 from djpt.records import Record
@@ -145,9 +145,16 @@ class Pointer(Record, Generic[P]):
 
     @property
     def lookup(self) -> Lookup:
-        """The way to read the plugins' values."""
-        family = only(tuple(self.home))
-        return Detached() if family is None or isinstance(family, Strangers) else family.lookup
+        """The way to read the plugins' values; those of a script's own plugins stay attached to their gradients."""
+        if self.is_of_script:
+            return as_attached(self.ensemble)
+        family: Family[P] = only(tuple(self.home))
+        return family.lookup
+
+    @property
+    def is_of_script(self) -> bool:
+        """Whether a script has made the pointer, not a scene."""
+        return not isinstance(only(tuple(self.home)), Family)
 
     @property
     def plugins(self) -> Sequence[P]:
@@ -228,6 +235,17 @@ class Pointer(Record, Generic[P]):
 
     def __repr__(self) -> str:
         return repr([self.at(lane) for lane in range(dr.width(self.index))])
+
+
+def as_attached(ensemble: Ensemble[Any]) -> Lookup:
+    """A lookup of the values of plugins that is attached to those with gradients."""
+    values = {
+        (id(owner), leaf.attribute): getattr(owner, leaf.attribute)
+        for leaf in ensemble.leaves()
+        for owner in leaf.owners
+    }
+    attached = {place: value for place, value in values.items() if dr.grad_enabled(value)}
+    return Attached(attached) if attached else Detached()
 
 
 def identity(plugin: Any) -> int:

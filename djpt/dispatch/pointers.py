@@ -14,6 +14,7 @@ import drjit as dr
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
 from djpt.dispatch.questions import EmitterPtrQuestions, SensorPtrQuestions, ShapePtrQuestions
+from djpt.kernels import mapped
 from djpt.materials.base import BSDF
 from djpt.records import (
     BSDFContext,
@@ -145,8 +146,9 @@ class BSDFPtr(Pointer[BSDF]):
 
         `method` returns a PyTree; on lanes that aren't `active` it means nothing.
         """
-        # Every surface has a BSDF, so no value is needed for "none".
-        return self.ensemble.call(self.index, self.lookup, method, None, active)
+        result = self.ensemble.call(self.index, self.lookup, method, None, active)
+        # Every surface has a BSDF, so no value is needed for "none", unless a script has made the pointers.
+        return zero_unless(self.is_valid(), result) if self.is_of_script else result
 
     def _reattached(
         self,
@@ -178,6 +180,11 @@ def flags_of(bsdf: BSDF, index: int | None) -> int:
     if index is None:
         return bsdf.flags()
     return bsdf.flags(index) if index < bsdf.component_count() else 0
+
+
+def zero_unless(valid: Bool, result: Any) -> Any:
+    """The records, arrays and tuples `result` where they mean something, else zeros."""
+    return dr.select(valid, result, mapped(result, lambda numbers: dr.zeros(type(numbers))))
 
 
 class EmitterPtr(EmitterPtrQuestions):

@@ -53,17 +53,18 @@ def gradient_seed(seed: int, seed_grad: int) -> int:
 
 
 def differentiable(
-    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: int, spp_grad: int
+    job: Job, schedule: Schedule, parameters: list[Parameter], unused: list[Any], seed_grad: int | None, spp_grad: int
 ) -> TensorXf:
     """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 
     Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
-    (0: one derived from that of the image).
+    (0: one derived from that of the image; None: that of the image, which correlates the two).
 
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
-    samples = replace(job, seed=gradient_seed(job.seed, seed_grad), spp=spp_grad or job.spp, progress=None, pass_spp=0)
+    seed = job.seed if seed_grad is None else gradient_seed(job.seed, seed_grad)
+    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0)
     derivative = derivative_of(samples, schedule, parameters)
 
     def primal() -> TensorXf:
@@ -155,7 +156,9 @@ class ReplayDerivative:
         self.numbering = Numbering(parameters, leaves)
 
     def _replay(self, band: Band, begin: int, end: int, mode_of: ModeOf) -> tuple[Mode, list[Float], UInt32]:
-        return self.schedule.replay(self.job, self.values, self.numbering, band, begin, end, mode_of)
+        # Loops that are unrolled, as scripts may ask of Dr.Jit, would propagate each vertex's derivative to all lanes.
+        with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, True):
+            return self.schedule.replay(self.job, self.values, self.numbering, band, begin, end, mode_of)
 
     def backward(self, image: TensorXf) -> list[Any]:
         with dr.suspend_grad():
