@@ -22,6 +22,7 @@ EXPORTS: dict[str, str] = {
     "djpt.scripting.arguments": "ArgParser",
     "djpt.scripting.arrays": " ".join(ARRAYS),
     "djpt.scripting.bitmap": "Bitmap",
+    "djpt.scripting.compressed_stream": "ZStream",
     "djpt.scripting.constants": (
         "DEBUG MI_AUTHORS MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION MI_ENABLE_CUDA "
         "MI_ENABLE_EMBREE MI_ENABLE_METAL MI_FILTER_RESOLUTION MI_VERSION MI_VERSION_MAJOR MI_VERSION_MINOR "
@@ -44,6 +45,7 @@ EXPORTS: dict[str, str] = {
         "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender log_level logger set_log_level "
         "set_logger"
     ),
+    "djpt.scripting.memory_mapping": "MemoryMappedFile",
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
     "djpt.scripting.plugin_kinds": (
@@ -65,7 +67,9 @@ EXPORTS: dict[str, str] = {
         "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
     "djpt.scripting.spiral": "Spiral",
+    "djpt.scripting.streams": "DummyStream FileStream MemoryStream Stream",
     "djpt.scripting.structs": "Struct",
+    "djpt.scripting.tensor_io": "TensorFile",
     "djpt.scripting.thread": "Thread",
     "djpt.scripting.transforms": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
@@ -82,11 +86,13 @@ EXPORTS: dict[str, str] = {
 
 SUBMODULES: dict[str, str] = {
     "chi2": "djpt.chi2",
+    "filesystem": "djpt.scripting.filesystem",
     "math": "djpt.math",
     "math_py": "djpt.scripting.statistics",
     "misc": "djpt.scripting.misc",
     "quad": "djpt.quad",
     "spline": "djpt.scripting.splines",
+    "tensor_io": "djpt.scripting.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""
 
