@@ -72,6 +72,7 @@ class Shape(ShapeQuestions):
         self._bsdf = props.child("bsdf")
         self._emitter = props.child("emitter")
         self._sensor = props.child("sensor")
+        self.take_textures(props)
         self.flip_normals = props.boolean("flip_normals", False)
         # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
         self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
@@ -85,6 +86,7 @@ class Shape(ShapeQuestions):
                 callback.put(name, nested)
         callback.put("silhouette_sampling_weight", self.silhouette_sampling_weight)
         self.traverse_geometry(callback)
+        self.report_textures(callback)
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
         """Report the parameters that place the shape; by default `to_world`."""
