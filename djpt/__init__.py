@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from djpt.description.xml.writer import write_dict as write_dict
     from djpt.dispatch.pointers import BSDFPtr as BSDFPtr
     from djpt.dispatch.pointers import EmitterPtr as EmitterPtr
+    from djpt.dispatch.pointers import SensorPtr as SensorPtr
     from djpt.dispatch.pointers import ShapePtr as ShapePtr
     from djpt.emitters import Emitter as Emitter
     from djpt.errors import AmbiguityError as AmbiguityError
@@ -150,7 +151,7 @@ _EXPORTS = {
     "djpt.description.scene_files": "load_file load_string",
     "djpt.description.xml.writer": "to_xml write_dict",
     "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
-    "djpt.dispatch.pointers": "BSDFPtr EmitterPtr ShapePtr",
+    "djpt.dispatch.pointers": "BSDFPtr EmitterPtr SensorPtr ShapePtr",
     "djpt.emitters": "Emitter",
     "djpt.frame": "Frame3f coordinate_system",
     "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",

@@ -18,7 +18,7 @@ from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.dispatch.lookup import Members
-from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, ShapePtr
+from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, SensorPtr, ShapePtr
 from djpt.emitters import Emitter
 from djpt.emitters.choice import EmitterChoice, make_choice
 from djpt.emitters.choice.questions import LightQuestions
@@ -246,9 +246,9 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
         """All emitters, one per lane."""
         return self.emitter_ptr(dr.arange(UInt32, len(self._emitters)))
 
-    def sensors_dr(self) -> list[Sensor]:
-        """All sensors."""
-        return self.sensors()
+    def sensors_dr(self) -> SensorPtr:
+        """All sensors, one per lane."""
+        return SensorPtr.into(Family(Ensemble(self._sensors), self.lookup), dr.arange(UInt32, len(self._sensors)))
 
     def shape_types(self) -> int:
         """The kinds of the shapes: their `ShapeType`s, combined."""

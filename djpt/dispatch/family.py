@@ -5,9 +5,10 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import drjit as dr
+import numpy as np
 
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
@@ -67,9 +68,8 @@ class Acquaintances:
         some = next((plugin for plugin in fitting if plugin is not None), None)
         return [] if some is None else [plugin or some for plugin in fitting]
 
-    def of(self, lanes: Sequence[Plugin | None]) -> Strangers:
-        """The family of the plugins that are of the same kind as those given: the same object every time."""
-        kind = next((plugin.kind for plugin in lanes if plugin is not None), "")
+    def of(self, kind: str) -> Strangers:
+        """The family of the plugins of a kind: the same object every time."""
         return self._families.setdefault(kind, Strangers(kind))
 
 
@@ -96,7 +96,13 @@ class Pointer(Record, Generic[P]):
 
     Made of a plugin or of several, one per lane (None stands for none), or without arguments: none. Pointers are
     compared with ``==`` and ``!=`` to None, to plugins, and to other pointers.
+
+    What `dr.zeros` makes is none, and goes together with pointers that scripts make of plugins (in `dr.select`,
+    `dr.scatter` and loops).
     """
+
+    member_kind: ClassVar[str] = ""
+    """The `Plugin.kind` of what it points to."""
 
     index: UInt32
     """The number of the plugin in the family; beyond the last: none."""
@@ -111,8 +117,9 @@ class Pointer(Record, Generic[P]):
             for plugin in lanes:
                 if plugin is not None and not isinstance(plugin, Plugin):
                     raise SceneError(f"{type(self).__name__}: expected plugins, found {type(plugin).__name__}")
-            numbers = [NONE if plugin is None else ACQUAINTANCES.number(plugin) for plugin in lanes]
-            fields = {"index": UInt32(numbers), "home": {ACQUAINTANCES.of(lanes): ()}}
+            numbers = [ACQUAINTANCES.number(plugin) if self.may_hold(plugin) else NONE for plugin in lanes]
+            kind = next((plugin.kind for plugin in lanes if plugin is not None), self.member_kind)
+            fields = {"index": UInt32(numbers), "home": {ACQUAINTANCES.of(kind): ()}}
         super().__init__(None, **fields)
         # Plugins that nobody else holds must last as long as the pointer.
         self.__dict__["_held"] = plugins
@@ -127,7 +134,12 @@ class Pointer(Record, Generic[P]):
 
     def zero_(self, size: int = 1) -> None:
         """Complete `dr.zeros`: no plugin."""
-        self.index = dr.full(UInt32, NONE, size)
+        self.index, self.home = dr.full(UInt32, NONE, size), {ACQUAINTANCES.of(self.member_kind): ()}
+
+    @classmethod
+    def may_hold(cls, plugin: Plugin | None) -> bool:
+        """Whether pointers of this type point to a plugin; to None, and to others, they don't."""
+        return plugin is not None
 
     # ---- the family -----------------------------------------------------------------------
 
@@ -139,9 +151,16 @@ class Pointer(Record, Generic[P]):
 
     @property
     def lookup(self) -> Lookup:
-        """The way to read the plugins' values."""
-        family = only(tuple(self.home))
-        return Detached() if family is None or isinstance(family, Strangers) else family.lookup
+        """The way to read the plugins' values; those of a script's own plugins stay attached to their gradients."""
+        if self.is_of_script:
+            return followed(self.ensemble, Detached())
+        family: Family[P] = only(tuple(self.home))
+        return family.lookup
+
+    @property
+    def is_of_script(self) -> bool:
+        """Whether a script has made the pointer, not a scene."""
+        return not isinstance(only(tuple(self.home)), Family)
 
     @property
     def plugins(self) -> Sequence[P]:
@@ -163,6 +182,24 @@ class Pointer(Record, Generic[P]):
             dr.minimum(self.index, len(self.plugins))
         )
 
+    def each(self, method: Callable[[P, Bool], Any], otherwise: Any) -> Any:
+        """The results ``method(plugin, mine)`` per lane, `mine` being the lanes of the plugin; else `otherwise`.
+
+        For questions that plugins of one structure can't be asked together (see `Ensemble.call`).
+        """
+        result = otherwise
+        for i in self.present():
+            mine = self.index == i
+            result = dr.select(mine, method(self.plugins[i], mine), result)
+        return result
+
+    def present(self) -> Sequence[int]:
+        """The numbers of the plugins that lanes point to; of all if lanes can't be looked at yet."""
+        known = self.index.state in (dr.VarState.Literal, dr.VarState.Evaluated)
+        if not known or dr.flag(dr.JitFlag.FreezingScope):
+            return range(len(self.plugins))
+        return [int(i) for i in np.unique(np.array(self.index)) if i < len(self.plugins)]
+
     def related(self, kind: type[Any], of: Callable[[P], Plugin | None]) -> Any:
         """The pointers of type `kind` to a plugin that each of these has; none where there is none."""
         others = [of(plugin) for plugin in self.plugins]
@@ -179,12 +216,19 @@ class Pointer(Record, Generic[P]):
         number = self.index[lane]
         return self.plugins[number] if number < len(self.plugins) else None
 
+    def __len__(self) -> int:
+        return dr.width(self.index)
+
+    def __bool__(self) -> bool:
+        return True
+
     def __eq__(self, other: object) -> Any:
         if isinstance(other, Pointer):
-            place = {identity(plugin): i for i, plugin in reversed(list(enumerate(self.plugins)))}
+            place = {identity(plugin): i for i, plugin in enumerate(self.plugins)}
+            mine = Numbers([place[identity(plugin)] for plugin in self.plugins] + [NONE])
             same = Numbers([place.get(identity(plugin), NONE - 1) for plugin in other.plugins] + [NONE])
-            mine = dr.select(self.is_valid(), self.index, NONE)
-            return mine == same.at(dr.minimum(other.index, len(other.plugins)))
+            theirs = same.at(dr.minimum(other.index, len(other.plugins)))
+            return mine.at(dr.minimum(self.index, len(self.plugins))) == theirs
         if other is None:
             return ~self.is_valid()
         origin = identity(other)

@@ -13,8 +13,8 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
-from djpt.dispatch.lookup import choose
-from djpt.emitters.base import Emitter
+from djpt.dispatch.questions import EmitterPtrQuestions, SensorPtrQuestions, ShapePtrQuestions
+from djpt.kernels import mapped
 from djpt.materials.base import BSDF
 from djpt.records import (
     BSDFContext,
@@ -24,7 +24,6 @@ from djpt.records import (
     EmissionSample,
     Observer,
     PositionSample3f,
-    Ray3f,
     Reference,
     SurfaceInteraction3f,
     has_flag,
@@ -32,11 +31,13 @@ from djpt.records import (
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["BSDFPtr", "EmitterPtr", "ShapePtr"]
+__all__ = ["BSDFPtr", "EmitterPtr", "SensorPtr", "ShapePtr"]
 
 
 class BSDFPtr(Pointer[BSDF]):
     """The BSDF of each lane's surface point. Methods as in `djpt.materials.base.BSDF`."""
+
+    member_kind = "bsdf"
 
     def flags(self, index: int | None = None, active: Bool | bool = True) -> UInt32:
         """The `BSDFFlags` per lane; with `index` those of that lobe, 0 where there is none."""
@@ -145,8 +146,9 @@ class BSDFPtr(Pointer[BSDF]):
 
         `method` returns a PyTree; on lanes that aren't `active` it means nothing.
         """
-        # Every surface has a BSDF, so no value is needed for "none".
-        return self.ensemble.call(self.index, self.lookup, method, None, active)
+        result = self.ensemble.call(self.index, self.lookup, method, None, active)
+        # Every surface has a BSDF, so no value is needed for "none", unless a script has made the pointers.
+        return zero_unless(self.is_valid(), result) if self.is_of_script else result
 
     def _reattached(
         self,
@@ -180,7 +182,12 @@ def flags_of(bsdf: BSDF, index: int | None) -> int:
     return bsdf.flags(index) if index < bsdf.component_count() else 0
 
 
-class EmitterPtr(Pointer[Emitter]):
+def zero_unless(valid: Bool, result: Any) -> Any:
+    """The records, arrays and tuples `result` where they mean something, else zeros."""
+    return dr.select(valid, result, mapped(result, lambda numbers: dr.zeros(type(numbers))))
+
+
+class EmitterPtr(EmitterPtrQuestions):
     """The emitter of each lane, or none. Methods as in `djpt.emitters.base.Emitter`."""
 
     def flags(self) -> UInt32:
@@ -239,21 +246,8 @@ class EmitterPtr(Pointer[Emitter]):
         )
         return dr.select(active, position, 0), dr.select(active, direction, 0)
 
-    def sample_ray(
-        self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
-    ) -> tuple[Ray3f, Color3f]:
-        """Sample a ray that leaves the emitter, with Mitsuba's arguments: see `djpt.Emitter.sample_ray`."""
-        es = self.sample_emission(Point2f(sample2), Point2f(sample3), active)
-        es.ray.time = Float(time)
-        return es.ray, es.weight
 
-    def sampling_weight(self) -> Float:
-        """The emitters' `sampling_weight`; 0 where there is no emitter."""
-        weights = [Float(emitter.sampling_weight()) for emitter in self.plugins]
-        return dr.select(self.is_valid(), choose(self.index, weights), 0) if weights else Float(0)
-
-
-class ShapePtr(Pointer[Shape]):
+class ShapePtr(ShapePtrQuestions):
     """The shape of each lane, or none. Methods as in `djpt.shapes.base.Shape`; numbers are 0 where there is none."""
 
     def bsdf(self) -> BSDFPtr:
@@ -263,6 +257,10 @@ class ShapePtr(Pointer[Shape]):
     def emitter(self) -> EmitterPtr:
         """The area lights of the shapes."""
         return self.related(EmitterPtr, lambda shape: shape.emitter())
+
+    def sensor(self) -> SensorPtr:
+        """The sensors of the shapes."""
+        return self.related(SensorPtr, lambda shape: shape.sensor())
 
     def is_emitter(self) -> Bool:
         """True where the shape shines."""
@@ -275,27 +273,6 @@ class ShapePtr(Pointer[Shape]):
     def is_mesh(self) -> Bool:
         """True where the shape consists of triangles in memory."""
         return self.holds(lambda shape: shape.is_mesh())
-
-    def is_medium_transition(self) -> Bool:
-        """True where the shape bounds a medium."""
-        return self.holds(lambda shape: shape.is_medium_transition())
-
-    def interior_medium(self) -> Any:
-        """The media inside the shapes, a `djpt.dispatch.media.MediumPtr`."""
-        return self._media(lambda shape: shape.interior_medium())
-
-    def exterior_medium(self) -> Any:
-        """The media outside the shapes, a `djpt.dispatch.media.MediumPtr`."""
-        return self._media(lambda shape: shape.exterior_medium())
-
-    def _media(self, of: Callable[[Shape], Any]) -> Any:
-        from djpt.dispatch.media import MediumPtr  # scenes without media need none
-
-        return self.related(MediumPtr, of)
-
-    def shape_type(self) -> UInt32:
-        """The `djpt.ShapeType` per lane; 0 where there is no shape."""
-        return dr.select(self.is_valid(), self.number(lambda shape: shape.shape_type()), 0)
 
     def surface_area(self) -> Float:
         """The area."""
@@ -321,12 +298,20 @@ class ShapePtr(Pointer[Shape]):
         ds.pdf = dr.select(self.is_valid() & active, ds.pdf, 0)
         return ds
 
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_direction`, per unit solid angle."""
-        return self._ask(lambda shape: shape.pdf_direction(it, ds, active), Float(0))
+        return self._ask(lambda shape: shape.pdf_direction(it, ps, active), Float(0))
 
     def _ask(self, method: Callable[[Shape], Any], otherwise: Any) -> Any:
         return self.ensemble.call(self.index, self.lookup, method, otherwise)
+
+
+class SensorPtr(SensorPtrQuestions):
+    """The sensor of each lane, or none. Methods as in `djpt.sensors.base.Sensor`."""
+
+    def get_shape(self) -> ShapePtr:
+        """The shapes that the sensors stand in; none for those that stand alone."""
+        return self.related(ShapePtr, lambda sensor: sensor.get_shape())
 
 
 def observer(it: Observer | Point3f) -> Observer:

@@ -36,7 +36,6 @@ class Emitter(EmitterQuestions):
     kind: ClassVar[str] = "emitter"
     on_shape: ClassVar[bool] = False
     """Whether it must be nested in a shape; the scene then sets `shape`."""
-    shape: Any = None
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -56,7 +55,7 @@ class Emitter(EmitterQuestions):
 
     def flags(self, active: Bool | bool = True) -> int:
         """What the light comes from: `EmitterFlags`, combined."""
-        return int(EmitterFlags.Empty)
+        return int(self.m_flags)
 
     @property
     def from_infinity(self) -> bool:

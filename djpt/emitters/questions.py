@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.description.plugin import Plugin
+from djpt.description.endpoint import Endpoint
 from djpt.errors import SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
@@ -27,16 +27,14 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f
 __all__ = ["EmitterQuestions"]
 
 
-class EmitterQuestions(Plugin):
+class EmitterQuestions(Endpoint):
     """The part of an emitter that the renderer doesn't need."""
 
-    shape: Any = None
-    """The shape that it stands in; set by the scene."""
+    m_flags: int = int(EmitterFlags.Empty)
+    """The result of `flags` unless it is overridden; scripts written for Mitsuba set it."""
 
     share: float = 1.0
     """The parameter `sampling_weight`."""
-
-    _medium: Any = None
 
     def sampling_weight(self) -> float:
         """How often light sampling chooses the emitter, relative to others."""
@@ -47,25 +45,9 @@ class EmitterQuestions(Plugin):
         flags = self.flags()  # type: ignore[attr-defined]
         return bool(has_flag(flags, EmitterFlags.Infinite) and not has_flag(flags, EmitterFlags.Delta))
 
-    def get_shape(self) -> Any:
-        """The shape that it stands in, or None."""
-        return self.shape
-
-    def set_shape(self, shape: Any) -> None:
-        """Put the emitter into a shape."""
-        self.shape = shape
-
-    def get_medium(self) -> Any:
-        """The medium that the emitter stands in, if it was given one; rendering doesn't ask for it."""
-        return self._medium
-
-    def set_scene(self, scene: Any) -> None:
-        """Take the size of a scene that the emitter isn't part of: light from infinity depends on it."""
-        self.set_bounds(*scene.bounding_sphere())  # type: ignore[attr-defined]
-
     def stand_alone(self) -> None:
         # As in Mitsuba: a sphere of radius 1 about the origin until a scene is known.
-        self.set_bounds(np.zeros(3), 1.0)  # type: ignore[attr-defined]
+        self.set_bounds(np.zeros(3), 1.0)
 
     def bbox(self) -> ScalarBoundingBox3f:
         """The box about the shape or the point that light comes from; empty for light from infinity."""
@@ -76,18 +58,6 @@ class EmitterQuestions(Plugin):
             return ScalarBoundingBox3f(at, at)
         return ScalarBoundingBox3f(np.full(3, np.inf), np.full(3, -np.inf))
 
-    def world_transform(self) -> Any:
-        """The transform from the emitter's space to the world's: `to_world`; that of the shape for area lights."""
-        return getattr(self if self.shape is None else self.shape, "to_world", None)
-
-    def needs_sample_2(self) -> bool:
-        """True: `sample_ray` may look at its second sample."""
-        return True
-
-    def needs_sample_3(self) -> bool:
-        """True: `sample_ray` may look at its third sample."""
-        return True
-
     def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
         """What arrives at `it` from the point of `ds`, whatever stands between.
 
@@ -95,14 +65,14 @@ class EmitterQuestions(Plugin):
         """
         delta = EmitterFlags.DeltaPosition | EmitterFlags.DeltaDirection
         if has_flag(self.flags(), delta):  # type: ignore[attr-defined]
-            return self.sample_direction(it, Point2f(0.5), active)[1]  # type: ignore[attr-defined]
+            return self.sample_direction(it, Point2f(0.5), active)[1]
         frame = Frame3f.from_normal(ds.n)
         si = SurfaceInteraction3f(p=ds.p, n=ds.n, uv=ds.uv, sh_frame=frame)
         if self.is_environment():
             si.wi = -ds.d
         else:
             si.t, si.wi = ds.dist, frame.to_local(-ds.d)
-        return dr.select(active, self.eval(si, active), 0)  # type: ignore[attr-defined]
+        return dr.select(active, self.eval(si, active), 0)
 
     def sample_ray(
         self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
@@ -116,10 +86,13 @@ class EmitterQuestions(Plugin):
         es.ray.time = Float(time)
         return es.ray, es.weight
 
-    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> tuple[PositionSample3f, Float]:
-        """Sample a point that light leaves, with 1 / density; raise `SceneError` for light from infinity."""
+    def sample_position(self, ref: Any, ds: Any, active: Bool | bool = True) -> tuple[PositionSample3f, Float]:
+        """Sample a point that light leaves, with 1 / density; raise `SceneError` for light from infinity.
+
+        The names of the arguments are Mitsuba's: `ref` is the time, `ds` the sample.
+        """
         if self.shape is not None:
-            ps = self.shape.sample_position(time, Point2f(sample), active)
+            ps = self.shape.sample_position(ref, Point2f(ds), active)
             return ps, dr.select(active & (ps.pdf > 0), dr.rcp(ps.pdf), 0)
         if not hasattr(self, "position"):
             raise SceneError(f"{self.id()}: light from infinity starts at no point")
@@ -133,4 +106,4 @@ class EmitterQuestions(Plugin):
 
     def sample_wavelengths(self, si: Interaction3f, sample: Any, active: Bool | bool = True) -> tuple[Any, Color3f]:
         """No wavelengths, since light is RGB, and the radiance at `si`."""
-        return Wavelengths(), self.eval(si, active)  # type: ignore[attr-defined]
+        return Wavelengths(), self.eval(si, active)

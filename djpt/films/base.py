@@ -5,13 +5,14 @@ from __future__ import annotations
 import enum
 import operator
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import ParameterError, SceneError
+from djpt.errors import ParameterError, RenderError, SceneError
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
 from djpt.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
 
@@ -136,12 +137,44 @@ class Film(Plugin):
         """Add the sums of a block to those of the film."""
         raise NotImplementedError
 
+    def base_channels_count(self) -> int:
+        """The number of channels of a colour."""
+        return len(self.channel_names())
+
+    def prepare_sample(
+        self,
+        spec: Color3f,
+        wavelengths: Any,
+        nChannels: int,
+        weight: Any = 1.0,
+        alpha: Any = 1.0,
+        active: Bool | bool = True,
+    ) -> list[Float]:
+        """The channels that a block stores of a colour: for films with `FilmFlags.Special` alone.
+
+        Raises:
+            RenderError: the film stores colours.
+        """
+        raise RenderError(f"{self.id()}: this film stores red, green and blue: pass them to ImageBlock.put")
+
+    def schedule_storage(self) -> None:
+        """Let the next `dr.eval` compute the sums."""
+        raise NotImplementedError
+
     def clear(self) -> None:
         """Set all sums to zero."""
         raise NotImplementedError
 
     def develop(self, raw: bool = False) -> TensorXf:
         """The image (H, W, C); with `raw` the sums that it is made from."""
+        raise NotImplementedError
+
+    def bitmap(self, raw: bool = False) -> Any:
+        """The result of `develop` as a `djpt.Bitmap`."""
+        raise NotImplementedError
+
+    def write(self, path: str | Path) -> None:
+        """Write the developed image to a file."""
         raise NotImplementedError
 
     # ---- finished images --------------------------------------------------------------

@@ -74,10 +74,6 @@ class HDRFilm(Film):
 
     # ---- samples of scripts ----------------------------------------------------------
 
-    def base_channels_count(self) -> int:
-        """The number of channels of the pixel format."""
-        return len(self.channel_names())
-
     def prepare(self, aovs: Sequence[str] = ()) -> int:
         """Begin an image with further channels `aovs`; returns the number of all channels.
 
@@ -128,10 +124,6 @@ class HDRFilm(Film):
     def schedule_storage(self) -> None:
         """Let the next `dr.eval` compute the sums."""
         dr.schedule(self._prepared().tensor())
-
-    def prepare_sample(self, *args: Any, **options: Any) -> list[Float]:
-        """Raise `RenderError`: only films with `FilmFlags.Special` turn colours into channels of their own."""
-        raise RenderError(f"{self.id()}: this film stores red, green and blue: pass them to ImageBlock.put")
 
     def reserve(self, names: Sequence[str]) -> None:
         if self._storage is None:

@@ -17,7 +17,7 @@ import numpy as np
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.lookup import Numbers, is_one_of
 from djpt.frame import Frame3f
-from djpt.geometry.contents import Contents
+from djpt.geometry.contents import NO_INSTANCE, Contents
 from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query
 from djpt.geometry.recentre import recentre
 from djpt.geometry.surface import Surface
@@ -197,6 +197,19 @@ class Geometry:
             return self._shape_of.at(face)
         on_mesh = self.triangles.shape_of(self.record_of(face))
         return dr.select(self.on_mesh(face), on_mesh, self._shape_of.at(face)) if self.analytic_shapes else on_mesh
+
+    def instance_of(self, hit: PreliminaryIntersection3f) -> UInt32 | None:
+        """The index of the instance that a hit of a search belongs to, or NO_INSTANCE; None in scenes without any."""
+        tables = self.contents.instances
+        if tables is None:
+            return None
+        of_copy, of_placement = tables
+        index = of_copy.at(hit.shape_index)
+        if self.triangles is not None and hit.near is not None and hit.near.inside is not None:
+            index = dr.select(
+                hit.near.inside == NONE, index, of_placement.at(self.triangles.placement(hit.near.inside))
+            )
+        return dr.select(hit.is_valid(), index, NO_INSTANCE)
 
     def on_mesh(self, face: UInt32) -> Bool:
         """True for triangles."""

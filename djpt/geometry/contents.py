@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from djpt.dispatch.lookup import Numbers
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.instance import Instance
@@ -17,13 +19,17 @@ if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles
     from djpt.shapes.mesh import Mesh
 
-__all__ = ["Contents", "unseen"]
+__all__ = ["NO_INSTANCE", "Contents", "unseen"]
 
 MAX_UNROLLED = 24
 """Most analytic shapes that are unrolled; if there are more they stand in the BVH (docs/performance.md)."""
 
 LARGE, MAX_LARGE = 0.5, 6
 """In a scene of many shapes, up to `MAX_LARGE` larger than `LARGE` times the largest are unrolled."""
+
+
+NO_INSTANCE = 0xFFFFFFFF
+"""A number that no instance has."""
 
 
 class Contents:
@@ -75,6 +81,19 @@ class Contents:
         placements = [Placement(self._groups.index(i.group) + 1, i.to_world.matrix) for i in self._placed]
         self._forest = Forest(mesh_set, parts, solids, placements)
         return Triangles(mesh_set, [*self._meshes, *self._solids], self._forest)
+
+    @cached_property
+    def instances(self) -> tuple[Numbers, Numbers] | None:
+        """Two tables of indices of instances (NO_INSTANCE: none); None in scenes without instances.
+
+        The first is by shape, for the copies of analytic shapes, the second by the number of a placement in the trees.
+        """
+        if not self._instances:
+            return None
+        place = {id(shape): i for i, shape in enumerate(self._own)}
+        of_copy = {id(copied): place[id(instance)] for instance, _, copied in self._copied}
+        by_shape = Numbers([of_copy.get(id(shape), NO_INSTANCE) for shape in self.shapes])
+        return by_shape, Numbers([place[id(instance)] for instance in self._placed])
 
     def _for_tree(self, analytic: Sequence[int]) -> list[int]:
         """The analytic shapes that stand in the BVH, by index: none of a few, most of many.

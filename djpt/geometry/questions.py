@@ -14,7 +14,7 @@ from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, 
 from djpt.geometry.silhouettes import missing
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
-from djpt.types import Bool, Float
+from djpt.types import Bool, Float, UInt32
 
 __all__ = ["RayQuestions"]
 
@@ -63,6 +63,7 @@ class RayQuestions:
         pi.prim_index = self.geometry.primitive_index(pi.face, surface.uv, surface.p, self.lookup)
         pi.prim_uv = surface.prim_uv
         pi.shape_index = dr.select(pi.is_valid(), pi.shape_index, 0)
+        pi.instances = self._instances(pi)
         if pi.near is None or pi.near.inside is None:
             pi.nearby = ()
         self.own(pi)
@@ -93,10 +94,12 @@ class RayQuestions:
         given = dr.detach(ray) if is_attached(ray) else ray
         near, entry = self.geometry.approach(given)
         pi = self.closest_hit(near, last_mask(reordering, active))
+        pi.instances = self._instances(pi)
         if given is not ray:
             pi.t = pi.t + entry
             return self._attached_interaction(ray, pi, flags)
         si = self.surface_interaction(near, pi)
+        si.instances = pi.instances
         si.found_at(si.t + entry, si.is_valid())
         self.own(si)
         if flags & NORMAL_PARTIALS:
@@ -126,9 +129,11 @@ class RayQuestions:
     ) -> SurfaceInteraction3f:
         """The surface point of a hit of `ray`: see `ray_intersect`."""
         hit = PreliminaryIntersection3f.found(dr.select(active, pi.t, dr.inf), pi.face, pi.shape_index, pi.near)
+        hit.instances = pi.instances
         if is_attached(ray):
             return self._attached_interaction(ray, hit, int(ray_flags))
         si = self.surface_interaction(ray, hit)
+        si.instances = pi.instances
         self.own(si)
         if ray_flags & NORMAL_PARTIALS:
             self._add_normal_partials(si, ray, hit, ray_flags)
@@ -147,6 +152,7 @@ class RayQuestions:
             near = self.geometry.near_again(ray, t, pi.near)
             si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
         make_ends(si)
+        si.instances = pi.instances
         self.own(si)
         return si
 
@@ -167,11 +173,24 @@ class RayQuestions:
                 changes.append(dr.select(si.is_valid(), dr.grad(n), 0))
         si.dn_du, si.dn_dv = changes
 
-    def shape_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
-        """The shape at `si`; none on a miss."""
+    def _instances(self, pi: PreliminaryIntersection3f) -> tuple[UInt32, ...]:
+        """The instances of hits, for the field of this name."""
+        index = self.geometry.instance_of(pi)
+        return () if index is None else (index,)
+
+    def instance_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
+        """The instance that `si` lies on; none elsewhere."""
+        index = si.instances[0] if si.instances else dr.full(UInt32, NONE, dr.width(si.t))
+        return ShapePtr.into(self._shape_family(), dr.select(si.is_valid(), index, NONE))
+
+    def _shape_family(self) -> Family[Any]:
         if "shapes" not in self._families:
             self._families["shapes"] = Family(Ensemble(self.geometry.contents.shapes), self.lookup)
-        return ShapePtr.into(self._families["shapes"], dr.select(si.is_valid(), si.shape_index, NONE))
+        return self._families["shapes"]
+
+    def shape_at(self, si: SurfaceInteraction3f | PreliminaryIntersection3f) -> ShapePtr:
+        """The shape at `si`; none on a miss."""
+        return ShapePtr.into(self._shape_family(), dr.select(si.is_valid(), si.shape_index, NONE))
 
     def silhouette_shapes(self) -> list[Any]:
         """None: derivatives by silhouettes aren't computed."""

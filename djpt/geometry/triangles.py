@@ -103,6 +103,10 @@ class Triangles:
         """The index in the scene of the shape that a record belongs to."""
         return self._shape_of_mesh.at(self.mesh_of(record))
 
+    def placement(self, record: UInt32) -> UInt32:
+        """The number of the instance that a record stands for; of NONE any number."""
+        return self.tree.word(record, LABEL, record != NONE) & NUMBER
+
     def per_mesh(self, of_shape: Sequence[int]) -> Numbers:
         """Turn a table of numbers by shape into one by mesh."""
         return Numbers([of_shape[shape] for shape in self._shapes])

@@ -41,6 +41,7 @@ class BSDFFlags(enum.IntFlag):
     Glossy = 0x18
     Smooth = 0x1E
     Delta = 0x61
+    Delta1D = 0x180
     All = 0x1FF
 
 

@@ -8,9 +8,9 @@ from typing import Any, Protocol, TypeAlias
 
 import drjit as dr
 
-from djpt.errors import RenderError
 from djpt.frame import Frame3f
-from djpt.records.homes import Home, at_home, latest_home, only
+from djpt.records.homes import at_home, latest_home, only
+from djpt.records.instanced import Instanced
 from djpt.records.rays import Ray3f
 from djpt.records.record import Record, no_wavelengths
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector2f, Vector3f
@@ -56,6 +56,9 @@ class SceneView(Protocol):
 
     def shape_at(self, si: Any) -> Any:
         """The `djpt.dispatch.pointers.ShapePtr` of the shape at `si`; null on a miss."""
+
+    def instance_at(self, si: Any) -> Any:
+        """The `djpt.dispatch.pointers.ShapePtr` of the instance that `si` lies on; null elsewhere."""
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
@@ -159,7 +162,7 @@ Observer: TypeAlias = "Reference | Interaction3f"
 """What light is sampled for: `p` is looked at, and `n` by some ways of choosing an emitter."""
 
 
-class PreliminaryIntersection3f(Record):
+class PreliminaryIntersection3f(Instanced):
     """The result of a traversal: enough to compute the rest later."""
 
     title = "PreliminaryIntersection"
@@ -176,7 +179,6 @@ class PreliminaryIntersection3f(Record):
     """The scene's own number of the face that was hit: see `Scene`."""
     nearby: tuple[Any, ...]
     """The hit in the coordinates of the search for triangles, if known: see `near`."""
-    home: Home
 
     @staticmethod
     def found(t: Float, face: UInt32, shape_index: UInt32, near: Any = None) -> PreliminaryIntersection3f:
@@ -207,13 +209,13 @@ class PreliminaryIntersection3f(Record):
 
     @property
     def shape(self) -> Any:
-        """The shape that was hit, a `djpt.dispatch.pointers.ShapePtr`; null on a miss."""
-        return at_home(self).shape_at(self)
+        """The shape that was hit, a `djpt.dispatch.pointers.ShapePtr`, null on a miss; or what was assigned."""
+        return self.__dict__["_shape"] if "_shape" in self.__dict__ else at_home(self).shape_at(self)
 
-    @property
-    def instance(self) -> Any:
-        """Nothing: a hit on an instance doesn't tell which one."""
-        return None
+    @shape.setter
+    def shape(self, shape: Any) -> None:
+        # Dr.Jit's operations don't carry it along.
+        self.__dict__["_shape"] = shape
 
     @property
     def valid(self) -> Bool:
@@ -228,10 +230,13 @@ class PreliminaryIntersection3f(Record):
         self, ray: Ray3f, ray_flags: int = 0xE, active: Bool | bool = True
     ) -> SurfaceInteraction3f:
         """The surface point of the hit of `ray`: see `djpt.Scene.ray_intersect` for `ray_flags`."""
+        if not self.home and "_shape" in self.__dict__:
+            found: SurfaceInteraction3f = self.shape.compute_surface_interaction(ray, self, ray_flags, active)
+            return found
         return at_home(self).surface_interaction_of(self, ray, ray_flags, active)
 
 
-class SurfaceInteraction3f(Interaction3f):
+class SurfaceInteraction3f(Interaction3f, Instanced):
     """A point on a surface with its frame, and the way back to its shape, BSDF and emitter.
 
     ``SurfaceInteraction3f()``, ``SurfaceInteraction3f(si)``, ``SurfaceInteraction3f(ps, wavelengths)``, or keywords.
@@ -263,7 +268,6 @@ class SurfaceInteraction3f(Interaction3f):
     """The scene's own number of the face: see `Scene`."""
     media: tuple[UInt32, ...]
     """The medium of the ray that arrived; nothing in scenes without media."""
-    home: Home
 
     def __init__(self, other: Any = None, wavelengths: Any = None, **fields: Any) -> None:
         no_wavelengths(wavelengths)
@@ -317,16 +321,6 @@ class SurfaceInteraction3f(Interaction3f):
         # Dr.Jit's operations don't carry it along.
         self.__dict__["_shape"] = shape
 
-    @property
-    def instance(self) -> Any:
-        """Nothing: a hit on an instance doesn't tell which one."""
-        return None
-
-    @instance.setter
-    def instance(self, instance: Any) -> None:
-        if instance is not None:
-            raise RenderError("si.instance: a hit on an instance doesn't tell which one; only None can be assigned")
-
     def shown(self) -> Sequence[str]:
         left_out = ("prim_uv", "shape_index", "face")
         return [name for name in super().shown() if name not in left_out]
@@ -348,6 +342,14 @@ class SurfaceInteraction3f(Interaction3f):
     def to_world(self, v: Vector3f) -> Vector3f:
         """Shading frame to world."""
         return self.sh_frame.to_world(v)
+
+    def to_local_mueller(self, M_world: Any, wi_world: Vector3f, wo_world: Vector3f) -> Any:
+        """The value `M_world` as it is: light isn't polarised, so there are no frames of polarisation to turn."""
+        return M_world
+
+    def to_world_mueller(self, M_local: Any, wi_local: Vector3f, wo_local: Vector3f) -> Any:
+        """The value `M_local` as it is: see `to_local_mueller`."""
+        return M_local
 
     # ---- the shape and what belongs to it --------------------------------------------------
 

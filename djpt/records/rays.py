@@ -57,7 +57,7 @@ class Ray3f(Record):
         if d is not None:
             fields["d"] = kinds["d"](d)
         if maxt is not None:
-            fields["maxt"] = Float(maxt)
+            fields["maxt"] = kinds["maxt"](maxt)
         if medium is not None:
             fields["media"] = (medium,)
         if time is not None:
@@ -65,9 +65,10 @@ class Ray3f(Record):
 
     def default(self, name: str) -> Any:
         if name == "maxt":
-            return Float(dr.inf)
-        if name == "d" and self.DRJIT_STRUCT["d"] is Vector3f:
-            return Vector3f(0, 0, 1)
+            return self.DRJIT_STRUCT["maxt"](dr.inf)
+        kind = self.DRJIT_STRUCT[name]
+        if name == "d" and dr.size_v(kind) == 3:
+            return kind(0, 0, 1)
         return super().default(name)
 
     def shown(self) -> Sequence[str]:
@@ -89,14 +90,21 @@ class Ray3f(Record):
         Rays without one have the time 0 and take no memory for it. So in loops and selects they don't mix with rays of
         another time.
         """
-        return self.times[0] if self.times else Float(0)
+        return self.times[0] if self.times else self.DRJIT_STRUCT["maxt"](0)
 
     @time.setter
     def time(self, time: Any) -> None:
-        time = Float(time)
-        zero = time.state == dr.VarState.Literal and dr.width(time) == 1 and time[0] == 0 and not dr.grad_enabled(time)
-        self.times = () if zero else (time,)
+        time = self.DRJIT_STRUCT["maxt"](time)
+        self.times = () if is_zero(time) else (time,)
 
     def __call__(self, t: Float) -> Point3f:
         """The point at parameter `t`."""
         return dr.fma(self.d, t, self.o)
+
+
+def is_zero(number: Any) -> bool:
+    """Whether a number is 0 and nothing else: known without computing, and without derivatives."""
+    if not dr.is_array_v(number):
+        return bool(number == 0)
+    known = number.state == dr.VarState.Literal and dr.width(number) == 1
+    return bool(known and number[0] == 0 and not dr.grad_enabled(number))

@@ -46,10 +46,13 @@ def described(names: Sequence[str], kind: Type, form: PixelFormat, srgb: bool, p
 def obtainable(source: Struct, target: Struct, form: PixelFormat) -> Struct:
     """The record `target` with sums for colours that `source`, of a pixel format, doesn't have; alpha and weight are 1.
 
+    The sums of a film, red, green, blue and weight, are RGB, whatever the format says.
+
     Raises:
         SceneError: a channel can't be had.
     """
-    sums = {"R": OF_RGB, "X": OF_XYZ, "Y": OF_Y}.get(CHANNELS.get(form, ("",))[0], {})
+    first = "R" if [field.name for field in source] == list("RGBW") else CHANNELS.get(form, ("",))[0]
+    sums = {"R": OF_RGB, "X": OF_XYZ, "Y": OF_Y}.get(first, {})
     result = Struct(target)
     for field in result:
         layer, dot, last = field.name.rpartition(".")

@@ -8,11 +8,10 @@ __all__ = ["REASONS", "reason"]
 
 POLARISATION = "Polarisation: djpt computes with unpolarised light."
 SPECTRAL = "Spectral rendering: djpt computes with red, green and blue."
-STREAMS = "C++ streams: Python's files and bytes do the same, and every function takes paths."
 LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a description as a dict that can be edited."
-PATHS = "C++ paths: functions take Python's strings and `pathlib.Path`."
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
+PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 OPTIX = "NVIDIA's closed OptiX library, for Mitsuba's CUDA variants only."
 
 REASONS: dict[str, str] = {
@@ -24,19 +23,10 @@ REASONS: dict[str, str] = {
     "Texture.spectral_resolution": SPECTRAL,
     "Texture.wavelength_range": SPECTRAL,
     "TexturePtr.*spectrum": SPECTRAL,
-    "Stream": STREAMS,
-    "Stream.*": STREAMS,
-    "DummyStream*": STREAMS,
-    "FileStream*": STREAMS,
-    "MemoryStream*": STREAMS,
-    "ZStream*": STREAMS,
-    "MemoryMappedFile*": STREAMS,
     "parser": LOADER,
     "parser.*": LOADER,
     "Properties.Reference*": LOADER,
     "Properties.ResolvedReference*": LOADER,
-    "filesystem": PATHS,
-    "filesystem.*": PATHS,
     "detail": MACHINERY,
     "detail.*": MACHINERY,
     "StructConverter*": MACHINERY,
@@ -44,6 +34,7 @@ REASONS: dict[str, str] = {
     "get_property": MACHINERY,
     "set_property": MACHINERY,
     "Object.expand": MACHINERY,
+    "*Transform3?.extract": PLANAR,
     "misc.trap_debugger": DEBUGGER,
     "OptixDenoiser*": OPTIX,
 }

@@ -7,9 +7,12 @@ from djpt.scripting.array_names import ARRAYS
 __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 
 EXPORTS: dict[str, str] = {
+    "djpt.description.endpoint": "Endpoint",
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
     "djpt.dispatch.media": "MediumPtr",
+    "djpt.dispatch.mesh_pointers": "MeshPtr",
     "djpt.dispatch.phases": "PhaseFunctionPtr",
+    "djpt.dispatch.texture_pointers": "TexturePtr",
     "djpt.distributions.marginal_2d": (
         "MarginalContinuous2D0 MarginalContinuous2D1 MarginalContinuous2D2 MarginalContinuous2D3 MarginalDiscrete2D0 "
         "MarginalDiscrete2D1 MarginalDiscrete2D2 MarginalDiscrete2D3"
@@ -31,6 +34,7 @@ EXPORTS: dict[str, str] = {
     "djpt.scripting.arguments": "ArgParser",
     "djpt.scripting.arrays": " ".join(ARRAYS),
     "djpt.scripting.bitmap": "Bitmap",
+    "djpt.scripting.compressed_stream": "ZStream",
     "djpt.scripting.constants": (
         "DEBUG MI_AUTHORS MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION MI_ENABLE_CUDA "
         "MI_ENABLE_EMBREE MI_ENABLE_METAL MI_FILTER_RESOLUTION MI_VERSION MI_VERSION_MAJOR MI_VERSION_MINOR "
@@ -49,16 +53,17 @@ EXPORTS: dict[str, str] = {
         "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender log_level logger set_log_level "
         "set_logger"
     ),
+    "djpt.scripting.memory_mapping": "MemoryMappedFile",
     "djpt.scripting.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.scripting.objects": "Object ObjectType PluginManager TraversalCallback",
-    "djpt.scripting.plugin_kinds": "Endpoint register_phasefunction",
+    "djpt.scripting.plugin_kinds": "register_phasefunction",
     "djpt.scripting.projections": "orthographic_projection parse_fov perspective_projection",
     "djpt.scripting.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.scripting.random_numbers": (
         "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
         "sample_tea_float32 sample_tea_float64"
     ),
-    "djpt.scripting.records": "MeshPtr Ray2f RayDifferential3f",
+    "djpt.scripting.rays": "Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f",
     "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
     "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (
@@ -66,6 +71,8 @@ EXPORTS: dict[str, str] = {
         "depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum spectrum_from_file "
         "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
+    "djpt.scripting.spiral": "Spiral",
+    "djpt.scripting.streams": "DummyStream FileStream MemoryStream Stream",
     "djpt.scripting.structs": "Struct",
     "djpt.scripting.tensor_file": "TensorFile",
     "djpt.scripting.thread": "Thread",
@@ -86,6 +93,7 @@ EXPORTS: dict[str, str] = {
 
 SUBMODULES: dict[str, str] = {
     "chi2": "djpt.chi2",
+    "filesystem": "djpt.scripting.filesystem",
     "math": "djpt.math",
     "math_py": "djpt.scripting.statistics",
     "misc": "djpt.scripting.misc",

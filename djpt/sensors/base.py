@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.endpoint import Endpoint
 from djpt.description.numeric import as_number
-from djpt.description.plugin import Plugin, TraversalCallback
+from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError
@@ -25,7 +26,7 @@ from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 __all__ = ["Sensor"]
 
 
-class Sensor(SampledRays, Plugin):
+class Sensor(SampledRays, Endpoint):
     """A camera or meter: the rays of film positions, with a film and a sampler of its own.
 
     Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up; no scale; default
@@ -37,7 +38,6 @@ class Sensor(SampledRays, Plugin):
     kind: ClassVar[str] = "sensor"
     on_shape: ClassVar[bool] = False
     """Whether it must be nested in a shape; the scene then sets `shape`."""
-    shape: Any = None
     can_be_reached: ClassVar[bool] = False
     """Whether light can be traced towards it: `look_from` and `pdf_ray` exist."""
     uses_aperture = False
@@ -109,10 +109,6 @@ class Sensor(SampledRays, Plugin):
         self._film.resize(width, height)
         self.parameters_changed(("film",))
 
-    def get_medium(self) -> Any:
-        """The medium that rays start in, if it was given; else a scene finds it: see `djpt.media.placement.Media`."""
-        return self._medium
-
     def sampler(self) -> Sampler:
         """The sampler that the sensor's images are rendered with."""
         return self._sampler
@@ -132,10 +128,6 @@ class Sensor(SampledRays, Plugin):
     def bbox(self) -> ScalarBoundingBox3f:
         """The box about the shape that the sensor is nested in; an empty one for a sensor that stands in space."""
         return ScalarBoundingBox3f() if self.shape is None else self.shape.bbox()
-
-    def get_shape(self) -> Any:
-        """The shape that the sensor is nested in, or None."""
-        return self.shape
 
     @property
     def m_to_world(self) -> ScalarTransform4f:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.frame import Frame3f
-from djpt.records import RAY_EPSILON, Ray3f
+from djpt.records import RAY_EPSILON, DirectionSample3f, Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import require_area
-from djpt.types import Bool, Point2f
+from djpt.types import Bool, Color3f, Float, Point2f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["IrradianceMeter"]
@@ -56,6 +57,22 @@ class IrradianceMeter(Sensor):
         ps = self.shape.draw_point(film_position)
         d = Frame3f.from_normal(ps.n).to_world(square_to_cosine_hemisphere(aperture_sample))
         return Ray3f(dr.fma(d, RAY_EPSILON, ps.p), d)
+
+    # ---- for scripts --------------------------------------------------------------------
+
+    def sample_direction(
+        self, it: Any, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """Sample a direction from `it` towards the shape; the weight is pi, of radiance from everywhere."""
+        return self.shape.sample_direction(it, sample, active), Color3f(dr.select(active, Float(self.weight), 0))
+
+    def pdf_direction(self, it: Any, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction` at `ds`, per unit solid angle at `it`."""
+        return self.shape.pdf_direction(it, ds, active)
+
+    def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
+        """The importance pi / A of light that arrives on the shape, whose area is A."""
+        return Color3f(dr.select(active, self.weight * dr.rcp(self.shape.surface_area()), 0))
 
 
 register_sensor("irradiancemeter", IrradianceMeter)

@@ -44,7 +44,7 @@ class Orthographic(ProjectiveCamera):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        props.float("focus_distance", self._far_clip)
+        self._focus_distance = props.float("focus_distance", self._far_clip)
         self.place()
 
     @staticmethod

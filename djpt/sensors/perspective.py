@@ -38,7 +38,7 @@ class Perspective(Central):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        props.float("focus_distance", self._far_clip)
+        self._focus_distance = props.float("focus_distance", self._far_clip)
         self.principal_point_offset_x, self.principal_point_offset_y = (Float(props.float(n, 0.0)) for n in OFFSETS)
         self.place()
 

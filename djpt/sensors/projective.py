@@ -88,6 +88,11 @@ class ProjectiveCamera(Sensor):
         """The distance of the far plane along the optical axis."""
         return self._far_clip
 
+    def focus_distance(self) -> float:
+        """The entry `focus_distance`, the distance at which the image of a lens is sharp; by default `far_clip`."""
+        distance: Any = getattr(self, "_focus_distance", self._far_clip)
+        return float(distance[0] if dr.is_array_v(distance) else distance)
+
     def projection_transform(self) -> Any:
         """The map of camera space to the crop window: see `djpt.scripting.projections`.
 

@@ -50,12 +50,13 @@ class ThinLens(Central):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.aperture_radius = Float(props.float("aperture_radius", low=0.0, low_open=True))
-        self.focus_distance = Float(props.float("focus_distance", self._far_clip, low=0.0, low_open=True))
+        self._focus_distance = Float(props.float("focus_distance", self._far_clip, low=0.0, low_open=True))
         self.place()
 
     def traverse_lens(self, callback: TraversalCallback) -> None:
-        for name in (*LENS, "x_fov"):
-            callback.put(name, getattr(self, name))
+        callback.put("aperture_radius", self.aperture_radius)
+        callback.put("focus_distance", self._focus_distance, attribute="_focus_distance")
+        callback.put("x_fov", self.x_fov)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name not in LENS:
@@ -69,7 +70,7 @@ class ThinLens(Central):
         super().place()
         linear, radius = self.to_world.matrix[:3, :3], self.aperture_radius[0]
         self.lens_x, self.lens_y = as_vector(linear[:, 0] * radius), as_vector(linear[:, 1] * radius)
-        self.inv_focus = as_float(1 / self.focus_distance[0])
+        self.inv_focus = as_float(1 / self._focus_distance[0])
 
     def lens_point(self, aperture_sample: Point2f) -> tuple[Vector3f, Vector3f]:
         lens = square_to_uniform_disk_concentric(aperture_sample)

@@ -74,6 +74,7 @@ class Shape(ShapeQuestions):
         self._sensor = props.child("sensor")
         self._interior = props.plugin("interior", "medium", None)
         self._exterior = props.plugin("exterior", "medium", None)
+        self.take_textures(props)
         self.flip_normals = props.boolean("flip_normals", False)
         # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
         self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
@@ -90,6 +91,7 @@ class Shape(ShapeQuestions):
             if medium is not None:
                 callback.put(name, medium)
         self.traverse_geometry(callback)
+        self.report_textures(callback)
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
         """Report the parameters that place the shape; by default `to_world`."""
@@ -104,6 +106,9 @@ class Shape(ShapeQuestions):
 
     def stand_alone(self) -> None:
         self.place(AxisPool())
+        for nested in (self._emitter, self._sensor):
+            if nested is not None and nested.shape is None:
+                nested.set_shape(self)
 
     # ---- on the host: where the shape is -----------------------------------------
 

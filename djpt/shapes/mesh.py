@@ -270,7 +270,13 @@ class Mesh(MeshQueries, Shape):
         self.attributes[name] = (rows(self.id(), name, buffer, size, count), kind)
 
     def remove_attribute(self, name: str) -> None:
-        """Remove an attribute; raises `ParameterError` if there is none, or the mesh belongs to a scene already."""
+        """Remove an attribute; raises `ParameterError` if there is none, or the mesh belongs to a scene already.
+
+        Textures can be removed at any time.
+        """
+        if name in self.textures():
+            super().remove_attribute(name)
+            return
         self._require_alone("remove_attribute")
         self.attribute_buffer(name)
         del self.attributes[name]

@@ -26,7 +26,8 @@ from djpt.records import (
     RayFlags,
     SurfaceInteraction3f,
 )
-from djpt.types import ArrayXf, Bool, Color3f, Float, Point2f, UInt32
+from djpt.shapes.texture_attributes import TextureAttributes
+from djpt.types import Bool, Float, Point2f, UInt32
 
 __all__ = ["ShapeQuestions", "ShapeType"]
 
@@ -48,7 +49,7 @@ class ShapeType(enum.IntFlag):
     Other = 1024
 
 
-class ShapeQuestions(Plugin):
+class ShapeQuestions(TextureAttributes):
     """The part of a shape that kernels don't see.
 
     A shape that stands in no scene is intersected in one of its own, made of a copy of it.
@@ -170,33 +171,6 @@ class ShapeQuestions(Plugin):
         intervals = np.array([self.interval(unit) for unit in np.eye(3)])  # type: ignore[attr-defined]
         return intervals[:, 0], intervals[:, 1]
 
-    # ---- attributes -----------------------------------------------------------------------
-
-    def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
-        """Whether the shape has values named `name` at its vertices or faces."""
-        return name in getattr(self, "attributes", {})
-
-    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """An attribute with one or three channels as a colour, at a point of the shape in a scene."""
-        return Color3f(self._attribute(name, si, active))
-
-    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
-        """An attribute with one channel, at a point of the shape in a scene."""
-        return Float(self._attribute(name, si, active))
-
-    eval_attribute_3 = eval_attribute
-
-    def eval_attribute_x(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> ArrayXf:
-        """The channels of an attribute, at a point of the shape in a scene."""
-        value = self._attribute(name, si, active)
-        return ArrayXf([value] if dr.depth_v(value) == 1 else list(value))
-
-    def _attribute(self, name: str, si: Any, active: Bool | bool) -> Any:
-        if not self.has_attribute(name):
-            found = ", ".join(getattr(self, "attributes", {})) or "none"
-            raise SceneError(f"{self.id()}: there is no attribute '{name}'; found: {found}")
-        return si.scene.geometry.attribute(name, si.face, si.prim_uv, active)
-
     # ---- rays -----------------------------------------------------------------------------
 
     def ray_intersect(
@@ -246,9 +220,9 @@ class ShapeQuestions(Plugin):
         """Sample a point of the shape as seen from `it`; the pdf is per unit solid angle there."""
         return self.draw_direction(it.p, Point2f(sample))  # type: ignore[attr-defined]
 
-    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        """The density of `sample_direction` at `ds`, per unit solid angle at `it`."""
-        return dr.select(active, self.direction_density(it.p, ds), 0)  # type: ignore[attr-defined]
+    def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction` at `ps`, per unit solid angle at `it`."""
+        return dr.select(active, self.direction_density(it.p, ps), 0)  # type: ignore[attr-defined]
 
     def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample_position`, per unit area."""

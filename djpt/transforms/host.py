@@ -33,7 +33,7 @@ Kernels compute in float32, in which such a shape can't be represented.
 
 
 class HostTransform(Transform):
-    """A transform of float64 numbers, immutable.
+    """A transform of float64 numbers; nothing but `assign` changes it.
 
     The inverse is always computed; an `inverse_transpose` that is given has to agree.
     """
@@ -67,6 +67,10 @@ class HostTransform(Transform):
     def inverse_transpose(self) -> Matrix:
         """The transposed inverse of the matrix, float64; `SceneError` if singular."""
         return self.inverse()._matrix.T
+
+    def assign(self, other: Any) -> None:
+        """Become equal to another transform of the same size; plugins keep copies, which stay as they are."""
+        self._matrix = type(self)(other)._matrix
 
     # ---- building, from the right ----------------------------------------------------
 
@@ -329,7 +333,7 @@ def as_transform(value: Any) -> ScalarTransform4f:
     """
     if value is None:
         raise SceneError("must be a 4x4 matrix, found None")
-    transform = value if isinstance(value, ScalarTransform4f) else ScalarTransform4f(value)
+    transform = ScalarTransform4f(value)
     if transform.is_singular():
         raise SceneError(f"must be invertible, found a singular matrix: {transform.matrix.tolist()}")
     return transform

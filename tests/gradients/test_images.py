@@ -12,6 +12,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import djpt
 from djpt.gradients import leaves as replay
@@ -220,6 +221,37 @@ def test_editing_between_image_and_gradient() -> None:
     experiment.params.update()
     dr.backward(loss)
     np.testing.assert_allclose(np.array(dr.grad(attached)).ravel(), expected, rtol=1e-5)
+
+
+def gradient_by_albedo(image: Callable[[Any], Any]) -> NDArray[np.float32]:
+    """The gradient of the sum of an image of the Cornell box by the white reflectance."""
+    scene = djpt.load_dict(box())
+    params = djpt.traverse(scene)
+    dr.enable_grad(params["white.reflectance.value"])
+    params.update()
+    dr.backward(dr.sum(image(scene), axis=None))
+    return np.array(dr.grad(params["white.reflectance.value"]))
+
+
+def test_images_of_an_integrator_itself_are_attached() -> None:
+    """Their derivatives are by the samples of the image: as those of a rendering with the same two seeds."""
+    path = djpt.load_dict({"type": "path", "max_depth": 3})
+    itself = gradient_by_albedo(lambda scene: path.render(scene, seed=5, spp=4))
+    np.testing.assert_array_equal(
+        itself, gradient_by_albedo(lambda scene: djpt.render(scene, integrator=path, seed=5, seed_grad=5, spp=4))
+    )
+    assert itself.min() > 0
+
+
+def test_derivatives_do_not_depend_on_flags_of_dr_jit() -> None:
+    """Scripts may ask for loops that are unrolled."""
+
+    def image(scene: Any) -> Any:
+        return djpt.render(scene, seed=1, spp=32)
+
+    expected = gradient_by_albedo(image)
+    with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
+        np.testing.assert_array_equal(gradient_by_albedo(image), expected)
 
 
 def test_nothing_attached_gives_a_plain_image() -> None:

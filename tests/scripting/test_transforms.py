@@ -119,11 +119,19 @@ def test_transforms_are_mitsubas(mi: Any, name: str, build: Any, what: str) -> N
 @pytest.mark.parametrize("name", ["AffineTransform4f", "ProjectiveTransform4f", "Transform3f", "ScalarTransform4f"])
 def test_names_are_mitsubas(mi: Any, name: str) -> None:
     theirs = {n for n in dir(getattr(mi, name)) if not n.startswith("_")}
-    # Transforms on the host can't be changed, and what Mitsuba's `extract` of the plane returns it can't convert.
-    missing = {"Transform3f": {"extract"}, "ScalarTransform4f": {"assign", "DRJIT_STRUCT"}}
+    # What Mitsuba's `extract` of the plane returns it can't convert.
+    missing = {"Transform3f": {"extract"}, "ScalarTransform4f": {"DRJIT_STRUCT"}}
     assert theirs - set(dir(getattr(djpt, name))) == missing.get(name, set())
     if not name.startswith("Scalar"):
         assert repr(getattr(djpt, name)()) == repr(getattr(mi, name)())
+
+
+def test_assigning_on_the_host_leaves_plugins_alone() -> None:
+    transform = djpt.ScalarTransform4f().translate([1, 2, 3])
+    shape = djpt.load_dict({"type": "sphere", "to_world": transform})
+    transform.assign(djpt.ScalarTransform4f().scale(2))
+    assert transform == djpt.ScalarTransform4f().scale(2)
+    assert shape.to_world == djpt.ScalarTransform4f().translate([1, 2, 3])
 
 
 def test_lanes_of_points(mi: Any) -> None:

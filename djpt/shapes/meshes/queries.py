@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import ParameterError, near_miss
+from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.meshes.topology import opposite_edges
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
 
@@ -144,6 +145,29 @@ class MeshQueries:
         corners = self.face_indices(index, active)
         a, b, c = (self.vertex_position(corner, active) for corner in corners)
         return dr.normalize(dr.cross(b - a, c - a))
+
+    def ray_intersect_triangle(
+        self, index: UInt32 | int, ray: Ray3f, active: Bool | bool = True
+    ) -> PreliminaryIntersection3f:
+        """The hit of each ray with triangle number `index` alone, for 0 <= t < maxt; it belongs to no scene.
+
+        Source: T. Moeller, B. Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of Graphics Tools,
+        1997.
+        """
+        corner, second, third = (self.vertex_position(i, active) for i in self.face_indices(index, active))
+        edge_1, edge_2 = second - corner, third - corner
+        across = dr.cross(ray.d, edge_2)
+        determinant = dr.dot(edge_1, across)
+        inverse = dr.rcp(determinant)
+        from_corner = ray.o - corner
+        turned = dr.cross(from_corner, edge_1)
+        u, v = dr.dot(from_corner, across) * inverse, dr.dot(ray.d, turned) * inverse
+        t = dr.dot(edge_2, turned) * inverse
+        hit = (determinant != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t < ray.maxt) & active
+        pi = PreliminaryIntersection3f()
+        pi.t, pi.prim_uv = dr.select(hit, t, dr.inf), dr.select(hit, Point2f(u, v), 0)
+        pi.prim_index = dr.select(hit, UInt32(index), 0)
+        return pi
 
     # ---- neighbours ----------------------------------------------------------------------
 
