@@ -86,6 +86,7 @@ def film_image(
     progress: Progress | None = None,
 ) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too. Arguments as for `render`."""
+    require_still(scene)
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)
@@ -117,6 +118,7 @@ def image_derivative(
     from djpt.gradients.derivatives import attached_image, derivative_of
 
     begin_trace()
+    require_still(scene)
     job = make_job(scene, sensor, integrator, seed, spp, 0, None)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
@@ -191,6 +193,17 @@ def require_scene(scene: Any) -> None:
     """Raise `RenderError` unless `scene` is one."""
     if not isinstance(scene, Scene):
         raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
+
+
+def require_still(scene: Scene) -> None:
+    """Raise `RenderError` if a parameter that places a shape has gradients, which few integrators can follow."""
+    require_scene(scene)
+    if scene.shapes_grad_enabled():
+        moving = next(shape for shape in scene.shapes() if shape.parameters_grad_enabled())
+        raise RenderError(
+            f"'{moving.id()}' moves with parameters that have gradients: render with the integrator "
+            "'direct_projective' or 'prb_projective'"
+        )
 
 
 def find_sensor(scene: Scene, sensor: Any) -> Sensor:

@@ -40,13 +40,14 @@ from djpt.records.homes import note_latest
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.silhouettes.scene import SceneSilhouettes
 from djpt.textures.uses import check_textures, reads_uv
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
 
 
-class Scene(RayQuestions, LightQuestions, Plugin):
+class Scene(RayQuestions, LightQuestions, SceneSilhouettes, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     The queries take per-lane rays and points. A scene reads its plugins' values through a
@@ -237,14 +238,6 @@ class Scene(RayQuestions, LightQuestions, Plugin):
     def sensors_dr(self) -> list[Sensor]:
         """All sensors."""
         return self.sensors()
-
-    def silhouette_shapes(self) -> list[Shape]:
-        """None: derivatives by silhouettes aren't computed."""
-        return []
-
-    def shapes_grad_enabled(self) -> bool:
-        """False: there are no gradients by geometry."""
-        return False
 
     def shape_types(self) -> int:
         """The kinds of the shapes: their `ShapeType`s, combined."""

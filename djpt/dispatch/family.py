@@ -17,7 +17,7 @@ from djpt.records import Record
 from djpt.records.homes import Home, only
 from djpt.types import Bool, UInt32
 
-__all__ = ["NONE", "Family", "Pointer"]
+__all__ = ["ACQUAINTANCES", "NONE", "Family", "Pointer"]
 
 NONE = 0xFFFFFFFF
 """A number that no plugin has."""
@@ -63,7 +63,10 @@ class Acquaintances:
 
     def of(self, lanes: Sequence[Plugin | None]) -> Strangers:
         """The family of the plugins that are of the same kind as those given: the same object every time."""
-        kind = next((plugin.kind for plugin in lanes if plugin is not None), "")
+        return self.all_of(next((plugin.kind for plugin in lanes if plugin is not None), ""))
+
+    def all_of(self, kind: str) -> Strangers:
+        """The family of all plugins of a kind: the same object every time."""
         return self._families.setdefault(kind, Strangers(kind))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import drjit as dr
 
@@ -11,7 +11,6 @@ from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.pointers import ShapePtr
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
-from djpt.geometry.silhouettes import missing
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
 from djpt.types import Bool, Float
@@ -25,11 +24,6 @@ class RayQuestions:
     geometry: Geometry
     lookup: Lookup
     _families: dict[Any, Family[Any]]
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            raise missing(self, name)
 
     def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None

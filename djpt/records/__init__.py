@@ -5,7 +5,16 @@ Directions named `wi` and `wo` are in the local shading frame and point away fro
 surface; everything else is in world space unless a field says otherwise.
 """
 
-from djpt.records.flags import ALL_COMPONENTS, BSDFContext, BSDFFlags, EmitterFlags, RayFlags, TransportMode, has_flag
+from djpt.records.flags import (
+    ALL_COMPONENTS,
+    BSDFContext,
+    BSDFFlags,
+    DiscontinuityFlags,
+    EmitterFlags,
+    RayFlags,
+    TransportMode,
+    has_flag,
+)
 from djpt.records.interactions import (
     RAY_EPSILON,
     SHADOW_EPSILON,
@@ -28,6 +37,7 @@ __all__ = [
     "BSDFFlags",
     "BSDFSample3f",
     "DirectionSample3f",
+    "DiscontinuityFlags",
     "EmissionSample",
     "EmitterFlags",
     "Interaction3f",

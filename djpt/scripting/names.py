@@ -69,8 +69,10 @@ EXPORTS: dict[str, str] = {
         "ScalarProjectiveTransform4f ScalarTransform3d ScalarTransform4d Transform3d Transform4d"
     ),
     "djpt.scripting.variants": "is_monochromatic is_polarized is_rgb is_spectral scoped_set_variant variant_context",
+    "djpt.records.flags": "DiscontinuityFlags",
     "djpt.sensors.base": "Sensor",
     "djpt.sensors.projective": "ProjectiveCamera",
+    "djpt.silhouettes.samples": "SilhouetteSample3f",
     "djpt.textures.base": "Texture",
 }
 """The modules of names that are attributes of `djpt`, each with its names, separated by spaces."""
