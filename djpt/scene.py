@@ -136,6 +136,8 @@ class Scene(RayQuestions, LightQuestions, SceneSilhouettes, Plugin):
     def _prepare(self) -> None:
         """Build all tables, after the scene was compiled or edited."""
         assert isinstance(self.lookup, Detached)
+        shapes = self.geometry.contents.shapes
+        self._differentiated = [(i, shape) for i, shape in enumerate(shapes) if shape.parameters_grad_enabled()]
         self._bsdf_of_face = self.geometry.per_face(self.bsdf_of_shape)
         self._light_of_face = self.geometry.per_face(self._light_of_shape)
         for ensemble in (self.geometry.surfaces, *self.ensembles()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any, cast
 
 import drjit as dr
@@ -24,6 +25,8 @@ class RayQuestions:
     geometry: Geometry
     lookup: Lookup
     _families: dict[Any, Family[Any]]
+    _differentiated: list[tuple[int, Any]]
+    """The shapes whose place has gradients, with their indices."""
 
     def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
@@ -87,7 +90,7 @@ class RayQuestions:
         given = dr.detach(ray) if is_attached(ray) else ray
         near, entry = self.geometry.approach(given)
         pi = self.closest_hit(near, last_mask(reordering, active))
-        if given is not ray:
+        if given is not ray or self.moving():
             pi.t = pi.t + entry
             return self._attached_interaction(ray, pi, flags)
         si = self.surface_interaction(near, pi)
@@ -120,7 +123,7 @@ class RayQuestions:
     ) -> SurfaceInteraction3f:
         """The surface point of a hit of `ray`: see `ray_intersect`."""
         hit = PreliminaryIntersection3f.found(dr.select(active, pi.t, dr.inf), pi.face, pi.shape_index, pi.near)
-        if is_attached(ray):
+        if is_attached(ray) or self.moving():
             return self._attached_interaction(ray, hit, int(ray_flags))
         si = self.surface_interaction(ray, hit)
         self.own(si)
@@ -129,6 +132,17 @@ class RayQuestions:
         return si
 
     def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
+        """The surface point of a hit, with its derivatives by the ray and by the shapes that move."""
+        si = self._on_still_shape(ray, pi, flags) if is_attached(ray) else self.surface_interaction(ray, pi)
+        moving = self.moving()
+        if moving:
+            self.own(si)
+            si = importlib.import_module("djpt.silhouettes.motion").attach(si, ray, flags, moving)
+        make_ends(si)
+        self.own(si)
+        return si
+
+    def _on_still_shape(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
         """The surface point of a hit, with its derivatives by the ray."""
         still = dr.detach(ray)
         fixed = self.geometry.surface(still, pi, self.lookup, full=True)
@@ -140,9 +154,11 @@ class RayQuestions:
             t = distance_on_plane(ray, pi, dr.detach(fixed.p), dr.detach(fixed.n))
             near = self.geometry.near_again(ray, t, pi.near)
             si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
-        make_ends(si)
-        self.own(si)
         return si
+
+    def moving(self) -> list[tuple[int, Any]]:
+        """The shapes that move with parameters which have gradients here, with their indices."""
+        return [(i, shape) for i, shape in self._differentiated if shape.parameters_grad_enabled()]
 
     def _add_normal_partials(
         self, si: SurfaceInteraction3f, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int

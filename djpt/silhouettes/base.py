@@ -13,7 +13,16 @@ from djpt.silhouettes.moving import attached_place
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["INTERIOR", "PERIMETER", "Placement", "Silhouette", "away_from", "edge_normal"]
+__all__ = [
+    "INTERIOR",
+    "PERIMETER",
+    "Placement",
+    "Silhouette",
+    "SurfacePoint",
+    "away_from",
+    "edge_normal",
+    "with_gradient",
+]
 
 PERIMETER, INTERIOR = int(DiscontinuityFlags.PerimeterType), int(DiscontinuityFlags.InteriorType)
 
@@ -37,9 +46,32 @@ class Placement:
         """Map a point."""
         return dr.fma(self.x, p.x, dr.fma(self.y, p.y, dr.fma(self.z, p.z, self.origin)))
 
-    def vector(self, v: Vector3f) -> Vector3f:
-        """Map a vector."""
-        return dr.fma(self.x, v.x, dr.fma(self.y, v.y, self.z * v.z))
+    def local(self, p: Point3f) -> tuple[Float, Float]:
+        """The first two coordinates of a point near the plane of x and y."""
+        cross = dr.cross(self.x, self.y)
+        v = (p - self.origin) / dr.squared_norm(cross)
+        return dr.dot(v, dr.cross(self.y, cross)), dr.dot(v, dr.cross(cross, self.x))
+
+    def along(self, p: Point3f) -> Vector3f:
+        """The coordinates of a point, if the columns are perpendicular to each other."""
+        v = p - self.origin
+        return Vector3f(*(dr.dot(v, axis) / dr.squared_norm(axis) for axis in (self.x, self.y, self.z)))
+
+    def up(self) -> Normal3f:
+        """The unit normal of the plane of x and y."""
+        return dr.normalize(dr.cross(self.x, self.y))
+
+
+@dataclass
+class SurfacePoint:
+    """What shading needs to know of a point of a surface."""
+
+    n: Normal3f
+    """The normal of the surface, of unit length, on the outer side."""
+    shading: Normal3f
+    """The interpolated normal of smooth meshes; else the same."""
+    uv: Point2f
+    """Texture coordinates."""
 
 
 class Silhouette:
@@ -87,14 +119,35 @@ class Silhouette:
 
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
         """The point that sticks to the surface as the shape moves, attached to its parameters; None if it stays."""
+        place = self.attached()
+        return None if place is None else place.point(dr.detach(self.local(dr.detach(uv))))
+
+    def place(self) -> Any:
+        """Where the shape is: its `Placement`; of a mesh the positions of its vertices."""
+        raise NotImplementedError
+
+    def attached(self) -> Any:
+        """The same, attached to the parameters of the shape; None if it stays."""
         matrix = attached_place(self.shape)
-        if matrix is None:
-            return None
-        return Placement.of_matrix(matrix).point(dr.detach(self.local(dr.detach(uv))))
+        return None if matrix is None else Placement.of_matrix(matrix)
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        """The surface at a point of it, if the shape is where `place` says; attached if `place` or `p` is."""
+        raise NotImplementedError
+
+    def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
+        """Of the texture coordinates and barycentric weights of a hit those that `follow` understands."""
+        return uv
 
     def sample_of(self, **fields: Any) -> SilhouetteSample3f:
         """A sample of this shape, whose number the caller sets."""
         return SilhouetteSample3f(number=UInt32(0), offset=Float(self.offset), **fields)
+
+
+def with_gradient(value: Any, attached: Any) -> Any:
+    """The value, with the derivative of another expression that has the same one."""
+    result: Any = dr.replace_grad(dr.detach(value), attached)  # type: ignore[func-returns-value]
+    return result
 
 
 def away_from(viewpoint: Point3f) -> Callable[[Point3f], Vector3f]:

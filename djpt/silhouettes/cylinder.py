@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import INTERIOR, PERIMETER, Silhouette, away_from, edge_normal
+from djpt.silhouettes.base import INTERIOR, PERIMETER, Placement, Silhouette, SurfacePoint, away_from, edge_normal
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import (
@@ -17,6 +18,7 @@ from djpt.warp import (
     tangent_direction_to_interval,
     uniform_sphere_to_square,
 )
+from djpt.warp.disk import turns
 
 __all__ = ["CylinderSilhouette"]
 
@@ -134,6 +136,17 @@ class CylinderSilhouette(Silhouette):
         found = dr.select(part == INTERIOR, side, rim)
         found.discontinuity_type = dr.select((part == INTERIOR) | (part == PERIMETER), found.discontinuity_type, 0)
         return found
+
+    def place(self) -> Placement:
+        shape = self.shape
+        x, y = shape.axis_x * shape.radius, shape.axis_y * shape.radius
+        z = shape.axis_z * shape.length
+        return Placement(x, y, z, shape.center - 0.5 * z)
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        local = place.along(p)
+        n = dr.normalize(p - place.origin - place.z * local.z) * self.shape.side
+        return SurfacePoint(n, n, Point2f(turns(local.y, local.x), local.z))
 
     def local(self, uv: Point2f) -> Point3f:
         sin, cos = dr.sincos(2 * math.pi * uv.x)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import PERIMETER, Silhouette, away_from, edge_normal
+from djpt.silhouettes.base import PERIMETER, Placement, Silhouette, SurfacePoint, away_from, edge_normal
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere, uniform_sphere_to_square
+from djpt.warp.disk import turns
 
 __all__ = ["DiskSilhouette"]
 
@@ -68,6 +70,16 @@ class DiskSilhouette(Silhouette):
         ss, speed = self._on_rim(sample, away_from(viewpoint), PERIMETER)
         ss.pdf = dr.rcp(2 * math.pi * speed)
         return ss
+
+    def place(self) -> Placement:
+        shape = self.shape
+        return Placement(shape.edge_u, shape.edge_v, shape.normal, shape.center)
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        n = place.up()
+        n = n * dr.mulsign(Float(1), dr.detach(dr.dot(n, self.shape.normal)))
+        x, y = place.local(p)
+        return SurfacePoint(n, n, Point2f(dr.norm(Point2f(x, y)), turns(y, x)))
 
     def local(self, uv: Point2f) -> Point3f:
         sin, cos = dr.sincos(2 * math.pi * uv.y)

@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.distributions.weights import Weights
 from djpt.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
-from djpt.silhouettes.base import PERIMETER, Silhouette, edge_normal
+from djpt.silhouettes.base import PERIMETER, Placement, Silhouette, SurfacePoint, edge_normal, with_gradient
 from djpt.silhouettes.moving import attached_place
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
@@ -227,14 +227,64 @@ class MeshSilhouette(Silhouette):
         ss.pdf = dr.rsqrt(dr.squared_norm(b - a))
         return ss
 
+    # ---- motion -------------------------------------------------------------------------------
+
+    def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
+        return prim_uv
+
+    def place(self) -> Float:
+        return dr.detach(self.shape.vertex_positions)
+
+    def attached(self) -> Float | None:
+        positions: Float | None = attached_place(self.shape)
+        return positions
+
     def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
-        positions = attached_place(self.shape)
+        positions = self.attached()
         if positions is None:
             return None
-        corners = self.shape.face_indices(prim_index, active)
-        a, b, c = (dr.gather(Point3f, positions, corner, active) for corner in corners)
+        a, b, c = self._at(positions, prim_index, active)
         u, v = dr.detach(uv.x), dr.detach(uv.y)
         return dr.fma(a, 1 - u - v, dr.fma(b, u, c * v))
+
+    def _at(self, positions: Float, prim_index: UInt32, active: Bool | bool) -> list[Point3f]:
+        """The corners of triangles."""
+        corners = self.shape.face_indices(prim_index, active)
+        return [dr.gather(Point3f, positions, corner, active) for corner in corners]
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        mesh = self.shape
+        a, b, c = self._at(place, prim_index, active)
+        plane = Placement(b - a, c - a, Vector3f(0), a)
+        n, weights = plane.up(), plane.local(p)
+        n = -n if mesh.flip_normals else n
+        shares = (1 - weights[0] - weights[1], *weights)
+        shading, uv = n, Point2f(*weights)
+        corners = mesh.face_indices(prim_index, active)
+        if mesh.has_vertex_normals():
+            normals = mesh.vertex_normals
+            if dr.grad_enabled(place):
+                normals = with_gradient(normals, vertex_normals(place, mesh.faces_parameter))
+            at_corners = [dr.gather(Normal3f, normals, corner, active) for corner in corners]
+            shading = dr.normalize(sum((w * m for w, m in zip(shares, at_corners, strict=True)), Normal3f(0)))
+            shading = -shading if mesh.flip_normals else shading
+        if mesh.has_vertex_texcoords():
+            texcoords = [dr.gather(Point2f, mesh.vertex_texcoords, corner, active) for corner in corners]
+            uv = sum((w * t for w, t in zip(shares, texcoords, strict=True)), Point2f(0))
+        return SurfacePoint(n, shading, uv)
+
+
+def vertex_normals(positions: Float, faces: UInt32) -> Float:
+    """The normals at vertices, as `djpt.shapes.meshes.normals` computes them, attached to the positions."""
+    corner = [dr.gather(UInt32, faces, 3 * dr.arange(UInt32, dr.width(faces) // 3) + k) for k in range(3)]
+    p = [dr.gather(Point3f, positions, k) for k in corner]
+    n = dr.normalize(dr.cross(p[1] - p[0], p[2] - p[0]))
+    total = dr.zeros(Normal3f, dr.width(positions) // 3)
+    for k in range(3):
+        d1, d2 = dr.normalize(p[(k + 1) % 3] - p[k]), dr.normalize(p[(k + 2) % 3] - p[k])
+        dr.scatter_add(total, n * dr.safe_acos(dr.dot(d1, d2)), corner[k])
+    flat: Any = dr.ravel(dr.normalize(total))
+    return Float(flat)
 
 
 def by_edge(edge: UInt32, values: list[Any]) -> Any:

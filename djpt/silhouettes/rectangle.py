@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import PERIMETER, Silhouette, away_from, edge_normal
+from djpt.silhouettes.base import PERIMETER, Placement, Silhouette, SurfacePoint, away_from, edge_normal
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.warp import square_to_uniform_sphere, uniform_sphere_to_square
@@ -96,6 +97,16 @@ class RectangleSilhouette(Silhouette):
         # The density that belongs to the choice, whereas Mitsuba 3.9.1 divides by the diagonal of `to_world`.
         ss.pdf = dr.rcp(8 * half_length)
         return ss
+
+    def place(self) -> Placement:
+        shape = self.shape
+        return Placement(shape.edge_u, shape.edge_v, shape.normal, shape.center)
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        n = place.up()
+        n = n * dr.mulsign(Float(1), dr.detach(dr.dot(n, self.shape.normal)))
+        x, y = place.local(p)
+        return SurfacePoint(n, n, Point2f(dr.fma(0.5, x, 0.5), dr.fma(0.5, y, 0.5)))
 
     def local(self, uv: Point2f) -> Point3f:
         return Point3f(dr.fma(2, uv.x, -1), dr.fma(2, uv.y, -1), 0)

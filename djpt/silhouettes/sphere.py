@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import drjit as dr
 
 from djpt.frame import coordinate_system
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import INTERIOR, Silhouette
+from djpt.silhouettes.base import INTERIOR, Placement, Silhouette, SurfacePoint
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32
 from djpt.warp import interval_to_tangent_direction, tangent_direction_to_interval, uniform_sphere_to_square
+from djpt.warp.disk import turns
 
 __all__ = ["SphereSilhouette"]
 
@@ -83,6 +85,18 @@ class SphereSilhouette(Silhouette):
         ring = self.shape.radius / distance * dr.norm(ss.p - viewpoint)
         ss.pdf = dr.rcp(2 * math.pi * ring)
         return ss
+
+    def place(self) -> Placement:
+        shape = self.shape
+        x, y, z = (axis * shape.radius for axis in (shape.axis_x, shape.axis_y, shape.axis_z))
+        return Placement(x, y, z, shape.center)
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        n = dr.normalize(p - place.origin)
+        n = -n if self.shape.flip_normals else n
+        local = place.along(p)
+        turn = turns(local.y, local.x)
+        return SurfacePoint(n, n, Point2f(turn, dr.safe_acos(local.z * dr.rsqrt(dr.squared_norm(local))) / math.pi))
 
     def local(self, uv: Point2f) -> Point3f:
         sin_phi, cos_phi = dr.sincos(2 * math.pi * uv.x)
