@@ -18,6 +18,7 @@ from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels
 from djpt.sensors import Sensor
+from djpt.silhouettes.moving import attached_place
 from djpt.types import TensorXf
 
 __all__ = ["channel_names", "film_image", "image_derivative", "render"]
@@ -198,8 +199,8 @@ def require_scene(scene: Any) -> None:
 def require_still(scene: Scene) -> None:
     """Raise `RenderError` if a parameter that places a shape has gradients, which few integrators can follow."""
     require_scene(scene)
-    if scene.shapes_grad_enabled():
-        moving = next(shape for shape in scene.shapes() if shape.parameters_grad_enabled())
+    moving = next((shape for shape in scene.shapes() if attached_place(shape) is not None), None)
+    if moving is not None:
         raise RenderError(
             f"'{moving.id()}' moves with parameters that have gradients: render with the integrator "
             "'direct_projective' or 'prb_projective'"

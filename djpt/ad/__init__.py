@@ -16,10 +16,12 @@ MODULES = {
     "common": "djpt.ad.integrators.common",
     "guiding": "djpt.ad.guiding",
     "integrators": "djpt.ad.integrators",
+    "projective": "djpt.ad.projective",
 }
 """Attributes that are modules, which optimisers don't need."""
 
 NAMES = dict.fromkeys(("BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr"), "djpt.ad.guiding")
+NAMES["ProjectiveDetail"] = "djpt.ad.projective"
 """Attributes that are defined in such modules."""
 
 

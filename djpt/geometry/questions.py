@@ -14,6 +14,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
+from djpt.silhouettes.moving import attached_place
 from djpt.types import Bool, Float
 
 __all__ = ["RayQuestions"]
@@ -158,7 +159,7 @@ class RayQuestions:
 
     def moving(self) -> list[tuple[int, Any]]:
         """The shapes that move with parameters which have gradients here, with their indices."""
-        return [(i, shape) for i, shape in self._differentiated if shape.parameters_grad_enabled()]
+        return [(i, shape) for i, shape in self._differentiated if attached_place(shape) is not None]
 
     def _add_normal_partials(
         self, si: SurfaceInteraction3f, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int

@@ -14,6 +14,7 @@ from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
+    "INSET",
     "INTERIOR",
     "PERIMETER",
     "Placement",
@@ -23,6 +24,9 @@ __all__ = [
     "edge_normal",
     "with_gradient",
 ]
+
+INSET = 1e-4
+"""How far off an edge a surface is looked at, as a share of the shape's extent."""
 
 PERIMETER, INTERIOR = int(DiscontinuityFlags.PerimeterType), int(DiscontinuityFlags.InteriorType)
 
@@ -134,6 +138,12 @@ class Silhouette:
     def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
         """The surface at a point of it, if the shape is where `place` says; attached if `place` or `p` is."""
         raise NotImplementedError
+
+    def foreground(self, ss: Any, active: Bool | bool) -> tuple[Point3f, Normal3f]:
+        """A point of the surface close to a silhouette, off the very edge, and the unit normal there."""
+        place = self.place()
+        middle = dr.fma(INSET, place.origin - ss.p, ss.p)
+        return middle, self.surface(place, middle, ss.prim_index, active).n
 
     def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
         """Of the texture coordinates and barycentric weights of a hit those that `follow` understands."""

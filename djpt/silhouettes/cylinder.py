@@ -9,9 +9,18 @@ from typing import Any
 import drjit as dr
 
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import INTERIOR, PERIMETER, Placement, Silhouette, SurfacePoint, away_from, edge_normal
+from djpt.silhouettes.base import (
+    INSET,
+    INTERIOR,
+    PERIMETER,
+    Placement,
+    Silhouette,
+    SurfacePoint,
+    away_from,
+    edge_normal,
+)
 from djpt.silhouettes.samples import SilhouetteSample3f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import (
     interval_to_tangent_direction,
     square_to_uniform_sphere,
@@ -147,6 +156,11 @@ class CylinderSilhouette(Silhouette):
         local = place.along(p)
         n = dr.normalize(p - place.origin - place.z * local.z) * self.shape.side
         return SurfacePoint(n, n, Point2f(turns(local.y, local.x), local.z))
+
+    def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
+        place = self.place()
+        p = dr.fma(place.z, INSET * (0.5 - ss.uv.y), ss.p)
+        return p, self.surface(place, p, ss.prim_index, active).n
 
     def local(self, uv: Point2f) -> Point3f:
         sin, cos = dr.sincos(2 * math.pi * uv.x)

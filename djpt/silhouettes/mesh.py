@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.distributions.weights import Weights
 from djpt.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
-from djpt.silhouettes.base import PERIMETER, Placement, Silhouette, SurfacePoint, edge_normal, with_gradient
+from djpt.silhouettes.base import INSET, PERIMETER, Placement, Silhouette, SurfacePoint, edge_normal, with_gradient
 from djpt.silhouettes.moving import attached_place
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
@@ -96,7 +96,7 @@ class MeshSilhouette(Silhouette):
     # ---- the space of segments ------------------------------------------------------------
 
     def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
-        if not flags & PERIMETER or attached_place(self.shape) is None:
+        if not flags & PERIMETER or not self.shape.parameters_grad_enabled():
             return SilhouetteSample3f()
         edge, along, chance = self.edges.choose(sample.x, active)
         active = (chance > 0) & active
@@ -140,7 +140,7 @@ class MeshSilhouette(Silhouette):
         )
 
     def invert(self, ss: SilhouetteSample3f, active: Bool | bool) -> Point3f:
-        if attached_place(self.shape) is None:
+        if not self.shape.parameters_grad_enabled():
             return Point3f(0)
         active = (ss.discontinuity_type == PERIMETER) & active
         edge = 3 * ss.prim_index + ss.projection_index
@@ -167,7 +167,7 @@ class MeshSilhouette(Silhouette):
         With `HeuristicWalk` any edge may be chosen, by the angle in which it is seen, and `prim_index` is the triangle
         beyond it.
         """
-        if not flags & PERIMETER or attached_place(self.shape) is None:
+        if not flags & PERIMETER or not self.shape.parameters_grad_enabled():
             return SilhouetteSample3f()
         mesh = self.shape
         prim = si.prim_index
@@ -226,6 +226,15 @@ class MeshSilhouette(Silhouette):
         ss = self._on_edge(part, sample, a, b, c, dr.normalize(dr.lerp(a, b, sample) - viewpoint))
         ss.pdf = dr.rsqrt(dr.squared_norm(b - a))
         return ss
+
+    def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
+        """Of the two triangles at the edge that which is seen from the front; at a border the only one."""
+        edge = 3 * ss.prim_index + ss.projection_index
+        opposite, shared, own, other = self.normals(edge, active)
+        beyond = shared & (dr.dot(own, ss.d) > 0)
+        face, n = dr.select(beyond, opposite // 3, ss.prim_index), dr.select(beyond, other, own)
+        a, b, c = self._at(self.place(), face, active)
+        return dr.fma(INSET, (a + b + c) / 3 - ss.p, ss.p), -n if self.shape.flip_normals else n
 
     # ---- motion -------------------------------------------------------------------------------
 

@@ -103,6 +103,9 @@ class SilhouetteQuestions(Plugin):
         return None if lanes is None else lanes.matrix
 
     def parameters_grad_enabled(self) -> bool:
-        """Whether the parameters that place the shape have gradients."""
+        """Whether the parameters that place the shape have gradients, also where these are suspended."""
         value = self.__dict__.get("vertex_positions") if self.of_triangles else self.attached_matrix  # type: ignore[attr-defined]
-        return value is not None and bool(dr.grad_enabled(value))
+        if value is None:
+            return False
+        with dr.resume_grad():
+            return bool(dr.grad_enabled(value))

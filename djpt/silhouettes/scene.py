@@ -39,6 +39,12 @@ class SceneSilhouettes:
             and shape.silhouette_discontinuity_types()
         ]
 
+    def silhouette_shape(self, number: UInt32) -> ShapePtr:
+        """The shapes that `SilhouetteSample3f.scene_index` counts, per lane."""
+        found = self._silhouettes()
+        pointer: ShapePtr = ShapePtr() if found is None else ShapePtr.into(found[0], number)
+        return pointer
+
     def shapes_grad_enabled(self) -> bool:
         """Whether a parameter that places a shape has gradients."""
         return any(shape.parameters_grad_enabled() for shape in self._shapes)

@@ -11,7 +11,7 @@ from djpt.frame import coordinate_system
 from djpt.records import SurfaceInteraction3f
 from djpt.silhouettes.base import INTERIOR, Placement, Silhouette, SurfacePoint
 from djpt.silhouettes.samples import SilhouetteSample3f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32
+from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32
 from djpt.warp import interval_to_tangent_direction, tangent_direction_to_interval, uniform_sphere_to_square
 from djpt.warp.disk import turns
 
@@ -97,6 +97,9 @@ class SphereSilhouette(Silhouette):
         local = place.along(p)
         turn = turns(local.y, local.x)
         return SurfacePoint(n, n, Point2f(turn, dr.safe_acos(local.z * dr.rsqrt(dr.squared_norm(local))) / math.pi))
+
+    def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
+        return ss.p, self.surface(self.place(), ss.p, ss.prim_index, active).n
 
     def local(self, uv: Point2f) -> Point3f:
         sin_phi, cos_phi = dr.sincos(2 * math.pi * uv.x)

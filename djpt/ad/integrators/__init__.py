@@ -1,7 +1,15 @@
-"""The place where scripts look for base classes of differentiable integrators."""
+"""Mitsuba's place of differentiable integrators: base classes for scripts, and those that follow moving shapes."""
 
 from __future__ import annotations
 
-from djpt.ad.integrators import common as common
+import importlib
+from typing import Any
 
-__all__ = ["common"]
+__all__ = ["common", "direct_projective", "prb_projective"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a module when it is first used (PEP 562)."""
+    if name in __all__:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
