@@ -85,7 +85,8 @@ def lent(value: Any) -> Any:
         return value
     from djpt.transforms.lanes import Transform4f
 
-    return Transform4f(value)
+    # One with gradients knows what it was made from.
+    return Transform4f(getattr(value, "lanes", value))
 
 
 class Walk:

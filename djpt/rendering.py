@@ -23,6 +23,7 @@ from djpt.schedules.choice import choose
 from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels, require_countable
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
+from djpt.silhouettes.moving import attached_place
 from djpt.types import TensorXf, UInt32
 
 __all__ = ["channel_names", "film_image", "image_derivative", "render"]
@@ -96,6 +97,7 @@ def film_image(
 
     Arguments as for `render`; the `seed_grad` None is that of the image.
     """
+    require_still(scene)
     job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)
@@ -128,6 +130,7 @@ def image_derivative(
     from djpt.gradients.derivatives import attached_image, derivative_of
 
     begin_trace()
+    require_still(scene)
     job = make_job(scene, sensor, integrator, seed, spp, 0, None)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
@@ -219,6 +222,17 @@ def require_scene(scene: Any) -> None:
     """Raise `RenderError` unless `scene` is one."""
     if not isinstance(scene, Scene):
         raise RenderError(f"render() expects a scene from load_dict(), found {type(scene).__name__}")
+
+
+def require_still(scene: Scene) -> None:
+    """Raise `RenderError` if a parameter that places a shape has gradients, which few integrators can follow."""
+    require_scene(scene)
+    moving = next((shape for shape in scene.shapes() if attached_place(shape) is not None), None)
+    if moving is not None:
+        raise RenderError(
+            f"'{moving.id()}' moves with parameters that have gradients: render with the integrator "
+            "'direct_projective' or 'prb_projective'"
+        )
 
 
 def find_sensor(scene: Scene, sensor: Any) -> Sensor:

@@ -43,13 +43,14 @@ from djpt.records.homes import note_latest
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.silhouettes.scene import SceneSilhouettes
 from djpt.textures.uses import check_textures, reads_uv
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
 
 
-class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
+class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     The queries take per-lane rays and points. A scene reads its plugins' values through a
@@ -140,6 +141,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, Plugin):
     def _prepare(self) -> None:
         """Build all tables, after the scene was compiled or edited."""
         assert isinstance(self.lookup, Detached)
+        shapes = self.geometry.contents.shapes
+        self._differentiated = [(i, shape) for i, shape in enumerate(shapes) if shape.parameters_grad_enabled()]
         self._bsdf_of_face = self.geometry.per_face(self.bsdf_of_shape)
         self._light_of_face = self.geometry.per_face(self._light_of_shape)
         self.prepare_media()

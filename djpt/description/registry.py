@@ -54,6 +54,7 @@ PACKAGES = (
     "djpt.samplers",
     "djpt.sensors",
     "djpt.integrators",
+    "djpt.ad.integrators",
 )
 """The packages that djpt's own plugins stand in, besides the scene. Usually a plugin's file bears its name."""
 

@@ -19,7 +19,7 @@ from djpt.records import Record
 from djpt.records.homes import Home, only
 from djpt.types import Bool, UInt32
 
-__all__ = ["NONE", "Family", "Pointer"]
+__all__ = ["ACQUAINTANCES", "NONE", "Family", "Pointer"]
 
 NONE = 0xFFFFFFFF
 """A number that no plugin has."""

@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.dispatch.family import NONE, Pointer
 from djpt.dispatch.lookup import choose
+from djpt.dispatch.silhouettes import SilhouettePtrQuestions
 from djpt.emitters.base import Emitter
 from djpt.errors import SceneError
 from djpt.records import (
@@ -82,7 +83,7 @@ class EmitterPtrQuestions(Pointer[Emitter]):
         return dr.select(self.is_valid(), choose(self.index, weights), 0) if weights else Float(0)
 
 
-class ShapePtrQuestions(Pointer[Shape]):
+class ShapePtrQuestions(SilhouettePtrQuestions):
     """The part of `djpt.ShapePtr` that the renderer doesn't need.
 
     Rays are intersected with each lane's shape alone. If the shapes of all lanes are one, the records belong to a scene

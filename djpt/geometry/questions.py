@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+import importlib
+from typing import Any, cast
 
 import drjit as dr
 
@@ -11,9 +12,9 @@ from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.pointers import ShapePtr
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
-from djpt.geometry.silhouettes import missing
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
+from djpt.silhouettes.moving import attached_place
 from djpt.types import Bool, Float, UInt32
 
 __all__ = ["RayQuestions"]
@@ -25,11 +26,8 @@ class RayQuestions:
     geometry: Geometry
     lookup: Lookup
     _families: dict[Any, Family[Any]]
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            raise missing(self, name)
+    _differentiated: list[tuple[int, Any]]
+    """The shapes whose place has gradients, with their indices."""
 
     def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
@@ -95,7 +93,7 @@ class RayQuestions:
         near, entry = self.geometry.approach(given)
         pi = self.closest_hit(near, last_mask(reordering, active))
         pi.instances = self._instances(pi)
-        if given is not ray:
+        if given is not ray or self.moving():
             pi.t = pi.t + entry
             return self._attached_interaction(ray, pi, flags)
         si = self.surface_interaction(near, pi)
@@ -130,7 +128,7 @@ class RayQuestions:
         """The surface point of a hit of `ray`: see `ray_intersect`."""
         hit = PreliminaryIntersection3f.found(dr.select(active, pi.t, dr.inf), pi.face, pi.shape_index, pi.near)
         hit.instances = pi.instances
-        if is_attached(ray):
+        if is_attached(ray) or self.moving():
             return self._attached_interaction(ray, hit, int(ray_flags))
         si = self.surface_interaction(ray, hit)
         si.instances = pi.instances
@@ -140,6 +138,18 @@ class RayQuestions:
         return si
 
     def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
+        """The surface point of a hit, with its derivatives by the ray and by the shapes that move."""
+        si = self._on_still_shape(ray, pi, flags) if is_attached(ray) else self.surface_interaction(ray, pi)
+        moving = self.moving()
+        if moving:
+            self.own(si)
+            si = importlib.import_module("djpt.silhouettes.motion").attach(si, ray, flags, moving)
+        make_ends(si)
+        si.instances = pi.instances
+        self.own(si)
+        return si
+
+    def _on_still_shape(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
         """The surface point of a hit, with its derivatives by the ray."""
         still = dr.detach(ray)
         fixed = self.geometry.surface(still, pi, self.lookup, full=True)
@@ -151,10 +161,11 @@ class RayQuestions:
             t = distance_on_plane(ray, pi, dr.detach(fixed.p), dr.detach(fixed.n))
             near = self.geometry.near_again(ray, t, pi.near)
             si = self.surface_interaction(ray, PreliminaryIntersection3f.found(t, pi.face, pi.shape_index, near))
-        make_ends(si)
-        si.instances = pi.instances
-        self.own(si)
         return si
+
+    def moving(self) -> list[tuple[int, Any]]:
+        """The shapes that move with parameters which have gradients here, with their indices."""
+        return [(i, shape) for i, shape in self._differentiated if attached_place(shape) is not None]
 
     def _add_normal_partials(
         self, si: SurfaceInteraction3f, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int

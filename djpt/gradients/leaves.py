@@ -22,9 +22,19 @@ from djpt.dispatch.tables import Buffer
 from djpt.errors import RenderError
 from djpt.kernels import opaque
 from djpt.scene import Scene
+from djpt.silhouettes.moving import motion_name
 from djpt.types import Bool, Float, UInt32
 
-__all__ = ["Accumulator", "Leaves", "Numbering", "Parameter", "Tangents", "attached_parameters", "unused_values"]
+__all__ = [
+    "Accumulator",
+    "Leaves",
+    "Numbering",
+    "Parameter",
+    "Tangents",
+    "attached_parameters",
+    "moving_parameters",
+    "unused_values",
+]
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ class Parameter:
     @property
     def flags(self) -> ParamFlags:
         """The flags that `traverse` reports."""
-        return {**self.owner.values, **self.owner.tables}[self.attribute]
+        return {**self.owner.values, **self.owner.tables}.get(self.attribute, ParamFlags.Differentiable)
 
     @property
     def size(self) -> int:
@@ -74,6 +84,12 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
                         raise RenderError(f"no gradient is available for '{owner.id()}.{leaf.attribute}'")
                     found[id(owner), leaf.attribute] = parameter
     return list(found.values())
+
+
+def moving_parameters(scene: Scene) -> list[Parameter]:
+    """The parameters with gradients that place shapes, as `djpt.silhouettes.moving` reads them."""
+    moving = [shape for shape in scene.shapes() if shape.parameters_grad_enabled()]
+    return [Parameter(shape, motion_name(shape)) for shape in moving]
 
 
 def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:

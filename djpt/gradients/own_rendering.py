@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Attached
 from djpt.gradients.derivatives import attached_image
-from djpt.gradients.leaves import Parameter, attached_parameters
+from djpt.gradients.leaves import Parameter, attached_parameters, moving_parameters
 from djpt.integrators.base import Integrator
 from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.scene import Scene
+from djpt.silhouettes.moving import exchanged
 from djpt.types import TensorXf
 
 __all__ = ["attached_view", "image_by_itself"]
@@ -38,7 +41,7 @@ def image_by_itself(
     spp_grad: int,
 ) -> TensorXf:
     """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
-    parameters = attached_parameters(scene)
+    parameters = [*attached_parameters(scene), *moving_parameters(scene)]
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
@@ -71,23 +74,24 @@ class OwnDerivative:
         # Later edits of the scene must not change what is differentiated.
         self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
 
-    def _leaves(self) -> tuple[list[Any], Scene]:
-        """Fresh leaves in place of the parameters, and the scene that reads them."""
+    @contextmanager
+    def _leaves(self) -> Iterator[tuple[list[Any], Scene]]:
+        """Fresh leaves in place of the parameters, and the scene that reads them within a `with` block."""
         fresh = [type(value)(value) for value in self._values]
         dr.enable_grad(fresh)
-        return fresh, attached_view(self._scene, dict(zip(self._places, fresh, strict=True)))
+        values = dict(zip(self._places, fresh, strict=True))
+        with exchanged(values):
+            yield fresh, attached_view(self._scene, values)
 
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
-        with dr.resume_grad():
-            fresh, scene = self._leaves()
+        with dr.resume_grad(), self._leaves() as (fresh, scene):
             self._integrator.render_backward(scene, self._params, image, self._sensor, self._seed, self._spp)
             return [dr.grad(leaf) for leaf in fresh]
 
     def forward(self, tangents: list[Any]) -> TensorXf:
         """The derivative of the image in the direction of `tangents`, one per parameter."""
-        with dr.resume_grad():
-            fresh, scene = self._leaves()
+        with dr.resume_grad(), self._leaves() as (fresh, scene):
             for leaf, tangent in zip(fresh, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
             return self._integrator.render_forward(scene, self._params, self._sensor, self._seed, self._spp)

@@ -10,6 +10,7 @@ __all__ = [
     "ALL_COMPONENTS",
     "BSDFContext",
     "BSDFFlags",
+    "DiscontinuityFlags",
     "EmitterFlags",
     "PhaseFunctionContext",
     "PhaseFunctionFlags",
@@ -87,6 +88,23 @@ class RayFlags(enum.IntFlag):
     """Derivatives by the shape are left out; those by the ray stay."""
     All = 0xE
     AllNonDifferentiable = 0x10E
+
+
+class DiscontinuityFlags(enum.IntFlag):
+    """Kinds of visibility silhouettes, and how their directions are encoded; the values are Mitsuba's."""
+
+    Empty = 0x0
+    PerimeterType = 0x1
+    """Edges: where a surface ends, or its normal jumps."""
+    InteriorType = 0x2
+    """Where a smooth surface turns away from the viewer."""
+    DirectionLune = 0x4
+    """Directions at an edge are those in which one of its two faces is seen from the front."""
+    DirectionSphere = 0x8
+    """Directions at an edge are all."""
+    HeuristicWalk = 0x10
+    """Projections onto a mesh go on to a neighbouring triangle, most likely where the surface turns away."""
+    AllTypes = 0x3
 
 
 def has_flag(flags: Any, flag: int) -> Any:

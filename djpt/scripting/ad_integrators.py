@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -10,7 +11,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached, Detached
 from djpt.films.base import FilmFlags
-from djpt.gradients.leaves import attached_parameters
+from djpt.gradients.leaves import attached_parameters, moving_parameters
 from djpt.gradients.own_rendering import attached_view
 from djpt.integrators.base import Integrator
 from djpt.rendering import find_sensor
@@ -18,6 +19,7 @@ from djpt.samplers.base import Sampler
 from djpt.scene import Scene
 from djpt.schedules.job import require_countable
 from djpt.sensors.base import Sensor
+from djpt.silhouettes.moving import exchanged
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 
 __all__ = ["ADIntegrator", "CppADIntegrator", "RBIntegrator"]
@@ -162,8 +164,8 @@ class ADIntegrator(Integrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         """The change (H, W, C) of the image that the gradients set on the scene's parameters cause."""
-        image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Forward)
-        with dr.resume_grad():
+        with attached(scene, dr.ADMode.Forward) as scene, dr.resume_grad():
+            image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Forward)
             dr.forward_to(image)
             return dr.grad(image)
 
@@ -171,14 +173,14 @@ class ADIntegrator(Integrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
-        image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Backward)
-        with dr.resume_grad():
+        with attached(scene, dr.ADMode.Backward) as scene, dr.resume_grad():
+            image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Backward)
             propagate(image, grad_in)
         dr.eval()
 
     def _attached_image(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
-        """The image as the code of `sample` computes it, attached to the scene's parameters."""
-        camera, scene = find_sensor(scene, sensor), attached(scene, mode)
+        """The image as the code of `sample` computes it, attached to what the view `scene` reads."""
+        camera = find_sensor(scene, sensor)
         with dr.suspend_grad():
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
@@ -203,9 +205,9 @@ class RBIntegrator(ADIntegrator):
     """
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
-        camera, scene = find_sensor(scene, sensor), attached(scene, dr.ADMode.Forward)
-        spread_changes(scene)
-        with dr.suspend_grad():
+        camera = find_sensor(scene, sensor)
+        with attached(scene, dr.ADMode.Forward) as scene, dr.suspend_grad():
+            spread_changes(scene)
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
             state = self._primal_state(scene, sampler, ray)
@@ -218,8 +220,8 @@ class RBIntegrator(ADIntegrator):
     def render_backward(
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
-        camera, scene = find_sensor(scene, sensor), attached(scene, dr.ADMode.Backward)
-        with dr.suspend_grad():
+        camera = find_sensor(scene, sensor)
+        with attached(scene, dr.ADMode.Backward) as scene, dr.suspend_grad():
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
             with dr.resume_grad():
@@ -261,14 +263,18 @@ def sampled_grid(sensor: Sensor) -> tuple[int, int]:
     return width, height
 
 
-def attached(scene: Scene, mode: dr.ADMode) -> Scene:
+@contextmanager
+def attached(scene: Scene, mode: dr.ADMode) -> Iterator[Scene]:
     """The scene as it is, if it reads AD variables already; else a view that reads those of its parameters.
+
+    It does so within a `with` block: shapes move by the same variables as long.
 
     In forward mode they are copies with the same gradients, whose graph is then the view's own.
     """
     if not isinstance(scene.lookup, Detached):
-        return scene
-    parameters = attached_parameters(scene)
+        yield scene
+        return
+    parameters = [*attached_parameters(scene), *moving_parameters(scene)]
     values = [p.value for p in parameters]
     if mode == dr.ADMode.Forward:
         with dr.resume_grad():
@@ -276,7 +282,9 @@ def attached(scene: Scene, mode: dr.ADMode) -> Scene:
             values = [type(value)(dr.detach(value)) for value in values]
             dr.enable_grad(values)
             dr.set_grad(values, changes)
-    return attached_view(scene, {(id(p.owner), p.attribute): v for p, v in zip(parameters, values, strict=True)})
+    places = {(id(p.owner), p.attribute): v for p, v in zip(parameters, values, strict=True)}
+    with exchanged(places):
+        yield attached_view(scene, places)
 
 
 def spread_changes(scene: Scene) -> None:

@@ -76,8 +76,7 @@ class Shape(ShapeQuestions):
         self._exterior = props.plugin("exterior", "medium", None)
         self.take_textures(props)
         self.flip_normals = props.boolean("flip_normals", False)
-        # Read by projective (silhouette-sampling) integrators only; kept for Mitsuba's parameter names.
-        self.silhouette_sampling_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
+        self.silhouette_weight = props.float("silhouette_sampling_weight", 1.0, low=0.0)
         self.to_world = props.transform("to_world")
 
     # ---- parameters -------------------------------------------------------------
@@ -86,7 +85,7 @@ class Shape(ShapeQuestions):
         for name, nested in (("bsdf", self._bsdf), ("emitter", self._emitter), ("sensor", self._sensor)):
             if nested is not None:
                 callback.put(name, nested)
-        callback.put("silhouette_sampling_weight", self.silhouette_sampling_weight)
+        callback.put("silhouette_sampling_weight", self.silhouette_weight, attribute="silhouette_weight")
         for name, medium in (("interior_medium", self._interior), ("exterior_medium", self._exterior)):
             if medium is not None:
                 callback.put(name, medium)
@@ -99,10 +98,25 @@ class Shape(ShapeQuestions):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if dr.grad_enabled(value):
-            raise ParameterError(f"{self.id()}.{name}: gradients by geometry aren't available")
+            return self.attached_parameter(name, value)
         if name == "silhouette_sampling_weight":
             return non_negative(value)
         return as_transform(value) if name == "to_world" else value
+
+    def attached_parameter(self, name: str, value: Any) -> Any:
+        """The form in which a parameter with gradients is kept.
+
+        Raises:
+            ParameterError: there are no gradients by this parameter.
+        """
+        from djpt.silhouettes.moving import AttachedTransform
+        from djpt.transforms.lanes import Transform4f
+
+        if name != "to_world" or not self.silhouette_discontinuity_types():
+            raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
+        transform = AttachedTransform(Transform4f(value))
+        as_transform(transform)  # raises if it can't be used
+        return transform
 
     def stand_alone(self) -> None:
         self.place(AxisPool())

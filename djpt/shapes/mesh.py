@@ -189,7 +189,8 @@ class Mesh(MeshQueries, Shape):
         """Let the parameters be made from the host's arrays again, and what follows from the faces."""
         self.build_directed_edges()
         for name in (*PARAMETERS, *self.attributes):
-            self.__dict__.pop(name, None)
+            if not (name == "vertex_positions" and self.parameters_grad_enabled()):
+                self.__dict__.pop(name, None)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         """Take over edited parameters; as in Mitsuba, vertex normals are computed anew when vertices have moved.
@@ -230,6 +231,11 @@ class Mesh(MeshQueries, Shape):
             self.normals = data.normals
         self._forget()
         self._measure()
+
+    def attached_parameter(self, name: str, value: Any) -> Any:
+        if name != "vertex_positions":
+            raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
+        return value
 
     def _read(self, name: str, width: int, attribute: str | None = None) -> NDArray[Any]:
         """Read a parameter as rows on the host."""

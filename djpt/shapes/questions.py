@@ -6,7 +6,7 @@ import copy
 import enum
 import weakref
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -16,7 +16,6 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
-from djpt.geometry.silhouettes import missing
 from djpt.records import (
     DirectionSample3f,
     Observer,
@@ -27,6 +26,7 @@ from djpt.records import (
     SurfaceInteraction3f,
 )
 from djpt.shapes.texture_attributes import TextureAttributes
+from djpt.silhouettes.questions import SilhouetteQuestions
 from djpt.types import Bool, Float, Point2f, UInt32
 
 __all__ = ["ShapeQuestions", "ShapeType"]
@@ -49,7 +49,7 @@ class ShapeType(enum.IntFlag):
     Other = 1024
 
 
-class ShapeQuestions(TextureAttributes):
+class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
     """The part of a shape that kernels don't see.
 
     A shape that stands in no scene is intersected in one of its own, made of a copy of it.
@@ -68,11 +68,6 @@ class ShapeQuestions(TextureAttributes):
     """The scenes that the shape stands in."""
     original: Any = None
     """The shape that this one was copied from, to be asked alone; else None."""
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            raise missing(self, name)
 
     # ---- what belongs to it ---------------------------------------------------------------
 
@@ -143,10 +138,6 @@ class ShapeQuestions(TextureAttributes):
     def has_flipped_normals(self) -> bool:
         """Whether `flip_normals` is set."""
         return bool(getattr(self, "flip_normals", False))
-
-    def parameters_grad_enabled(self) -> bool:
-        """False: there are no gradients by geometry."""
-        return False
 
     # ---- extent ---------------------------------------------------------------------------
 

@@ -300,13 +300,6 @@ def test_an_area_light_and_its_shape(mi: Any) -> None:
         assert numbers(m.PositionSample3f(si).p) == [0, 0, 0]
 
 
-@pytest.mark.parametrize("name", ["sample_silhouette", "invert_silhouette_sample"])
-def test_silhouettes_are_missing_for_a_reason(name: str) -> None:
-    for owner in (djpt.load_dict({"type": "sphere"}), scene(djpt)):
-        with pytest.raises(AttributeError, match=f"'{name}': there are no derivatives by geometry, so silhouettes"):
-            getattr(owner, name)
-
-
 def test_samples_of_hits_by_keywords() -> None:
     room = djpt.load_dict(djpt.cornell_box())
     si = room.ray_intersect(djpt.Ray3f([0, 0, 3], [0, 0.3, -1]))

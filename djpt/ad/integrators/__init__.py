@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from djpt.ad.integrators import common as common
-from djpt.ad.integrators import prb as prb
-from djpt.ad.integrators import prb_basic as prb_basic
+import importlib
+from typing import Any
 
-__all__ = ["common", "prb", "prb_basic"]
+__all__ = ["common", "direct_projective", "prb", "prb_basic", "prb_projective"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a module when it is first used (PEP 562)."""
+    if name in __all__:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
