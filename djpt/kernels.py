@@ -15,6 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.frozen import hold_garbage
 from djpt.description.numeric import may_wait
 from djpt.types import Bool, Float, UInt32, Vector3f
 
@@ -51,6 +52,7 @@ def begin_trace() -> None:
     its own, a kernel would share literals with whatever happens to be alive, and the same
     render would compile twice: once with and once without them.
     """
+    hold_garbage()
     dr.detail.new_scope(dr.backend_v(Float))
 
 

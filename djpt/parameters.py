@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.description.frozen import Held, Structure, recording
+from djpt.description.frozen import Held, Structure, hold_garbage, recording
 from djpt.description.numeric import as_array, as_integer, as_number, describe, may_wait
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
@@ -32,6 +32,7 @@ def traverse(node: Plugin) -> SceneParameters:
     """
     if not isinstance(node, Plugin):
         raise ParameterError(f"traverse: expected a plugin that djpt.load_dict made, found {describe(node)}")
+    hold_garbage()
     walk = Walk(node)
     return SceneParameters(node, walk.entries, walk.parents)
 

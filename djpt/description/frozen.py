@@ -9,6 +9,7 @@ where it differs the function is traced again.
 
 from __future__ import annotations
 
+import gc
 import inspect
 import operator
 import types
@@ -23,7 +24,7 @@ import numpy as np
 
 from djpt.errors import ParameterError
 
-__all__ = ["SHARED", "Held", "Holder", "Structure", "recording", "require_editable"]
+__all__ = ["SHARED", "Held", "Holder", "Structure", "hold_garbage", "recording", "require_editable"]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
@@ -42,6 +43,24 @@ def recording() -> bool:
     Arrays can't be read on the host then, nor be made of memory that Dr.Jit doesn't own.
     """
     return bool(dr.flag(dr.JitFlag.FreezingScope))
+
+
+def hold_garbage() -> None:
+    """Let Python collect no garbage while a function is recorded, and again afterwards; called at both times.
+
+    Among the garbage may be arrays that share NumPy's memory, and a process that releases one of these while
+    Dr.Jit 1.5 records is ended.
+    """
+    if recording() and gc.isenabled():
+        gc.disable()
+        _held.append(True)
+    elif _held and not recording():
+        _held.clear()
+        gc.enable()
+
+
+_held: list[bool] = []
+"""Not empty while collections are off because of `hold_garbage`."""
 
 
 def require_editable(plugins: Iterable[Any]) -> None:
@@ -205,6 +224,7 @@ class Holder:
     @property
     def held(self) -> list[Any]:
         """The structure of the object, and the arrays that can be reached from it: see `Inventory`."""
+        hold_garbage()
         found: Inventory | None = getattr(self, "_inventory", None)
         if found is None or not found.is_current(self):
             self.prepare_to_record()
