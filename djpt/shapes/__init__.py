@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from djpt.shapes.implicit import Metaballs as Metaballs
     from djpt.shapes.implicit import Torus as Torus
     from djpt.shapes.instance import Instance as Instance
+    from djpt.shapes.merge import Merge as Merge
     from djpt.shapes.mesh import Mesh as Mesh
     from djpt.shapes.obj import Obj as Obj
     from djpt.shapes.plane import Plane as Plane
