@@ -13,11 +13,11 @@ from djpt.geometry.bvh.extent import Extent
 from djpt.geometry.bvh.leaves import PlacedLeaves
 from djpt.geometry.bvh.records import EMITS, LEAF, PORTAL, SOLID
 from djpt.geometry.canonical import KINDS, PIECE
-from djpt.geometry.curves.curve_set import CurveSet
-from djpt.geometry.curves.pieces import Pieces
 from djpt.geometry.engines import new_trees
 from djpt.geometry.mesh_part import MeshPart
 from djpt.geometry.mesh_set import MeshSet
+from djpt.geometry.pieces.cutting import Pieces
+from djpt.geometry.pieces.piece_set import PieceSet
 from djpt.geometry.query import RayTree
 from djpt.shapes.base import Shape
 
@@ -37,8 +37,8 @@ class Placement:
 class Forest:
     """The trees of a scene, which build its records and renew them after an edit."""
 
-    curves: CurveSet | None = None
-    """The curves of the world; None if there are none."""
+    pieces: PieceSet | None = None
+    """The pieces of the world's shapes that consist of some; None if there are none."""
 
     def __init__(
         self, meshes: MeshSet, parts: Sequence[int], solids: Sequence[Shape], placements: Sequence[Placement]
@@ -56,16 +56,15 @@ class Forest:
         parts = self._mesh_parts()
         nothing = np.zeros((0, 6), np.float32)
         groups = [self._trees.fit(i, part, nothing) for i, part in enumerate(parts) if i > 0]
-        curves = [shape for shape in self._solids if shape.in_pieces]
-        points = [shape.placed_points() for shape in curves]
-        pieces = [shape.pieces(own) for shape, own in zip(curves, points, strict=True)]
-        self.curves = CurveSet(points, pieces) if curves else None
-        boxes = [self._solid_boxes(), *(part.boxes() for part in pieces)]
+        in_pieces = [shape for shape in self._solids if shape.in_pieces]
+        pieces = [shape.pieces() for shape in in_pieces]
+        self.pieces = PieceSet(pieces) if pieces else None
+        boxes = [self._solid_boxes(), *(part.boxes for part in pieces)]
         boxes.append(box_rows([placed_box(groups[p.group - 1], p.to_world) for p in self._placements]))
         placed = np.concatenate(boxes).astype(np.float32)
         self._trees.fit(0, parts[0], placed)
         kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
-        leaves = self._placed_leaves(groups, curves, pieces) if len(placed) else None
+        leaves = self._placed_leaves(groups, in_pieces, pieces) if len(placed) else None
         return self._trees.packed(leaves, kinds, self.emits)
 
     def _solid_boxes(self) -> NDArray[np.float64]:
@@ -83,7 +82,9 @@ class Forest:
             for first, last in zip(self._parts, self._parts[1:], strict=False)
         ]
 
-    def _placed_leaves(self, groups: Sequence[Extent], curves: Sequence[Any], pieces: Sequence[Pieces]) -> PlacedLeaves:
+    def _placed_leaves(
+        self, groups: Sequence[Extent], in_pieces: Sequence[Any], pieces: Sequence[Pieces]
+    ) -> PlacedLeaves:
         """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
         starts, first = self._trees.starts(), len(self._meshes.meshes)
         inverse, label, detail, side = [], [], [], []
@@ -103,8 +104,8 @@ class Forest:
             detail.append(starts[placement.group])
             side.append(1.0)
         parts, number = [], PIECE
-        for shape, part in zip(curves, pieces, strict=True):
-            maps, radii = part.maps()
+        for shape, part in zip(in_pieces, pieces, strict=True):
+            maps, radii = part.maps, part.radii
             own = np.full(len(maps), LEAF | PORTAL | SOLID | (first + self._solids.index(shape)), np.uint32)
             numbers = np.arange(number, number + len(maps), dtype=np.uint32)
             parts.append(PlacedLeaves(maps, own, numbers, radii[:, 0].copy(), radii[:, 1].copy()))

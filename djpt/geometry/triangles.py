@@ -16,9 +16,9 @@ from djpt.geometry.bvh.records import LEAF, NUMBER, PORTAL, SOLID
 from djpt.geometry.bvh.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
-from djpt.geometry.curves.curve_set import CurveSet
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
+from djpt.geometry.pieces.piece_set import PieceSet
 from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
@@ -112,9 +112,9 @@ class Triangles:
             if self._solid_kinds:
                 local, _ = into_group(words, p - self.tree.center, Vector3f(0))
                 solid = canonical_surface(self._solid_kinds, words[13], local).triangle
-            if self.forest.curves is not None:
+            if self.forest.pieces is not None:
                 is_piece = self._is_piece(words)
-                segment = self.forest.curves.segment(words[13] - PIECE, is_piece)
+                segment = self.forest.pieces.segment(words[13] - PIECE, is_piece)
                 solid = dr.select(is_piece, segment, solid)
             index = dr.select(mesh < self._mesh_count, index, solid)
         return index
@@ -171,18 +171,29 @@ class Triangles:
     def _placed(self, near: Near, d: Vector3f, t: Float, record: UInt32) -> Surface:
         """The point on an analytic shape or a curve."""
         words = self.tree.map_rows(record)
-        if self.forest.curves is None:
+        if self.forest.pieces is None:
             return self._solid(near, d, t, words)
-        curve = self._curve(near, d, t, words, self.forest.curves)
-        return dr.select(self._is_piece(words), curve, self._solid(near, d, t, words)) if self._solid_kinds else curve
+        piece = self._piece(near, d, t, words, self.forest.pieces)
+        return dr.select(self._is_piece(words), piece, self._solid(near, d, t, words)) if self._solid_kinds else piece
 
-    def _curve(self, near: Near, d: Vector3f, t: Float, words: list[UInt32], curves: CurveSet) -> Surface:
-        """The point on a curve."""
+    def _piece(self, near: Near, d: Vector3f, t: Float, words: list[UInt32], pieces: PieceSet) -> Surface:
+        """The point on a curve or an ellipsoid."""
         o, local_d = into_group(words, near.origin, d)
-        p = dr.fma(d, t, near.origin) + self.tree.center
-        along = dr.fma(local_d.z, t, o.z)
-        radii = dr.abs(float_in(words[14])), float_in(words[15])
-        return curves.surface(words[13] - PIECE, p, d, along, radii, self._is_piece(words))
+        local, p = dr.fma(local_d, t, o), dr.fma(d, t, near.origin) + self.tree.center
+        number, active = words[13] - PIECE, self._is_piece(words)
+        curve: Any = None
+        if pieces.has_curves:
+            radii = dr.abs(float_in(words[14])), float_in(words[15])
+            curve = pieces.curve(number, p, d, local.z, radii, active)
+        if not pieces.has_ellipsoids:
+            return curve
+        zero, n = Vector3f(0), Vector3f(local)
+        ball = Surface(zero, n, Frame3f(zero, zero, n), Point2f(0), zero, zero, Point2f(0))
+        ellipsoid = to_world(words, ball)
+        ellipsoid.p = p
+        if curve is None:
+            return ellipsoid
+        return dr.select(pieces.is_ellipsoid(number, active), ellipsoid, curve)
 
     def _solid(self, near: Near, d: Vector3f, t: Float, words: list[UInt32]) -> Surface:
         """The point on an analytic shape."""

@@ -67,7 +67,7 @@ class Shape(ShapeQuestions):
     of_triangles: ClassVar[bool] = False
     """Whether the shape is a mesh, whose triangles stand in the scene's BVH."""
     in_pieces: ClassVar[bool] = False
-    """Whether the shape consists of many pieces, which stand in the BVH: curves."""
+    """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.pieces`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

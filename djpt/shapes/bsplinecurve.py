@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from djpt.description.plugin import ParamFlags
 from djpt.description.registry import register_shape
-from djpt.geometry.curves.pieces import Pieces, cubic_pieces
+from djpt.geometry.pieces.cutting import Pieces, cubic_pieces
 from djpt.shapes.curve import Curves
 from djpt.shapes.questions import ShapeType
 
@@ -29,8 +26,8 @@ class BSplineCurve(Curves):
     least_points = 4
     flags = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
-    def pieces(self, points: NDArray[np.float64]) -> Pieces:
-        return cubic_pieces(points, self.segments)
+    def pieces(self) -> Pieces:
+        return cubic_pieces(self.placed_points(), self.segments)
 
 
 register_shape("bsplinecurve", BSplineCurve)

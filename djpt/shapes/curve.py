@@ -13,7 +13,7 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.axes import AxisPool
-from djpt.geometry.curves.pieces import Pieces
+from djpt.geometry.pieces.cutting import Pieces
 from djpt.kernels import own_copy, own_floats
 from djpt.shapes.base import Shape
 from djpt.shapes.mesh_file import MeshFile
@@ -108,8 +108,8 @@ class Curves(Shape):
         along, reach = points[:, :3] @ direction, points[:, 3] * np.linalg.norm(direction)
         return float((along - reach).min()), float((along + reach).max())
 
-    def pieces(self, points: NDArray[np.float64]) -> Pieces:
-        """The pieces of the curves with these control points, (N, 4)."""
+    def pieces(self) -> Pieces:
+        """The pieces that the curves are cut into, in world space."""
         raise NotImplementedError
 
     def primitive_count(self) -> int:

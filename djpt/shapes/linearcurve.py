@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from djpt.description.registry import register_shape
-from djpt.geometry.curves.pieces import Pieces, linear_pieces
+from djpt.geometry.pieces.cutting import Pieces, linear_pieces
 from djpt.shapes.curve import Curves
 from djpt.shapes.questions import ShapeType
 
@@ -24,8 +21,8 @@ class LinearCurve(Curves):
     shape_kind = ShapeType.LinearCurve
     least_points = 2
 
-    def pieces(self, points: NDArray[np.float64]) -> Pieces:
-        return linear_pieces(points, self.segments)
+    def pieces(self) -> Pieces:
+        return linear_pieces(self.placed_points(), self.segments)
 
 
 register_shape("linearcurve", LinearCurve)

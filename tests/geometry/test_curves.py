@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.geometry.curves.pieces import cubic_at
 from djpt.geometry.engines import ray_queries
+from djpt.geometry.pieces.cutting import cubic_at
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point3f, Vector3f
 from tests.kit.kernels import Watched

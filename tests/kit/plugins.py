@@ -44,7 +44,8 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "ply": [{"filename": tetrahedron_file(), "face_normals": True}],
     # Meshes of other files are sampled by the same code, and these two are no lights.
     "obj": [], "serialized": [], "shapegroup": [], "instance": [], "merge": [],
-    "linearcurve": [], "bsplinecurve": [],  # no lights: tests/geometry/test_curves.py
+    # No lights: tests/geometry/test_curves.py, tests/geometry/test_ellipsoids.py.
+    "linearcurve": [], "bsplinecurve": [], "ellipsoids": [],
     "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],
     "mesh_attribute": [],  # only meshes have any: tests/textures/test_lookups.py
     "spectrum": [{"value": 0.4}],

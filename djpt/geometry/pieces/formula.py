@@ -1,4 +1,4 @@
-"""The first point where a ray goes into a piece of a curve."""
+"""The first point where a ray goes into a piece: of a curve, or an ellipsoid, which is a ball in its space."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All curves of a scene, as kernels read them: control points, pieces, and the surface at a hit."""
+"""All pieces of a scene, as kernels read them: control points, rows, and the surface of curves at a hit."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from djpt.frame import Frame3f
-from djpt.geometry.curves.pieces import WORDS, Pieces
+from djpt.geometry.pieces.cutting import CUBIC, ELLIPSOID, LINE, WORDS, Pieces
 from djpt.geometry.surface import Surface
 from djpt.kernels import float_in, maximum, minimum, own_copy, own_floats
 from djpt.types import Array4f, ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["CurveSet"]
+__all__ = ["PieceSet"]
 
 STEPS = 3
 """The steps from a piece to the cubic curve."""
@@ -34,32 +33,37 @@ class Place:
     dr: Float
 
 
-class CurveSet:
-    """The curves of a scene. A hit knows the number of its piece, counted through all of them."""
+class PieceSet:
+    """The pieces of all shapes of a scene that have some. A hit knows the number of its piece among them."""
 
-    def __init__(self, points: Sequence[NDArray[np.float64]], pieces: Sequence[Pieces]) -> None:
-        """`points` are the control points (N, 4) of each shape: place and radius."""
-        first = np.cumsum([0, *map(len, points)])
+    def __init__(self, pieces: Sequence[Pieces]) -> None:
+        first = np.cumsum([0, *(len(part.points) for part in pieces)])
         rows = []
         for start, part in zip(first, pieces, strict=False):
             own = part.rows.copy()
             own[:, 0] += np.uint32(start)
             rows.append(own)
-        self._points = own_floats(np.concatenate(points).astype(np.float32))
+        points = np.concatenate([part.points for part in pieces]).astype(np.float32)
+        self._points = own_floats(points if len(points) else np.zeros((1, 4), np.float32))
         self._rows = own_copy(np.concatenate(rows))
-        self._cubic = any(not part.closed for part in pieces)
-        self._linear = any(part.closed for part in pieces)
+        sorts = {int(sort) for part in pieces for sort in np.unique(part.rows[:, 3])}
+        self._linear, self._cubic, self.has_ellipsoids = (sort in sorts for sort in (LINE, CUBIC, ELLIPSOID))
+        self.has_curves = self._linear or self._cubic
 
     # ---- in kernels ------------------------------------------------------------------
 
     def segment(self, piece: UInt32, active: Bool | bool = True) -> UInt32:
-        """The number of a piece's segment in its shape."""
+        """The number of a piece's segment or ellipsoid in its shape."""
         return dr.gather(UInt32, self._rows, piece * WORDS + 1, active)
 
-    def surface(
+    def is_ellipsoid(self, piece: UInt32, active: Bool) -> Bool:
+        """Whether a piece is an ellipsoid."""
+        return dr.gather(UInt32, self._rows, piece * WORDS + 3, active) == ELLIPSOID
+
+    def curve(
         self, piece: UInt32, p: Point3f, d: Vector3f, along: Float, radii: tuple[Float, Float], active: Bool
     ) -> Surface:
-        """The surface point where a ray meets a piece; where not `active` it is unspecified.
+        """The surface point where a ray meets a piece of a curve; where not `active` it is unspecified.
 
         Args:
             piece: the number of the piece.
@@ -70,7 +74,8 @@ class CurveSet:
             active: where `piece` is the number of one.
         """
         words: Any = dr.gather(ArrayXu, self._rows, piece, active, shape=(WORDS, 1))
-        first, number, count, cubic, low, high = list(words)[:6]
+        first, number, count, sort, low, high = list(words)[:6]
+        cubic = sort == CUBIC
         low, high = float_in(low), float_in(high)
         if not self._cubic:
             v, place, p = self._on_line(first, p, along, radii, active)
@@ -79,13 +84,13 @@ class CurveSet:
         else:
             on_line = self._on_line(first, p, along, radii, active)
             on_cubic = self._on_cubic(first, p, d, dr.lerp(low, high, along), active)
-            v, place, p = dr.select(cubic != 0, on_cubic, on_line)
+            v, place, p = dr.select(cubic, on_cubic, on_line)
 
         tangent, out = unit(place.dc), unit(p - place.c)
         turned = dr.normalize(
             (dr.squared_norm(place.dc) - place.r * dr.dot(out, place.ddc)) * out - place.dr * place.dc
         )
-        n = out if not self._cubic else turned if not self._linear else dr.select(cubic != 0, turned, out)
+        n = out if not self._cubic else turned if not self._linear else dr.select(cubic, turned, out)
 
         rotation, origin, twist = local_axes(tangent, place)
         angle = dr.atan2(dr.dot(rotation, out), dr.dot(origin, out))
@@ -99,7 +104,7 @@ class CurveSet:
             inv = dr.rsqrt(dr.maximum(dr.squared_norm(place.dc), 1e-30))
             lean = around * twist - tangent * (dr.dot(out, bend) * inv)
             curved = dr.fma(lean, place.r, slide)
-            slide = curved if not self._linear else dr.select(cubic != 0, curved, slide)
+            slide = curved if not self._linear else dr.select(cubic, curved, slide)
         s = dr.normalize(dr.fma(n, -dr.dot(n, around), around))
         uv = Point2f(u, (v + Float(number)) / total)
         return Surface(p, n, Frame3f(s, dr.cross(n, s), n), uv, dp_du, slide * total, Point2f(v, 0))
