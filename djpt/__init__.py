@@ -192,6 +192,9 @@ sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_M
 # Before anything can import Dr.Jit, also the user's own `import mitsuba` on the next line.
 _prepare()
 
+if "IPython" in sys.modules:
+    importlib.import_module("djpt.display.notebooks").show_images()
+
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""

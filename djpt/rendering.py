@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.frozen import recording
 from djpt.description.properties import Properties
+from djpt.display.progress import Progress, watched
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
@@ -20,7 +21,7 @@ from djpt.schedules.base import Schedule
 from djpt.schedules.called_sums import prepare_sums
 from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
-from djpt.schedules.job import MAX_SAMPLES, Job, Progress, image_channels, require_countable
+from djpt.schedules.job import MAX_SAMPLES, Job, image_channels, require_countable
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.silhouettes.moving import attached_place
@@ -40,7 +41,7 @@ def render(
     spp_grad: int = 0,
     *,
     schedule: str = "auto",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     pass_spp: int = 0,
 ) -> TensorXf:
     """Render an image: TensorXf of shape (height, width, channels), linear float32, row 0 on top.
@@ -62,15 +63,14 @@ def render(
         schedule: `flat` (lanes are pixels), `machine` (lanes walk through a BVH, each at its own
             pace), both for integrators that advance vertex by vertex; `wave` (lanes are samples); or
             `auto`: the fastest.
-        progress: Called with (samples done, samples in all) after each pass.
+        progress: Called with (samples done, samples in all) after each pass; True shows a bar, in notebooks
+            and in terminals.
         pass_spp: Samples per pixel of one pass; 0 chooses. Changes time and memory, never the image.
 
     Raises:
         RenderError: Nothing to render, or arguments out of range.
     """
     begin_trace()
-    if progress is not None and not callable(progress):
-        raise RenderError(f"'progress' must be a function of (samples done, samples in all), found {progress!r}")
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)
     if type(estimator).render is not Integrator.render:
@@ -78,7 +78,8 @@ def render(
 
         camera, (seed, spp) = find_sensor(scene, sensor), (check_seed("seed", seed), check_count("spp", spp))
         return image_by_itself(estimator, scene, params, camera, seed, spp, seed_grad, spp_grad)
-    return film_image(scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, progress)
+    with watched(progress, "rendering", "samples") as shown:
+        return film_image(scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, shown)
 
 
 def film_image(

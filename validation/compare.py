@@ -11,10 +11,12 @@ are both biased alike.
 
 from __future__ import annotations
 
+import base64
+import html
 import math
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.description.overrides import described, override, rfilter_name
+from djpt.display.progress import Progress, watched
 from djpt.validation import metrics
 from djpt.validation.bridge import Renderer, mitsuba_renderer
 from djpt.validation.metrics import ComparisonError
@@ -29,8 +32,6 @@ from djpt.validation.same_seed import Agreement, agreement
 from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, noise_ratio, pixel_test
 
 __all__ = ["Comparison", "assert_matches", "compare", "compare_renderers", "djpt_renderer"]
-
-Progress = Callable[[int, int], None]
 
 _OUR_SEEDS, _THEIR_SEEDS = 0, 1
 
@@ -95,6 +96,18 @@ class Comparison:
 
         write_picture(self, path)
 
+    def _repr_html_(self) -> str:
+        """The picture and the table, for notebooks."""
+        png = base64.b64encode(self._repr_png_()).decode()
+        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+
+    def _repr_png_(self) -> bytes:
+        """djpt | Mitsuba | difference as a PNG, for notebooks."""
+        from djpt.images.image import Image
+        from djpt.validation.report import picture
+
+        return Image(picture(self))._repr_png_()
+
     def rows(self) -> list[tuple[str, str, str, str]]:
         """The rows of the table: (what, value, limit, verdict)."""
         limits = self.limits
@@ -149,7 +162,7 @@ def compare(
     integrator: str | Mapping[str, Any] | None = None,
     mitsuba_integrator: str | Mapping[str, Any] | None = None,
     schedule: str = "auto",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Comparison:
     """Render `scene` in djpt and in Mitsuba and compare the images.
 
@@ -169,7 +182,7 @@ def compare(
         integrator: Integrator, instead of the scene's, in both renderers.
         mitsuba_integrator: Integrator in Mitsuba, instead of `integrator`: compares two estimators of one image.
         schedule: djpt's schedule.
-        progress: Called with (renders done, renders in all).
+        progress: Called with (renders done, renders in all); True shows a bar.
 
     Raises:
         ComparisonError: The images can't be compared.
@@ -179,23 +192,24 @@ def compare(
     name, description = described(scene)
     description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     theirs = override(description, integrator=mitsuba_integrator)
-    return compare_renderers(
-        djpt_renderer(description, schedule),
-        mitsuba_renderer(theirs),
-        paired=mitsuba_renderer(theirs, optimize=False),
-        name=name,
-        spp=spp,
-        rmse=rmse,
-        same_seed=same_seed,
-        reference_spp=reference_spp,
-        seed=seed,
-        significance=significance,
-        batches=batches,
-        same_seed_spp=same_seed_spp,
-        same_estimator=mitsuba_integrator is None,
-        independent_pixels=rfilter_name(description) == "box",
-        progress=progress,
-    )
+    with watched(progress, "comparing", "renders") as shown:
+        return compare_renderers(
+            djpt_renderer(description, schedule),
+            mitsuba_renderer(theirs),
+            paired=mitsuba_renderer(theirs, optimize=False),
+            name=name,
+            spp=spp,
+            rmse=rmse,
+            same_seed=same_seed,
+            reference_spp=reference_spp,
+            seed=seed,
+            significance=significance,
+            batches=batches,
+            same_seed_spp=same_seed_spp,
+            same_estimator=mitsuba_integrator is None,
+            independent_pixels=rfilter_name(description) == "box",
+            progress=shown,
+        )
 
 
 def assert_matches(scene: Mapping[str, Any] | str, spp: int = 64, rmse: float | None = None, **options: Any) -> None:

@@ -32,7 +32,8 @@ def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = T
             are always kept (Mitsuba with ``optimize=False``).
 
     Returns:
-        A `djpt.Scene` if the type is ``scene``, else the plugin of that type.
+        A `djpt.Scene` if the type is ``scene``, else the plugin of that type; if several stand in its place, as for
+        ``merge``, a list of them.
 
     Raises:
         SceneError: the description is wrong; the message names the node.
@@ -59,13 +60,15 @@ class Loader:
         self.open: list[str] = []
         """Paths of the nodes under construction, outermost first; a reference to one of them is a cycle."""
 
-    def load(self) -> Plugin:
+    def load(self) -> Plugin | list[Plugin]:
         """Build the root, and with it all other nodes."""
         self.collect()
         with reading_once({name for name, count in self.files.items() if count > 1}):
             root = self._build("")
-        root.stand_alone()
-        return root
+        parts = root.expand()
+        for part in parts:
+            part.stand_alone()
+        return parts[0] if len(parts) == 1 else parts
 
     def collect(self) -> None:
         """Check the form of the description, and fill `nodes` and `paths`."""
@@ -191,6 +194,8 @@ class Loader:
                 value = self._build(below)
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
+                values |= parts_of(value, key, {*node, *values} - {key})
+                continue
             values[key] = value
 
         def place(key: str) -> str:
@@ -210,3 +215,11 @@ class Loader:
             identity: str = node.get("id", path)
             return identity
         return path
+
+
+def parts_of(plugin: Plugin, key: str, taken: set[str]) -> dict[str, Plugin]:
+    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`; usually itself, as `key`."""
+    parts = plugin.expand()
+    if parts == [plugin]:
+        return {key: plugin}
+    return {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}

@@ -162,6 +162,10 @@ class Plugin(Holder):
             if isinstance(child, Plugin):
                 callback.put(name, child)
 
+    def expand(self) -> list[Plugin]:
+        """The plugins that stand in the place of this one in the node around it: usually itself alone."""
+        return [self]
+
     def stand_alone(self) -> None:
         """Prepare for questions outside of a scene: called if the plugin is the root of a description."""
 

@@ -16,5 +16,6 @@ if TYPE_CHECKING:
     from djpt.emitters.point import PointLight as PointLight
     from djpt.emitters.projector import Projector as Projector
     from djpt.emitters.spot import SpotLight as SpotLight
+    from djpt.emitters.sunsky import SunSky as SunSky
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

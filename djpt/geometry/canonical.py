@@ -15,12 +15,16 @@ from typing import Any
 import drjit as dr
 
 from djpt.arithmetic import KERNELS, Arithmetic
+from djpt.geometry.pieces.formula import hit_piece
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["FLAT_KINDS", "HITS", "KINDS", "LocalSurface", "intersect", "surface"]
+__all__ = ["FLAT_KINDS", "KINDS", "PIECE", "LocalSurface", "hit_kind", "intersect", "surface"]
 
-KINDS = ("rectangle", "disk", "cube", "sphere", "cylinder")
-"""The square [-1, 1]^2, the unit disk, the cube [-1, 1]^3, the unit sphere, the unit cylinder 0 <= z <= 1."""
+KINDS = ("rectangle", "disk", "cube", "sphere", "cylinder", "piece")
+"""The square [-1, 1]^2, the unit disk, the cube [-1, 1]^3, the unit sphere, the unit cylinder 0 <= z <= 1; pieces of
+curves, whose records have the number of the piece added to the kind, and two radii."""
+
+PIECE = KINDS.index("piece")
 
 
 @dataclass
@@ -39,12 +43,17 @@ FLAT_KINDS = 3
 """So many of the first `KINDS` are flat, or meshes in Mitsuba."""
 
 
-def intersect(kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt: Float) -> tuple[Bool, Float]:
-    """The first hit with 0 < t < maxt of a shape whose `kind` is among `kinds`, numbers into KINDS."""
-    hit, t = HITS[KINDS[kinds[0]]](KERNELS, o, d)
+def intersect(
+    kinds: Sequence[int], kind: UInt32, o: Point3f, d: Vector3f, maxt: Float, radii: Sequence[Float]
+) -> tuple[Bool, Float]:
+    """The first hit with 0 < t < maxt of a shape whose `kind` is among `kinds`, numbers into KINDS.
+
+    `radii` are those of a piece.
+    """
+    hit, t = hit_kind(KERNELS, kinds[0], o, d, radii)
     for k in kinds[1:]:
-        other_hit, other_t = HITS[KINDS[k]](KERNELS, o, d)
-        here = kind == k
+        other_hit, other_t = hit_kind(KERNELS, k, o, d, radii)
+        here = kind >= k if k == PIECE else kind == k
         hit, t = dr.select(here, other_hit, hit), dr.select(here, other_t, t)
     return hit & (t > 0) & (t < maxt), t
 
@@ -58,6 +67,11 @@ def surface(kinds: Sequence[int], kind: UInt32, p: Point3f) -> LocalSurface:
 
 
 # ---- intersection ------------------------------------------------------------------------
+
+
+def hit_kind(m: Arithmetic, kind: int, o: Any, d: Any, radii: Sequence[Any]) -> tuple[Any, Any]:
+    """Whether a line hits a shape of a kind, and where; `radii` are those of a piece."""
+    return hit_piece(m, o, d, *radii) if kind == PIECE else HITS[KINDS[kind]](m, o, d)
 
 
 # Formulas of an arithmetic `m`, an origin and a direction. They return whether the line hits, and where.

@@ -55,7 +55,7 @@ class Contents:
         self._copied = [(instance, original, placed(instance, original)) for instance, original in copies]
         self.shapes: list[Shape] = [*shapes, *inner, *(copied for _, _, copied in self._copied)]
         analytic = [i for i, s in enumerate(self.shapes) if not unseen(s) and not s.of_triangles]
-        self._solids = self._for_tree(analytic)
+        self._solids = self._for_tree(analytic) + [i for i in analytic if self.shapes[i].in_pieces]
         self.analytic = [i for i in analytic if i not in set(self._solids)]
         """Indices of the shapes to be unrolled."""
         self._meshes = [i for i, s in enumerate(self.shapes) if s.of_triangles]
@@ -100,6 +100,7 @@ class Contents:
 
         Large ones stay unrolled: most rays come near them, and they often share axes.
         """
+        analytic = [i for i in analytic if not self.shapes[i].in_pieces]
         if len(analytic) <= MAX_UNROLLED:
             return []
         sizes = {i: size(self.shapes[i]) for i in analytic}

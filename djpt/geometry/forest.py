@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 from djpt.geometry.bvh.extent import Extent
 from djpt.geometry.bvh.leaves import PlacedLeaves
 from djpt.geometry.bvh.records import EMITS, LEAF, PORTAL, SOLID
-from djpt.geometry.canonical import KINDS
+from djpt.geometry.canonical import KINDS, PIECE
 from djpt.geometry.engines import new_trees
 from djpt.geometry.mesh_part import MeshPart
 from djpt.geometry.mesh_set import MeshSet
+from djpt.geometry.pieces.cutting import Pieces
+from djpt.geometry.pieces.piece_set import PieceSet
 from djpt.geometry.query import RayTree
 from djpt.shapes.base import Shape
 
@@ -34,6 +37,9 @@ class Placement:
 class Forest:
     """The trees of a scene, which build its records and renew them after an edit."""
 
+    pieces: PieceSet | None = None
+    """The pieces of the world's shapes that consist of some; None if there are none."""
+
     def __init__(
         self, meshes: MeshSet, parts: Sequence[int], solids: Sequence[Shape], placements: Sequence[Placement]
     ) -> None:
@@ -41,7 +47,7 @@ class Forest:
 
         `solids` are analytic shapes of the world, numbered after the meshes.
         """
-        self._meshes, self._solids, self._placements = meshes, list(solids), list(placements)
+        self._meshes, self._solids, self._placements = meshes, list[Any](solids), list(placements)
         self._parts = [int(n) for n in np.cumsum([0, *parts])]
         self._trees = new_trees()
 
@@ -50,12 +56,20 @@ class Forest:
         parts = self._mesh_parts()
         nothing = np.zeros((0, 6), np.float32)
         groups = [self._trees.fit(i, part, nothing) for i, part in enumerate(parts) if i > 0]
-        boxes = [solid_box(shape) for shape in self._solids]
-        boxes += [placed_box(groups[p.group - 1], p.to_world) for p in self._placements]
-        self._trees.fit(0, parts[0], np.array([np.concatenate(box) for box in boxes]).reshape(-1, 6).astype(np.float32))
+        in_pieces = [shape for shape in self._solids if shape.in_pieces]
+        pieces = [shape.pieces() for shape in in_pieces]
+        self.pieces = PieceSet(pieces) if pieces else None
+        boxes = [self._solid_boxes(), *(part.boxes for part in pieces)]
+        boxes.append(box_rows([placed_box(groups[p.group - 1], p.to_world) for p in self._placements]))
+        placed = np.concatenate(boxes).astype(np.float32)
+        self._trees.fit(0, parts[0], placed)
         kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
-        placed = self._placed_leaves(groups) if boxes else None
-        return self._trees.packed(placed, kinds, self.emits)
+        leaves = self._placed_leaves(groups, in_pieces, pieces) if len(placed) else None
+        return self._trees.packed(leaves, kinds, self.emits)
+
+    def _solid_boxes(self) -> NDArray[np.float64]:
+        """The boxes of the solids that aren't in pieces."""
+        return box_rows([solid_box(shape) for shape in self._solids if not shape.in_pieces])
 
     def _mesh_parts(self) -> list[MeshPart]:
         """The meshes of the world, and of each group."""
@@ -68,15 +82,20 @@ class Forest:
             for first, last in zip(self._parts, self._parts[1:], strict=False)
         ]
 
-    def _placed_leaves(self, groups: Sequence[Extent]) -> PlacedLeaves:
+    def _placed_leaves(
+        self, groups: Sequence[Extent], in_pieces: Sequence[Any], pieces: Sequence[Pieces]
+    ) -> PlacedLeaves:
         """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
         starts, first = self._trees.starts(), len(self._meshes.meshes)
         inverse, label, detail, side = [], [], [], []
         for i, shape in enumerate(self._solids):
-            inverse.append(np.linalg.inv(shape.to_world.matrix)[:3])
-            label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter() is None else EMITS) | (first + i))
-            detail.append(kind_of(shape))
-            side.append(-1.0 if shape.flip_normals else 1.0)
+            if not shape.in_pieces:
+                inverse.append(np.linalg.inv(shape.to_world.matrix)[:3])
+                label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter() is None else EMITS) | (first + i))
+                detail.append(kind_of(shape))
+                side.append(-1.0 if shape.flip_normals else 1.0)
+        solids = leaves_of(inverse, label, detail, side)
+        inverse, label, detail, side = [], [], [], []
         for i, placement in enumerate(self._placements):
             into = np.linalg.inv(placement.to_world)[:3]
             into[:, 3] -= groups[placement.group - 1].center
@@ -84,12 +103,14 @@ class Forest:
             label.append(LEAF | PORTAL | i)
             detail.append(starts[placement.group])
             side.append(1.0)
-        return PlacedLeaves(
-            np.array(inverse),
-            np.array(label, np.uint32),
-            np.array(detail, np.uint32),
-            np.array(side, np.float32),
-        )
+        parts, number = [], PIECE
+        for shape, part in zip(in_pieces, pieces, strict=True):
+            maps, radii = part.maps, part.radii
+            own = np.full(len(maps), LEAF | PORTAL | SOLID | (first + self._solids.index(shape)), np.uint32)
+            numbers = np.arange(number, number + len(maps), dtype=np.uint32)
+            parts.append(PlacedLeaves(maps, own, numbers, radii[:, 0].copy(), radii[:, 1].copy()))
+            number += len(maps)
+        return PlacedLeaves.joined([solids, *parts, leaves_of(inverse, label, detail, side)])
 
     @property
     def emits(self) -> bool:
@@ -103,6 +124,22 @@ class Forest:
     def statistics(self) -> tuple[int, int, float]:
         """Nodes and levels of all trees, and the SAH cost of the world's."""
         return self._trees.statistics()
+
+
+def leaves_of(inverse: list[Any], label: list[int], detail: list[int], side: list[float]) -> PlacedLeaves:
+    """Leaves from lists of their fields."""
+    return PlacedLeaves(
+        np.array(inverse, np.float64).reshape(-1, 3, 4),
+        np.array(label, np.uint32),
+        np.array(detail, np.uint32),
+        np.array(side, np.float32),
+        np.zeros(len(side), np.float32),
+    )
+
+
+def box_rows(boxes: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> NDArray[np.float64]:
+    """Boxes, given by their corners, as rows (P, 6)."""
+    return np.array([np.concatenate(box) for box in boxes], np.float64).reshape(-1, 6)
 
 
 def kind_of(shape: Shape) -> int:

@@ -16,10 +16,11 @@ from djpt.frame import Frame3f, coordinate_system
 from djpt.geometry.bvh.approach import enter
 from djpt.geometry.bvh.records import LEAF, NUMBER, PORTAL, SOLID
 from djpt.geometry.bvh.traversal import into_group
-from djpt.geometry.canonical import FLAT_KINDS
+from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
 from djpt.geometry.forest import Forest
 from djpt.geometry.mesh_set import MeshSet
+from djpt.geometry.pieces.piece_set import PieceSet
 from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
@@ -118,8 +119,14 @@ class Triangles:
         index: UInt32 = face - self._first_face.at(mesh)
         if self.tree.kinds:
             words = self.tree.map_rows(record)
-            local, _ = into_group(words, p - self.tree.center, Vector3f(0))
-            solid = canonical_surface(self.tree.kinds, words[13], local).triangle
+            solid = UInt32(0)
+            if self._solid_kinds:
+                local, _ = into_group(words, p - self.tree.center, Vector3f(0))
+                solid = canonical_surface(self._solid_kinds, words[13], local).triangle
+            if self.forest.pieces is not None:
+                is_piece = self._is_piece(words)
+                segment = self.forest.pieces.segment(words[13] - PIECE, is_piece)
+                solid = dr.select(is_piece, segment, solid)
             index = dr.select(mesh < self._mesh_count, index, solid)
         return index
 
@@ -138,7 +145,7 @@ class Triangles:
         without the corners.
         """
         if self.tree.kinds:
-            solid = self._solid(near, d, t, record)
+            solid = self._placed(near, d, t, record)
             if not self.meshes.meshes:
                 return solid
             is_solid = self.tree.word(record, LABEL, record != NONE) & SOLID
@@ -162,11 +169,47 @@ class Triangles:
             frame = self.meshes.smooth_frame(dr.select(half[4] >= LEAF, half[5], 0), weights, n, dp_du)
         return Surface(p, n, frame, weights, dp_du, frame.t, weights)
 
-    def _solid(self, near: Near, d: Vector3f, t: Float, record: UInt32) -> Surface:
-        """The point on an analytic shape."""
+    @property
+    def _solid_kinds(self) -> list[int]:
+        """The kinds of analytic shapes that are whole, not in pieces."""
+        return [kind for kind in self.tree.kinds if kind != PIECE]
+
+    @staticmethod
+    def _is_piece(words: list[UInt32]) -> Bool:
+        """Whether the record of a placed primitive, by its words, is a piece of a curve."""
+        return (words[12] >= LEAF) & ((words[12] & SOLID) != 0) & (words[13] >= PIECE)
+
+    def _placed(self, near: Near, d: Vector3f, t: Float, record: UInt32) -> Surface:
+        """The point on an analytic shape or a curve."""
         words = self.tree.map_rows(record)
+        if self.forest.pieces is None:
+            return self._solid(near, d, t, words)
+        piece = self._piece(near, d, t, words, self.forest.pieces)
+        return dr.select(self._is_piece(words), piece, self._solid(near, d, t, words)) if self._solid_kinds else piece
+
+    def _piece(self, near: Near, d: Vector3f, t: Float, words: list[UInt32], pieces: PieceSet) -> Surface:
+        """The point on a curve or an ellipsoid."""
         o, local_d = into_group(words, near.origin, d)
-        local = canonical_surface(self.tree.kinds, words[13], dr.fma(local_d, t, o))
+        local, p = dr.fma(local_d, t, o), dr.fma(d, t, near.origin) + self.tree.center
+        number, active = words[13] - PIECE, self._is_piece(words)
+        curve: Any = None
+        if pieces.has_curves:
+            radii = dr.abs(float_in(words[14])), float_in(words[15])
+            curve = pieces.curve(number, p, d, local.z, radii, active)
+        if not pieces.has_ellipsoids:
+            return curve
+        zero, n = Vector3f(0), Vector3f(local)
+        ball = Surface(zero, n, Frame3f(zero, zero, n), Point2f(0), zero, zero, Point2f(0))
+        ellipsoid = to_world(words, ball)
+        ellipsoid.p = p
+        if curve is None:
+            return ellipsoid
+        return dr.select(pieces.is_ellipsoid(number, active), ellipsoid, curve)
+
+    def _solid(self, near: Near, d: Vector3f, t: Float, words: list[UInt32]) -> Surface:
+        """The point on an analytic shape."""
+        o, local_d = into_group(words, near.origin, d)
+        local = canonical_surface(self._solid_kinds, words[13], dr.fma(local_d, t, o))
         zero = Vector3f(0)
         point = Surface(zero, local.n, Frame3f(zero, zero, local.n), local.uv, local.dp_du, local.dp_dv, Point2f(0))
         placed = to_world(words, point)

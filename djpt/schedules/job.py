@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached, Ensemble
+from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.films import Film
 from djpt.integrators.base import Integrator
@@ -19,10 +20,7 @@ from djpt.scene import Scene
 from djpt.sensors import Sensor
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, UInt32
 
-__all__ = ["Band", "Job", "Progress", "image_channels", "require_countable"]
-
-Progress = Callable[[int, int], None]
-"""Called with (samples done, samples in all) after each pass."""
+__all__ = ["MAX_SAMPLES", "Band", "Job", "image_channels", "require_countable"]
 
 MAX_SAMPLES = 2**32
 """Samples are numbered in 32 bits."""

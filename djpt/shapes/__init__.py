@@ -10,15 +10,20 @@ if TYPE_CHECKING:
     from djpt.shapes.base import Face as Face
     from djpt.shapes.base import Hit as Hit
     from djpt.shapes.base import Shape as Shape
+    from djpt.shapes.bsplinecurve import BSplineCurve as BSplineCurve
     from djpt.shapes.cone import Cone as Cone
     from djpt.shapes.cube import Cube as Cube
     from djpt.shapes.cuboid import Cuboid as Cuboid
+    from djpt.shapes.curve import Curves as Curves
     from djpt.shapes.cylinder import Cylinder as Cylinder
     from djpt.shapes.disk import Disk as Disk
+    from djpt.shapes.ellipsoids import Ellipsoids as Ellipsoids
     from djpt.shapes.implicit import Implicit as Implicit
     from djpt.shapes.implicit import Metaballs as Metaballs
     from djpt.shapes.implicit import Torus as Torus
     from djpt.shapes.instance import Instance as Instance
+    from djpt.shapes.linearcurve import LinearCurve as LinearCurve
+    from djpt.shapes.merge import Merge as Merge
     from djpt.shapes.mesh import Mesh as Mesh
     from djpt.shapes.obj import Obj as Obj
     from djpt.shapes.plane import Plane as Plane

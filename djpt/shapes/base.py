@@ -66,6 +66,8 @@ class Shape(ShapeQuestions):
     """The name in `djpt.geometry.canonical` of the shape that `to_world` maps to this one; None if there is none."""
     of_triangles: ClassVar[bool] = False
     """Whether the shape is a mesh, whose triangles stand in the scene's BVH."""
+    in_pieces: ClassVar[bool] = False
+    """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.pieces`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

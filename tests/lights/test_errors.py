@@ -53,6 +53,14 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"type": "projector", "fov": 40.0, "focal_length": "30mm"}, "'focal_length' can't be given together with 'fov'"),
     ({"type": "projector", "focal_length": "wide"}, "'focal_length' must be a positive length"),
     ({"type": "projector", "to_world": SHEARED}, "'to_world' must not shear"),
+    ({"type": "sunsky", "turbidity": 11.0}, r"'turbidity' must lie in \[1, 10\], found 11"),
+    ({"type": "sunsky", "sun_scale": -1.0}, "'sun_scale' must be at least 0, found -1"),
+    ({"type": "sunsky", "albedo": 1.5}, "'albedo' must"),
+    ({"type": "sunsky", "albedo": CHECKERBOARD}, "'albedo' can't vary: it is that of all the ground"),
+    ({"type": "sunsky", "sun_direction": [0, 0, 0]}, "'sun_direction' must not be zero"),
+    ({"type": "sunsky", "sun_direction": [0, 0, 1], "hour": 9.0}, "can't be given together with 'hour'"),
+    ({"type": "sunsky", "sun_aperture": 0.0}, r"'sun_aperture' must lie in \(0, 180\), found 0"),
+    ({"type": "sunsky", "day": 1.5}, "'day' must be an integer"),
 ]
 
 

@@ -23,10 +23,11 @@ import numpy.typing as npt
 
 from djpt.description.loader import load_dict
 from djpt.description.overrides import described, override
+from djpt.display.progress import Progress
 from djpt.errors import DjptError, RenderError, near_miss
 from djpt.rendering import render
 from djpt.scene import Scene
-from djpt.schedules.job import MAX_SAMPLES, Progress
+from djpt.schedules.job import MAX_SAMPLES
 from djpt.validation.bridge import mitsuba_renderer
 from djpt.validation.ladder.steps import STEPS, Step
 from djpt.validation.metrics import pair

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from djpt.description.loader import load_dict
 from djpt.description.overrides import described, override
+from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.images.sheets import Tile, shown
 from djpt.images.tone_mapping import stops
 from djpt.rendering import channel_names, render
-from djpt.schedules.job import Progress
 from djpt.validation.ladder.measure import BATCHES, colors, seeds
 from djpt.validation.ladder.steps import STEPS
 from djpt.validation.statistics import Batches

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,9 @@ class PlacedLeaves:
     detail: NDArray[np.uint32]
     """The kind of a shape, or where the group's tree begins, (P,)."""
     side: NDArray[np.float32]
-    """-1 for shapes with flipped normals, else 1, (P,)."""
+    """-1 for shapes with flipped normals, else 1; of pieces the first radius, (P,)."""
+    last: NDArray[np.float32]
+    """Of pieces the last radius, (P,)."""
 
     def write(
         self, words: NDArray[np.uint32], at: NDArray[np.uint32], of: NDArray[np.int32], center: NDArray[np.float32]
@@ -67,6 +70,12 @@ class PlacedLeaves:
         words[at, 12] = self.label[of]
         words[at, 13] = self.detail[of]
         words[at, 14] = self.side[of].view(np.uint32)
+        words[at, 15] = self.last[of].view(np.uint32)
+
+    @staticmethod
+    def joined(parts: Sequence[PlacedLeaves]) -> PlacedLeaves:
+        """The leaves of all parts, in order."""
+        return PlacedLeaves(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(PlacedLeaves)))
 
 
 @dataclass

@@ -192,7 +192,7 @@ def test_solid(
     through_lights: Bool | None,
 ) -> Cursor:
     """Test the analytic shape at `record`, which the cursor has passed already; `ray` is in the shape's space."""
-    hit, t = intersect(records.kinds, words[13], *ray, cursor.t)
+    hit, t = intersect(records.kinds, words[13], *ray, cursor.t, [float_in(word) for word in words[14:16]])
     hit &= (words[12] & SOLID) != 0
     if through_lights is not None:
         hit &= ~(through_lights & ((words[12] & EMITS) != 0))

@@ -55,6 +55,10 @@ class Placed:
         """A whole number of the record."""
         return self._f.load(I32, self._address.at(4 * (ROW_WORDS + index)))
 
+    def float(self, index: int) -> Value:
+        """A number of the record."""
+        return self._f.load(F32, self._address.at(4 * (ROW_WORDS + index)))
+
     def into(self, o: Sequence[Value], d: Sequence[Value]) -> tuple[Triple, Triple]:
         """A ray in the primitive's space; distances stay the same."""
         origin, direction = [], []

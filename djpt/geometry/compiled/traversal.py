@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from djpt.geometry.bvh.records import SOLID
-from djpt.geometry.canonical import HITS, KINDS
+from djpt.geometry.canonical import PIECE, hit_kind
 from djpt.geometry.compiled.layout import (
     CHILDREN,
     LEAF,
@@ -27,7 +27,7 @@ from djpt.geometry.compiled.layout import (
 )
 from djpt.geometry.compiled.placed import Features, Placed, Triple
 from djpt.geometry.compiled.ray import BoxRay, PlaneRay, RayTerms, TriangleTest
-from djpt.geometry.query import DETAIL, LABEL
+from djpt.geometry.query import DETAIL, LABEL, RADII
 from djpt.llvm import arithmetic
 from djpt.llvm.arithmetic import any_of, lowest_bit, select
 from djpt.llvm.ir import F32, I8, I32, I64, PTR, Function, Loop, Module, Type, Value, Variable
@@ -328,8 +328,9 @@ class Search:
         """Test a solid of one of the scene's kinds."""
         f = self.f
         for k in self.features.kinds:
-            with f.when(kind == k):
-                hit, t = HITS[KINDS[k]](arithmetic, o, d)
+            with f.when(kind >= k if k == PIECE else kind == k):
+                radii = [placed.float(RADII + end) for end in range(2)] if k == PIECE else []
+                hit, t = hit_kind(arithmetic, k, o, d, radii)
                 hit = hit & (t > 0.0) & (t < self.reach.value)
                 if self.features.lights:
                     hit = hit & ~self.passed(placed.record)

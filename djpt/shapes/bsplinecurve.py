@@ -1,0 +1,33 @@
+"""Cubic B-spline curves."""
+
+from __future__ import annotations
+
+from djpt.description.plugin import ParamFlags
+from djpt.description.registry import register_shape
+from djpt.geometry.pieces.cutting import Pieces, cubic_pieces
+from djpt.shapes.curve import Curves
+from djpt.shapes.questions import ShapeType
+
+__all__ = ["BSplineCurve"]
+
+
+class BSplineCurve(Curves):
+    """Tubes along uniform cubic B-splines: the circles across them, whose radii are splines, too; open at the ends.
+
+    Parameters: `filename` (at least four points per curve, see `djpt.shapes.curve`), `to_world`. uv = (the angle around
+    the curve / 2 pi, (segment + v) / segments) with the parameter v of the segment; angles count from a direction
+    across that is horizontal if z is up.
+
+    Rays meet straight pieces, which are within 1 % of the radius of the curve; from there the surface point is moved
+    onto the curve, so that its place, normal and uv are exact.
+    """
+
+    shape_kind = ShapeType.BSplineCurve
+    least_points = 4
+    flags = ParamFlags.Differentiable | ParamFlags.Discontinuous
+
+    def pieces(self) -> Pieces:
+        return cubic_pieces(self.placed_points(), self.segments)
+
+
+register_shape("bsplinecurve", BSplineCurve)

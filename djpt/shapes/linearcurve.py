@@ -1,0 +1,28 @@
+"""Curves of straight segments."""
+
+from __future__ import annotations
+
+from djpt.description.registry import register_shape
+from djpt.geometry.pieces.cutting import Pieces, linear_pieces
+from djpt.shapes.curve import Curves
+from djpt.shapes.questions import ShapeType
+
+__all__ = ["LinearCurve"]
+
+
+class LinearCurve(Curves):
+    """Curves of straight segments between control points: the hulls of balls about neighbouring points.
+
+    Parameters: `filename` (at least two points per curve, see `djpt.shapes.curve`), `to_world`. uv = (the angle around
+    the segment / 2 pi, (segment + v) / segments) with v along the segment; angles count from a direction across that is
+    horizontal if z is up.
+    """
+
+    shape_kind = ShapeType.LinearCurve
+    least_points = 2
+
+    def pieces(self) -> Pieces:
+        return linear_pieces(self.placed_points(), self.segments)
+
+
+register_shape("linearcurve", LinearCurve)

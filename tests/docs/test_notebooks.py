@@ -1,0 +1,44 @@
+"""The notebooks of the documentation run, show pictures, and are kept without results."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.kit.notebooks import NOTEBOOKS, cells, shows
+from tests.kit.processes import ROOT
+
+pytestmark = pytest.mark.skipif(not NOTEBOOKS, reason="not a working copy of the repository")
+
+LIBRARIES = {"against_mitsuba": ("mitsuba",), "pytorch_and_jax": ("torch", "jax")}
+"""What notebooks need besides djpt: one of these."""
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    libraries = LIBRARIES.get(notebook.stem, ())
+    if libraries and not any(map(importlib.util.find_spec, libraries)):
+        pytest.skip(f"needs {' or '.join(libraries)}")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    results = [cell.run(names) for cell in cells(notebook)]
+    assert any(map(shows, results)), "no cell shows a picture"
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_kept_without_results(notebook: Path) -> None:
+    for cell in cells(notebook):
+        assert cell.stored["outputs"] == [] and cell.stored["execution_count"] is None, f"cell {cell.number}"
+        compile(cell.code, notebook.name, "exec")  # no magics: plain Python
+    stored = json.loads(notebook.read_text())
+    assert (stored["nbformat"], stored["nbformat_minor"]) == (4, 5)
+    assert notebook.read_text() == json.dumps(stored, indent=1, ensure_ascii=False) + "\n"
+
+
+def test_all_notebooks_are_listed() -> None:
+    page = (ROOT / "docs" / "notebooks.md").read_text()
+    assert [path.stem for path in NOTEBOOKS if f"notebooks/{path.name}" not in page] == []
