@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import FileError
+from djpt.files import read_bytes, writing
 
 __all__ = ["TensorField", "read_tensors", "tensor_fields", "write_tensors"]
 
@@ -48,10 +49,7 @@ def tensor_fields(path: str | os.PathLike[str]) -> tuple[dict[str, TensorField],
     Raises:
         FileError: there is no such file, it isn't a tensor file, or it ends too early.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise FileError(f"'{path}' can't be read: {error.strerror}") from None
+    data = read_bytes(path)
     if not data.startswith(HEADER):
         raise FileError(f"'{path}' isn't a tensor file of version 1.0")
     place = len(HEADER)
@@ -111,10 +109,8 @@ def write_tensors(path: str | os.PathLike[str], tensors: dict[str, Any], align: 
         head += struct.pack("<HBQ", array.ndim, TYPES.index(array.dtype.name) + 1, size + len(body))
         head += struct.pack(f"<{array.ndim}Q", *array.shape)
         body += array.astype(array.dtype.newbyteorder("<")).tobytes()
-    try:
-        Path(path).write_bytes(head + body)
-    except OSError as error:
-        raise FileError(f"'{path}' can't be written: {error.strerror}") from None
+    with writing(Path(path)) as temporary:
+        temporary.write_bytes(head + body)
     return len(head) + len(body)
 
 

@@ -16,7 +16,7 @@ from drjit.scalar import Array3u as ScalarArray3u
 from numpy.typing import NDArray
 
 from djpt.errors import ArgumentError, FileError
-from djpt.files import read_bytes
+from djpt.files import read_bytes, writing
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 
 __all__ = ["VolumeGrid"]
@@ -146,10 +146,8 @@ class VolumeGrid:
         if not isinstance(path, (str, os.PathLike)):
             path.write(data)
             return
-        try:
-            Path(path).write_bytes(data)
-        except OSError as error:
-            raise FileError(f"'{path}' can't be written: {error.strerror}") from None
+        with writing(Path(path)) as temporary:
+            temporary.write_bytes(data)
 
     def __repr__(self) -> str:
         largest = ", ".join(f"{x:g}" for x in self._max_per_channel)
