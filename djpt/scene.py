@@ -187,7 +187,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
     def _view(self) -> Scene:
         """A shallow copy, to be changed in what makes it a view."""
         view = copy.copy(self)
-        view._families = {}
+        view._families, view.is_view = {}, True
         note_latest(view)
         return view
 

@@ -6,6 +6,7 @@ where gradients are tracked expects the result to depend on the parameters of th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -14,10 +15,10 @@ import drjit as dr
 from djpt.dispatch.ensemble import Attached, Detached, Ensemble, Lookup
 from djpt.types import Float
 
-__all__ = ["followed"]
+__all__ = ["followed", "prepare_followed"]
 
-_made: WeakKeyDictionary[Ensemble[Any], tuple[Any, Attached]] = WeakKeyDictionary()
-"""The lookups of ensembles, with the values that they were made for."""
+_latest: WeakKeyDictionary[Ensemble[Any], tuple[Any, Attached]] = WeakKeyDictionary()
+"""The lookups that were made last for each ensemble, with the values that they were made for: for use in loops."""
 
 
 def is_tracking() -> bool:
@@ -30,7 +31,8 @@ def is_tracking() -> bool:
 def followed(ensemble: Ensemble[Any], values: Lookup) -> Lookup:
     """`values`, or if some values of the ensemble have gradients, and these are tracked, lookups attached to them.
 
-    Within a loop that Dr.Jit records tables can't be made: there it is `values`, unless the ensemble was asked before.
+    Within a loop that Dr.Jit records tables can't be made: there it is `values`, unless there are tables from before.
+    Outside of loops they are made anew, because a traversal cuts the way from them to the values.
     """
     if type(values) is not Detached or not is_tracking():
         return values
@@ -43,12 +45,19 @@ def followed(ensemble: Ensemble[Any], values: Lookup) -> Lookup:
     if not found:
         return values
     key = dr.detail.collect_indices(list(found.values()))
-    made = _made.get(ensemble)
-    if made is not None and made[0] == key:
-        return made[1]
     if dr.flag(dr.JitFlag.SymbolicScope):
-        return values
+        made = _latest.get(ensemble)
+        return made[1] if made is not None and made[0] == key else values
     attached = Attached(found)
     attached.prepare(ensemble.leaves())
-    _made[ensemble] = key, attached
+    _latest[ensemble] = key, attached
     return attached
+
+
+def prepare_followed(ensembles: Iterable[Ensemble[Any]], values: Lookup) -> None:
+    """Make the tables that a script's loop will need if it tracks gradients."""
+    if type(values) is not Detached or dr.flag(dr.JitFlag.SymbolicScope):
+        return
+    with dr.resume_grad():
+        for ensemble in ensembles:
+            followed(ensemble, values)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from typing import Any, cast
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import NONE, Family
+from djpt.dispatch.followed import prepare_followed
 from djpt.dispatch.pointers import ShapePtr
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
@@ -28,6 +30,8 @@ class RayQuestions:
     _families: dict[Any, Family[Any]]
     _differentiated: list[tuple[int, Any]]
     """The shapes whose place has gradients, with their indices."""
+    is_view = False
+    """Whether it is a view of a scene, which rendering has made."""
 
     def closest_hit(
         self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
@@ -37,6 +41,10 @@ class RayQuestions:
 
     def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
         """The surface point of a preliminary intersection."""
+        raise NotImplementedError
+
+    def ensembles(self) -> Sequence[Ensemble[Any]]:
+        """The plugins whose values a path vertex looks up."""
         raise NotImplementedError
 
     def ray_intersect_preliminary(
@@ -121,6 +129,9 @@ class RayQuestions:
         """Make a record one of this scene, to which also those belong that `dr.zeros` makes from now on."""
         record.home = {self: ()}
         note_latest(self)
+        if not self.is_view:
+            # A script traces a ray before the loop in which it may want gradients.
+            prepare_followed(self.ensembles(), self.lookup)
 
     def surface_interaction_of(
         self, pi: PreliminaryIntersection3f, ray: Ray3f, ray_flags: int = RayFlags.All, active: Bool | bool = True

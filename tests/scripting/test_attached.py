@@ -189,25 +189,54 @@ def test_scripts_differentiate_what_they_compute_themselves(mi: Any) -> None:
     np.testing.assert_allclose(own_estimate(djpt), own_estimate(mi), rtol=1e-4)
 
 
-def test_parameters_with_gradients_are_read_in_loops() -> None:
-    """Without their gradients, unless they were read before: tables can't be made in a loop that Dr.Jit records."""
-    box = small_box()
-    params = djpt.traverse(box)
-    dr.enable_grad(params["white.reflectance.value"])
+def lit_floor() -> tuple[Any, Any, Any, Any]:
+    """A floor whose reflectance has gradients: scene, parameters, and two rays with the value that they find."""
+    floor = djpt.load_dict({"type": "scene", "floor": {"type": "rectangle"}, "light": {"type": "constant"}})
+    params, ray = djpt.traverse(floor), djpt.Ray3f(djpt.Point3f(0, [0, 0.1], 1), djpt.Vector3f(0, 0, -1))
+    dr.enable_grad(params["floor.bsdf.reflectance.value"])
     params.update()
-    si = box.ray_intersect(djpt.Ray3f(djpt.Point3f(0, [0, 0.1], 0), [0.1, -1, 0.2]))
+    return (
+        floor,
+        lambda: dr.grad(params["floor.bsdf.reflectance.value"]).x[0],
+        ray,
+        lambda si: si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)).x,
+    )
 
-    def sums() -> djpt.Float:
-        _, total = dr.while_loop(
-            (djpt.UInt32(0, 0), djpt.Float(0, 0)),
-            lambda i, total: i < 3,
-            lambda i, total: (i + 1, total + si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)).x),
-        )
-        return total
 
-    before = np.array(dr.detach(sums()))
-    once = si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)).x
-    np.testing.assert_allclose(before, 3 * np.array(dr.detach(once)), rtol=1e-6)
-    np.testing.assert_allclose(np.array(dr.detach(sums())), before, rtol=1e-6)
+def test_each_evaluation_has_a_gradient() -> None:
+    """A traversal cuts the way from one evaluation to the parameter, not from the next."""
+    floor, gradient, ray, value = lit_floor()
+    for times in (1, 2, 3):
+        dr.backward(dr.sum(value(floor.ray_intersect(ray))))
+        assert gradient() == pytest.approx(times * 2 / np.pi)
     with dr.suspend_grad():
-        assert not dr.grad_enabled(si.bsdf().eval(djpt.BSDFContext(), si, djpt.Vector3f(0, 0, 1)))
+        assert not dr.grad_enabled(value(floor.ray_intersect(ray)))
+
+
+@pytest.mark.parametrize("preliminary", [True, False])
+def test_gradients_in_a_loop_of_a_script(preliminary: bool) -> None:
+    """Tables can't be made in a loop that Dr.Jit records: those made for a ray before it serve."""
+    floor, gradient, ray, value = lit_floor()
+    for times in (1, 2):
+        with dr.suspend_grad():
+            pi = floor.ray_intersect_preliminary(ray) if preliminary else floor.ray_intersect(ray)
+
+            def body(i: djpt.UInt32, found: Any = pi) -> tuple[djpt.UInt32]:
+                si = found.compute_surface_interaction(ray) if preliminary else found
+                with dr.resume_grad():
+                    dr.backward_from(value(si))
+                return (i + 1,)
+
+            dr.eval(dr.while_loop((djpt.UInt32(0, 0),), lambda i: i < 3, body))
+        assert gradient() == pytest.approx(times * 3 * 2 / np.pi)
+
+
+def test_a_loop_before_any_ray_reads_values() -> None:
+    """Without gradients, as there are no tables yet."""
+    floor, _, ray, value = lit_floor()
+    _, total = dr.while_loop(
+        (djpt.UInt32(0, 0), djpt.Float(0, 0)),
+        lambda i, total: i < 3,
+        lambda i, total: (i + 1, total + value(floor.ray_intersect(ray))),
+    )
+    np.testing.assert_allclose(np.array(dr.detach(total)), 3 * 0.5 / np.pi, rtol=1e-6)

@@ -126,10 +126,10 @@ def compare_class(name: PublicName, ours: Any) -> str | None:
 
 
 def compare_array_type(name: PublicName, ours: Any) -> str | None:
-    """Compare the element type and the size of two types of arrays."""
+    """Compare the element type and the size of two types of arrays; other classes of Dr.Jit may be derived from."""
     import drjit as dr
 
-    if ours is name.value:
+    if ours is name.value or (inspect.isclass(ours) and issubclass(ours, name.value)):
         return None
     if not (inspect.isclass(ours) and dr.is_array_v(ours) and dr.is_array_v(name.value)):
         return f"another type: {getattr(ours, '__name__', ours)}"
