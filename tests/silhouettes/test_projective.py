@@ -113,8 +113,15 @@ def attached(name: str) -> tuple[Float, Any]:
     return theta, scene(name, theta)
 
 
-@pytest.mark.parametrize("kind", INTEGRATORS)
-@pytest.mark.parametrize("name", SCENES)
+QUICK = (("a bright sphere", "direct_projective"), ("a bright mesh", "prb_projective"))
+CASES = [
+    pytest.param(name, kind, marks=() if (name, kind) in QUICK else pytest.mark.slow)
+    for name in SCENES
+    for kind in INTEGRATORS
+]
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
 def test_derivatives_by_the_place_of_a_shape(name: str, kind: str) -> None:
     """Forward mode agrees with differences within noise, and 3 per cent, since a guide leaves out what it hasn't found.
 
