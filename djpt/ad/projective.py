@@ -145,9 +145,9 @@ class ProjectiveDetail:
         """Learn a grid from a random point in each cell and round."""
         parent, grid = self.parent, self._grid()
         sampler = sensor.sampler().clone()
-        sampler.seed(seed, grid.num_cells)
         total = dr.zeros(Float, grid.num_cells)
-        for _ in range(parent.guiding_rounds):
+        for k in range(parent.guiding_rounds):
+            sampler.seed(k + seed, grid.num_cells)
             total += self._mass(scene, sensor, grid.random_cell_sample(sampler), sampler)
             dr.eval(total)
         self._use(grid, total / parent.guiding_rounds)

@@ -15,6 +15,7 @@ from djpt.integrators.base import Integrator
 from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.scene import Scene
 from djpt.silhouettes.moving import exchanged
+from djpt.silhouettes.normals import with_normals
 from djpt.types import TensorXf
 
 __all__ = ["attached_view", "image_by_itself"]
@@ -80,7 +81,7 @@ class OwnDerivative:
         fresh = [type(value)(value) for value in self._values]
         dr.enable_grad(fresh)
         values = dict(zip(self._places, fresh, strict=True))
-        with exchanged(values):
+        with exchanged(with_normals(values, self._scene.shapes())):
             yield fresh, attached_view(self._scene, values)
 
     def backward(self, image: TensorXf) -> list[Any]:
