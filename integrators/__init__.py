@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from djpt.integrators.path_nee import PathNEE as PathNEE
     from djpt.integrators.prb import PRB as PRB
     from djpt.integrators.prb_basic import PRBBasic as PRBBasic
+    from djpt.integrators.prbvolpath import PRBVolumetricPath as PRBVolumetricPath
     from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
     from djpt.integrators.raycast import Raycast as Raycast
     from djpt.integrators.unidirectional import UnidirectionalPath as UnidirectionalPath

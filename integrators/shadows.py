@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.kernels import wide
 from djpt.records import SHADOW_EPSILON, BSDFFlags, Ray3f, has_flag
-from djpt.samplers.base import SampleStream
+from djpt.samplers.base import SampleStream, go_on_with
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def light_through_null(scene: Scene, sampler: SampleStream, ray: Ray3f, light: C
     with dr.suspend_grad():
         plain = scene.with_lookup(scene.lookup.plain()) if differentiable else scene
         end = walked(plain, sampler, dr.detach(ray), Color3f(1), dr.detach(lit), differentiable)
+    go_on_with(sampler, end.sampler)
     arrives = dr.select(lit, end.light, 0)
     if differentiable:
         arrives = reattached(scene, sampler, ray, arrives, end.lengths)
@@ -95,6 +96,8 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f
     """The share of light that arrives, with its derivatives by what the way through each medium leaves."""
     attached = arrives
     for number, length in enumerate(lengths):
+        if scene.media.plugins[number].is_tracked:
+            continue
         segment = aimed(ray, ray.o, UInt32(number))
         segment.maxt = length
         left = left_over(scene, sampler, segment, Bool(False))

@@ -12,7 +12,7 @@ from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.shadows import light_through_null
 from djpt.integrators.unidirectional import UNBOUNDED, UnidirectionalPath, roulette
-from djpt.media.base import Flight, of_channel
+from djpt.media.flight import Flight, of_channel
 from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.records.flags import PhaseFunctionContext
 from djpt.records.media import MediumInteraction3f

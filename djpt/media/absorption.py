@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 
+from djpt.description.plugin import Plugin
 from djpt.materials.base import BSDF
-from djpt.media.base import Flight, Medium
+from djpt.media.base import Medium
+from djpt.media.flight import Flight
 from djpt.records import Ray3f
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
@@ -19,6 +23,7 @@ class AbsorbingBody(Medium):
 
     children = ("bsdf",)
     m_is_homogeneous = True
+    is_tracked = False
     m_sample_emitters = False
     m_has_spectral_extinction = False  # no distance is sampled by a channel
     bsdf: BSDF
@@ -27,6 +32,9 @@ class AbsorbingBody(Medium):
         super().__init__()
         self.set_id(f"{bsdf.id()}.absorption")
         self.bsdf = bsdf
+
+    def without_derivatives(self) -> Sequence[Plugin]:
+        return []
 
     def get_majorant(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         return dr.select(active, -dr.log(self.bsdf.transmittance(Float(1))), 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -10,38 +10,16 @@ import drjit as dr
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
-from djpt.kernels import minimum
+from djpt.dispatch.scripted import accept_scripts
+from djpt.kernels import maximum, minimum
+from djpt.media import tracking
+from djpt.media.flight import Flight, of_channel
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32
 
-__all__ = ["FAR", "Flight", "Medium", "of_channel"]
-
-FAR = 1e30
-"""The length of a ray without an end: times a coefficient of 0 it is 0, unlike infinity."""
-
-
-@dataclass
-class Flight:
-    """A segment of a path in a medium, as long as it was sampled."""
-
-    t: Float
-    """Where light is scattered; unspecified where it isn't."""
-    scattered: Bool
-    """True where the segment ends in the medium, else the light has passed it."""
-    value: Color3f
-    """The transmittance of what was flown, times the scattering coefficient where light is scattered."""
-    pdf: Color3f
-    """The density of such a flight if the distance had been sampled by each channel's coefficient; detached.
-
-    Factors that `value` and `pdf` share are left out of both.
-    """
-
-    @staticmethod
-    def none() -> Flight:
-        """A segment without a medium."""
-        return Flight(Float(dr.inf), Bool(False), Color3f(1), Color3f(1))
+__all__ = ["Medium"]
 
 
 class Medium(Plugin):
@@ -59,6 +37,8 @@ class Medium(Plugin):
     """
 
     kind: ClassVar[str] = "medium"
+    is_tracked: ClassVar[bool] = True
+    """Whether flights are tracked, collision by collision; else they have a closed form."""
 
     m_sample_emitters: bool = True
     m_is_homogeneous: bool = False
@@ -74,6 +54,10 @@ class Medium(Plugin):
             Properties("isotropic", f"{props.node}.phase_function", {}, f"{props.id()}.phase_function")
         )
         self.m_sample_emitters = props.boolean("sample_emitters", True)
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        accept_scripts(cls, CONVERSIONS)
 
     def traverse(self, callback: TraversalCallback) -> None:
         if self.phase is not None:
@@ -96,6 +80,10 @@ class Medium(Plugin):
     def has_spectral_extinction(self) -> bool:
         """Whether the extinction may differ between the channels."""
         return self.m_has_spectral_extinction
+
+    def without_derivatives(self) -> Sequence[Plugin]:
+        """The plugins in the medium that images have no derivatives by: of what trackers read; by default all."""
+        return [self]
 
     # ---- in kernels: coefficients ------------------------------------------------------
 
@@ -149,23 +137,47 @@ class Medium(Plugin):
     # ---- in kernels: flights, as integrators ask for them ----------------------------------
 
     def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
-        """Sample how far light gets on a segment of a ray with a unit direction.
+        """Sample how far light gets on a segment of a ray with a unit direction; by default by delta tracking.
 
-        Where `active`, numbers are drawn from `stream`. `channel` is the one that samples distances; None if the
-        extinction of no medium differs between channels.
+        Where `active`, numbers are drawn from `stream`. `channel` is the one that samples distances in closed form;
+        None if the extinction of no medium differs between channels.
         """
-        raise NotImplementedError
+        return tracking.fly(self, ray, length, stream, active)
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
-        """The share of light that is left after a segment of a ray with a unit direction, or an estimate of it.
+        """The share of light that is left after a segment of a ray with a unit direction; by default by ratio tracking.
 
-        Where `active`, numbers are drawn from `stream`, which only an estimate needs.
+        Where `active`, an estimate draws numbers from `stream`; a closed form needs none.
         """
-        raise NotImplementedError
+        assert stream is not None
+        return tracking.transmittance(self, ray, length, stream, active)
+
+    # ---- in kernels: what trackers ask for ---------------------------------------------------
+
+    def majorants(self, ray: Ray3f) -> tracking.Majorants:
+        """A function that gives a majorant of all channels from a point of a ray on, and where it ends to hold."""
+        color = self.get_majorant(MediumInteraction3f.on(ray, Float(0)))
+        largest = maximum(maximum(color.x, color.y), color.z)
+        return lambda t, active: (largest, Float(dr.inf))
+
+    def extinction_at(self, mi: MediumInteraction3f, u: Float, active: Bool | bool = True) -> Color3f:
+        """sigma_t at a point, or an estimate of it from a uniform number."""
+        return self.get_scattering_coefficients(mi, active)[2]
+
+    def albedo_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The scattered share of the light that meets matter at a point."""
+        sigma_s, _, sigma_t = self.get_scattering_coefficients(mi, active)
+        return dr.select(sigma_t > 0, sigma_s * dr.rcp(sigma_t), 0)
 
 
-def of_channel(color: Color3f, channel: UInt32 | None) -> Float:
-    """The component of a channel; of a grey, which needs no channel, the first."""
-    if channel is None:
-        return color.x
-    return dr.select(channel == 0, color.x, dr.select(channel == 1, color.y, color.z))
+def as_span(found: Sequence[Any]) -> tuple[Bool, Float, Float]:
+    """Convert what a script's `intersect_aabb` returns."""
+    meets, mint, maxt = found
+    return Bool(meets), Float(mint), Float(maxt)
+
+
+CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    "get_majorant": Color3f,
+    "get_scattering_coefficients": lambda found: tuple(Color3f(color) for color in found),
+    "intersect_aabb": as_span,
+}

@@ -8,12 +8,13 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from djpt.description.numeric import non_negative
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.errors import SceneError
 from djpt.kernels import as_float, minimum
-from djpt.media.base import FAR, Flight, Medium, of_channel
+from djpt.media.base import Medium
+from djpt.media.flight import FAR, Flight, of_channel
 from djpt.records import Ray3f
 from djpt.records.flags import PhaseFunctionFlags, has_flag
 from djpt.records.media import MediumInteraction3f
@@ -38,6 +39,7 @@ class Homogeneous(Medium):
     children = ("albedo", "sigma_t", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction")
     m_is_homogeneous = True
+    is_tracked = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -56,6 +58,9 @@ class Homogeneous(Medium):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         return as_float(non_negative(value)) if name == "scale" else value
+
+    def without_derivatives(self) -> Sequence[Plugin]:
+        return []
 
     def has_spectral_extinction(self) -> bool:
         return self.m_has_spectral_extinction and not self.sigma_t.is_grey

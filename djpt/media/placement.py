@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
+from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family, Pointer
 from djpt.dispatch.lookup import Members, Numbers
@@ -22,7 +23,8 @@ from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.dispatch.phases import PhaseFunctionPtr
-    from djpt.media.base import Flight, Medium
+    from djpt.media.base import Medium
+    from djpt.media.flight import Flight
     from djpt.samplers.base import SampleStream
 
 __all__ = ["Media", "absorbing_sides", "all_sides"]
@@ -81,6 +83,17 @@ class Media:
     def ensembles(self) -> Sequence[Ensemble[Any]]:
         """The plugins whose values kernels look up: media and their phase functions."""
         return (self.ensemble, self._phases) if self.plugins else ()
+
+    def without_derivatives(self) -> set[int]:
+        """The ids of plugins that images have no derivatives by: what trackers read."""
+        waiting: list[Any] = [plugin for medium in self.plugins for plugin in medium.without_derivatives()]
+        found: set[int] = set()
+        while waiting:
+            plugin = waiting.pop()
+            found.add(id(plugin))
+            children = (getattr(plugin, name) for name in plugin.children)
+            waiting += [child for child in children if isinstance(child, Plugin)]
+        return found
 
     @property
     def scatter(self) -> bool:
@@ -167,7 +180,7 @@ class Media:
 
     def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, lookup: Lookup) -> Flight:
         """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
-        from djpt.media.base import Flight
+        from djpt.media.flight import Flight
 
         assert ray.medium is not None
         flight = Flight.none()

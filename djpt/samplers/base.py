@@ -15,7 +15,7 @@ from djpt.errors import RenderError
 from djpt.kernels import opaque
 from djpt.types import Bool, Float, Point2f, UInt32
 
-__all__ = ["SampleIndex", "SampleStream", "Sampler", "WavefrontIndex"]
+__all__ = ["SampleIndex", "SampleStream", "Sampler", "WavefrontIndex", "go_on_with"]
 
 Own = TypeVar("Own", bound="Sampler")
 
@@ -254,6 +254,11 @@ class Sampler(Plugin):
     def _traverse_1_cb_rw(self, callback: Callable[..., Any]) -> None:
         """Let Dr.Jit replace the variables of the state."""
         dr.detail.traverse_py_cb_rw(self, callback)
+
+
+def go_on_with(stream: SampleStream, other: SampleStream) -> None:
+    """Let a stream go on where `other`, the stream that a loop was left with, has come to."""
+    vars(stream).update(vars(other))
 
 
 def is_state(value: Any) -> bool:

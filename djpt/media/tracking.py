@@ -1,0 +1,132 @@
+"""Flights through media whose extinction varies: delta tracking and ratio tracking.
+
+Matter that has no effect is added until the extinction is the same everywhere, a majorant m. Distances are then
+sampled in closed form; a collision at p is real with the probability sigma_t(p) / m, and otherwise the light goes on
+(E. Woodcock et al., 1965). The share of light that passes a segment is estimated by the product of 1 - sigma_t / m over
+all collisions (J. Novak, A. Selle and W. Jarosz, "Residual Ratio Tracking", SIGGRAPH Asia 2014). Majorants may change
+along the ray: a flight that reaches the end of one goes on from there, since it has no memory.
+
+Both are linear in sigma_t at each collision, so an estimate with the right mean serves as well as the value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.kernels import maximum, minimum, wide
+from djpt.media.flight import Flight
+from djpt.records import Ray3f
+from djpt.records.media import MediumInteraction3f
+from djpt.samplers.base import SampleStream, go_on_with
+from djpt.types import Bool, Color3f, Float
+
+if TYPE_CHECKING:
+    from djpt.media.base import Medium
+
+__all__ = ["Majorants", "fly", "transmittance"]
+
+Majorants = Callable[[Float, "Bool | bool"], tuple[Float, Float]]
+"""Gives the majorant at a point of a ray, and the distance where it ends to hold; it must lie beyond the point."""
+
+LITTLE = 0.1
+"""Estimates of a transmittance below it are ended by Russian roulette, or raised to `KEPT`."""
+KEPT = 0.5
+
+
+@dataclass
+class Track:
+    """A flight, or a segment whose transmittance is estimated: loop state."""
+
+    t: Float
+    weight: Color3f
+    """Of a flight, the weight that the choice between channels leaves; else the transmittance so far."""
+    collided: Bool
+    stream: Any
+    active: Bool
+
+
+def fly(medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> Flight:
+    """Sample how far light gets on a segment of a ray with a unit direction, by delta tracking.
+
+    If sigma_t differs between channels, a collision is real with the mean of their probabilities.
+    """
+    start, end = span(medium, ray, length, active)
+    majorants, coloured = medium.majorants(ray), medium.has_spectral_extinction()
+
+    def step(track: Track) -> tuple[Track]:
+        t, meets, share = collision(medium, majorants, ray, end, track)
+        probability = dr.mean(share) if coloured else share.x
+        real = meets & (track.stream.next_1d(meets) < probability)
+        weight = track.weight
+        if coloured:
+            weight = weight * dr.select(real, share * dr.rcp(probability), (1 - share) * dr.rcp(1 - probability))
+            weight = dr.select(meets, weight, track.weight)
+        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end)),)
+
+    track = run(step, start, end, stream, active, "delta tracking")
+    albedo = medium.albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
+    return Flight(track.t, track.collided, dr.select(track.collided, track.weight * albedo, track.weight), Color3f(1))
+
+
+def transmittance(medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> Color3f:
+    """An estimate of the share of light that passes a segment of a ray with a unit direction, by ratio tracking."""
+    start, end = span(medium, ray, length, active)
+    majorants = medium.majorants(ray)
+
+    def step(track: Track) -> tuple[Track]:
+        t, meets, share = collision(medium, majorants, ray, end, track)
+        left = dr.select(meets, track.weight * (1 - share), track.weight)
+        chance = dr.max(left) * (1 / KEPT)
+        little = meets & (chance * KEPT < LITTLE)
+        survives = ~little | (track.stream.next_1d(little) < chance)
+        left = dr.select(survives, dr.select(little, left * dr.rcp(chance), left), 0)
+        return (Track(t, left, Bool(False), track.stream, track.active & survives & (t < end)),)
+
+    return run(step, start, end, stream, active, "ratio tracking").weight
+
+
+def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float, Float]:
+    """The part of a segment that lies in the medium's box; an empty one where there is none."""
+    meets, mint, maxt = medium.intersect_aabb(ray)
+    start = maximum(mint, Float(0))
+    return start, dr.select(meets & active, minimum(maxt, length), start)
+
+
+def collision(
+    medium: Medium, majorants: Majorants, ray: Ray3f, end: Float, track: Track
+) -> tuple[Float, Bool, Color3f]:
+    """Go on to the next collision, real or not, or to where the majorant ends to hold.
+
+    Returned are the distance, whether there is a collision, and sigma_t / majorant there.
+    """
+    majorant, holds = majorants(track.t, track.active)
+    inverse = dr.rcp(majorant)
+    reach = minimum(holds, end)
+    t = track.t - dr.log(1 - track.stream.next_1d(track.active)) * inverse
+    meets = track.active & (t < reach)
+    mei = MediumInteraction3f.on(ray, t)
+    share = medium.extinction_at(mei, track.stream.next_1d(meets), meets) * inverse
+    return dr.select(meets, t, reach), meets, share
+
+
+def run(
+    step: Callable[[Track], tuple[Track]], start: Float, end: Float, stream: SampleStream, active: Bool, label: str
+) -> Track:
+    """Make steps until the segment is through, and leave the stream where they have left it."""
+    lanes = dr.width(start, end, stream, active)
+    first = Track(
+        t=wide(start, lanes),
+        weight=dr.ones(Color3f, lanes),
+        collided=dr.full(Bool, False, lanes),
+        stream=stream,
+        active=(active & (start < end)) | dr.full(Bool, False, lanes),
+    )
+    # What a tracker reads has no derivatives: see `Medium.without_derivatives`.
+    with dr.suspend_grad():
+        (track,) = dr.while_loop((first,), lambda track: track.active, step, label=label)
+    go_on_with(stream, track.stream)
+    return track

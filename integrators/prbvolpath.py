@@ -1,0 +1,21 @@
+"""The volumetric path tracer with the parameters of Mitsuba's differentiable one."""
+
+from __future__ import annotations
+
+from djpt.description.registry import register_integrator
+from djpt.integrators.volpath import VolumetricPath
+
+__all__ = ["PRBVolumetricPath"]
+
+
+class PRBVolumetricPath(VolumetricPath):
+    """`volpath` with the default `max_depth` 6.
+
+    Its derivatives are those of `volpath`, by path replay: by albedos, phase functions, emission and materials, and by
+    the extinction of homogeneous media.
+    """
+
+    default_max_depth = 6
+
+
+register_integrator("prbvolpath", PRBVolumetricPath)
