@@ -74,7 +74,7 @@ def test_the_description_is_not_modified() -> None:
     assert description == before
 
 
-NEED_FILES = "obj ply serialized sdfgrid linearcurve bsplinecurve ellipsoids ellipsoidsmesh".split()
+NEED_FILES = ["obj", "ply", "serialized", "sdfgrid", "linearcurve", "bsplinecurve", "ellipsoids", "ellipsoidsmesh"]
 """Shapes that need a file, or as many numbers as a file has."""
 
 
