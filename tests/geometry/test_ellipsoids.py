@@ -319,3 +319,39 @@ def test_a_shell_of_ones_own() -> None:
     assert mesh.face_count() == 4 * COUNT
     with pytest.raises(djpt.SceneError, match="'shell' can't be 'cone'; possible: box, default, ico_sphere, uv_sphere"):
         djpt.load_dict({**ellipsoids(cloud(), shell="cone"), "type": "ellipsoidsmesh"})
+
+
+@pytest.mark.parametrize("way", ["call", "steps"])
+def test_all_sorts_of_pieces_in_one_scene(way: str, tmp_path: Path) -> None:
+    """Curves of both sorts, ellipsoids, shells in an instance, solids and a mesh: each is hit as if it were alone."""
+    points = np.column_stack([np.linspace(-1, 1, 8), np.sin(np.arange(8)), np.cos(np.arange(8)), np.full(8, 0.1)])
+    path = tmp_path / "curve.txt"
+    path.write_text("\n".join(" ".join(map(str, row)) for row in points))
+    group = {"type": "shapegroup", "cloud": {**ellipsoids(cloud(3), extent=1.0), "type": "ellipsoidsmesh"}}
+    parts = {
+        "line": {"type": "linearcurve", "filename": str(path), "to_world": T().translate([0, 0, 0.7])},
+        "cubic": {"type": "bsplinecurve", "filename": str(path)},
+        "cloud": ellipsoids(cloud(), extent=1.0),
+        "shells": {"type": "instance", "to_world": T().rotate([0, 0, 1], 50), "group": group},
+        "mesh": djpt.Mesh("mesh", [[-1, -1, 0.5], [1, -1, 0.5], [0, 1, 0.4]], [[0, 1, 2]]),
+        **{
+            f"ball{k}": {"type": "sphere", "center": [0.08 * k - 1, 0.5, -0.5], "radius": 0.03 + 0.001 * k}
+            for k in range(26)
+        },
+    }
+    (o, d), found = rays(), {}
+    with ray_queries(way):
+        whole = hits(djpt.load_dict({"type": "scene", **parts}), o, d)
+        for name, part in parts.items():
+            found[name] = hits(djpt.load_dict({"type": "scene", name: part}), o, d)
+    names, distances = list(found), np.array([np.array(si.t) for si in found.values()])
+    first = distances.argmin(axis=0)
+    np.testing.assert_allclose(np.array(whole.t), distances.min(axis=0), rtol=1e-4)
+    for k, name in enumerate(names[:5]):
+        mine = (first == k) & np.isfinite(distances[k])
+        assert mine.sum() > 5, name
+        # Origins are moved near other boxes: the last bits differ.
+        for field in ("n", "p"):
+            a, b = (np.array(getattr(si, field))[:, mine] for si in (whole, found[name]))
+            assert (np.abs(a - b).max(axis=0) < 5e-3).mean() > 0.95, (name, field)
+        assert (np.array(whole.prim_index)[mine] == np.array(found[name].prim_index)[mine]).mean() > 0.97, name
