@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from djpt.geometry.bvh.extent import Extent
 from djpt.geometry.bvh.leaves import PlacedLeaves
-from djpt.geometry.bvh.records import EMITS, LEAF, PORTAL, SOLID
+from djpt.geometry.bvh.records import EMITS, LEAF, ONE_SIDED, PORTAL, SOLID
 from djpt.geometry.canonical import KINDS, PIECE
 from djpt.geometry.engines import new_trees
 from djpt.geometry.mesh_part import MeshPart
@@ -65,7 +65,7 @@ class Forest:
         self._trees.fit(0, parts[0], placed)
         kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
         leaves = self._placed_leaves(groups, in_pieces, pieces) if len(placed) else None
-        return self._trees.packed(leaves, kinds, self.emits)
+        return self._trees.packed(leaves, kinds, self.emits, self._one_sided)
 
     def _solid_boxes(self) -> NDArray[np.float64]:
         """The boxes of the solids that aren't in pieces."""
@@ -75,7 +75,11 @@ class Forest:
         """The meshes of the world, and of each group."""
         meshes, bounds = self._meshes.meshes, [*self._meshes.first_face, self._meshes.face_count]
         labels = np.array(
-            [i | (LEAF if m.emitter() is None else LEAF | EMITS) for i, m in enumerate(meshes)], np.uint32
+            [
+                LEAF | i | (0 if m.emitter() is None else EMITS) | (ONE_SIDED if m.one_sided else 0)
+                for i, m in enumerate(meshes)
+            ],
+            np.uint32,
         )
         return [
             MeshPart(meshes[first:last], labels[first:last], bounds[first])
@@ -111,6 +115,11 @@ class Forest:
             parts.append(PlacedLeaves(maps, own, numbers, radii[:, 0].copy(), radii[:, 1].copy()))
             number += len(maps)
         return PlacedLeaves.joined([solids, *parts, leaves_of(inverse, label, detail, side)])
+
+    @property
+    def _one_sided(self) -> bool:
+        """Whether rays pass through the backs of some meshes."""
+        return any(mesh.one_sided for mesh in self._meshes.meshes)
 
     @property
     def emits(self) -> bool:

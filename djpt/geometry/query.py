@@ -8,13 +8,27 @@ from typing import Any, Protocol
 from djpt.records import Ray3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["ANALYTIC", "DETAIL", "FACE", "LABEL", "NONE", "RADII", "Cursor", "Found", "Near", "Query", "RayTree"]
+__all__ = [
+    "ANALYTIC",
+    "DETAIL",
+    "FACE",
+    "LABEL",
+    "NONE",
+    "NORMAL",
+    "RADII",
+    "Cursor",
+    "Found",
+    "Near",
+    "Query",
+    "RayTree",
+]
 
 NONE = 0
 """The record number that means "nothing was hit"."""
 
-LABEL, DETAIL, RADII = 4, 5, 6
-"""Words of a record's row: its label, the face or what a placed primitive is, and the first radius of a piece."""
+NORMAL, LABEL, DETAIL, RADII = 1, 4, 5, 6
+"""Words of a record's row: the first of the normal, the label, the face or what a placed primitive is, and the first
+radius of a piece."""
 
 ANALYTIC = 0x80000000
 """A bit of `Query.cursor.hit`: set where the rest is the number of an unrolled face, not of a record."""

@@ -117,6 +117,9 @@ class Triangles:
         face = self.tree.word(record, DETAIL, record != NONE)
         mesh = self.mesh_of(record)
         index: UInt32 = face - self._first_face.at(mesh)
+        if any(shape.faces_per_primitive != 1 for shape in self.meshes.meshes):
+            parts = [shape.faces_per_primitive for shape in self.meshes.meshes]
+            index = index // Numbers([*parts, *([1] * (len(self._shapes) - len(parts)))]).at(mesh)
         if self.tree.kinds:
             words = self.tree.map_rows(record)
             solid = UInt32(0)

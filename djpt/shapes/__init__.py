@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from djpt.shapes.cylinder import Cylinder as Cylinder
     from djpt.shapes.disk import Disk as Disk
     from djpt.shapes.ellipsoids import Ellipsoids as Ellipsoids
+    from djpt.shapes.ellipsoidsmesh import EllipsoidsMesh as EllipsoidsMesh
     from djpt.shapes.implicit import Implicit as Implicit
     from djpt.shapes.implicit import Metaballs as Metaballs
     from djpt.shapes.implicit import Torus as Torus

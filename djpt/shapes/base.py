@@ -66,6 +66,10 @@ class Shape(ShapeQuestions):
     """The name in `djpt.geometry.canonical` of the shape that `to_world` maps to this one; None if there is none."""
     of_triangles: ClassVar[bool] = False
     """Whether the shape is a mesh, whose triangles stand in the scene's BVH."""
+    one_sided: ClassVar[bool] = False
+    """Of meshes: whether rays that come from behind pass through."""
+    faces_per_primitive: int = 1
+    """Of meshes: how many triangles have one number in `SurfaceInteraction3f.prim_index`."""
     in_pieces: ClassVar[bool] = False
     """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.pieces`."""
 

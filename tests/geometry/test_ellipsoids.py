@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.geometry.engines import ray_queries
-from djpt.shapes.ellipsoids import rotations
+from djpt.shapes.ellipsoid_cloud import rotations
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point3f, TensorXf, Vector3f
 from tests.kit.axes import unit
@@ -236,3 +236,122 @@ def test_a_file_of_something_else(tmp_path: Path) -> None:
     path = ply(["x", "y", "z"], np.zeros((1, 3)), tmp_path / "points.ply")
     with pytest.raises(djpt.SceneError, match="ellipsoids need the properties x y z nx ny nz"):
         djpt.load_dict({"type": "ellipsoids", "filename": path})
+
+
+# ---------------------------------------------------------------- shells
+
+
+SHELLS = {"ico_sphere": 20, "box": 12, "uv_sphere": 72}
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_shells_enclose_the_ellipsoids(shell: str) -> None:
+    data = cloud()
+    mesh = djpt.load_dict({**ellipsoids(data, shell=shell, extent=1.5), "type": "ellipsoidsmesh"})
+    assert mesh.primitive_count() == SHELLS[shell] * COUNT == mesh.face_count()
+    table = data.astype(np.float64)
+    axes = rotations(table[:, 6:]) * (1.5 * table[:, 3:6])[:, None, :]
+    vertices = mesh.positions.reshape(COUNT, -1, 3) - table[:, None, :3]
+    local = np.einsum("nij,nvj->nvi", np.linalg.inv(axes), vertices)
+    np.testing.assert_allclose(local, np.broadcast_to(local[:1], local.shape), atol=1e-4)
+    corners = local[0][mesh.indices[: SHELLS[shell]]]
+    assert np.linalg.norm(corners, axis=2).min() > 1 - 1e-4
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((normals * corners.mean(axis=1)).sum(axis=1) > 0).all(), "a triangle is turned inwards"
+    edges = np.sort(mesh.indices[: SHELLS[shell]][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all(), "the shell isn't closed"
+
+
+@pytest.mark.parametrize("way", ["call", "steps"])
+def test_shells_are_met_from_outside_alone(way: str) -> None:
+    data, (o, d) = cloud()[:1], rays(2000)
+    data[0, :6] = [0.1, 0.2, 0.3, 0.4, 0.3, 0.2]
+    with ray_queries(way):
+        shell = {**ellipsoids(data, extent=1.0), "type": "ellipsoidsmesh"}
+        square = {"type": "rectangle", "to_world": T().translate([0, 0, -3]).scale(0.1)}
+        plate = djpt.Mesh("plate", [[-1, -1, -2], [1, -1, -2], [0, 1, -2]], [[0, 1, 2]])
+        scene = djpt.load_dict({"type": "scene", "shell": shell, "plate": plate, "square": square})
+    si = hits(scene, o, d)
+    of_shell = np.array(si.is_valid()) & (np.array(si.t) < 1e4) & (np.abs(np.array(si.p)[2] + 2) > 1e-3)
+    of_shell &= np.abs(np.array(si.p)[2] + 3) > 1e-3
+    assert of_shell.mean() > 0.02 and (np.array(dr.dot(si.n, Vector3f(d)))[of_shell] < 0).all()
+    inside = np.repeat(data[0, :3, None], 500, axis=1)
+    away = np.random.default_rng(0).normal(size=(3, 500)).astype(np.float32)
+    away[2] = np.abs(away[2])
+    assert not np.array(hits(scene, inside, away).is_valid()).any()
+    assert not np.array(scene.ray_test(djpt.Ray3f(Point3f(inside), Vector3f(away)))).any()
+    # A plain mesh is met from behind as well.
+    below = np.array([[0.0], [-0.5], [-4]], np.float32)
+    assert hits(scene, below, np.array([[0.0], [0], [1]], np.float32)).t[0] == pytest.approx(2)
+
+
+def test_shells_are_numbered_by_ellipsoid() -> None:
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("llvm_ad_rgb")
+    data, (o, d) = cloud(), rays()
+    tints = np.random.default_rng(1).random((COUNT, 3)).astype(np.float32)
+    mine = djpt.load_dict({"type": "scene", "c": {**ellipsoids(data, tint=TensorXf(tints)), "type": "ellipsoidsmesh"}})
+    shell = {"type": "ellipsoidsmesh", "data": mi.TensorXf(data), "tint": mi.TensorXf(tints)}
+    its = mi.load_dict({"type": "scene", "c": shell})
+    a, b = hits(mine, o, d), its.ray_intersect(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)))
+    both = np.array(a.is_valid()) & np.array(b.is_valid())
+    assert (np.array(a.is_valid()) == np.array(b.is_valid())).mean() > 0.999 and both.mean() > 0.1
+    assert (np.abs(np.array(a.t) - np.array(b.t))[both] < 1e-4).mean() > 0.999
+    assert (np.array(a.prim_index) == np.array(b.prim_index))[both].mean() > 0.999
+    found = np.array(mine.shapes()[0].eval_attribute_3("tint", a))[:, both]
+    np.testing.assert_array_equal(found, tints[np.array(a.prim_index)[both]].T)
+
+
+def test_shells_follow_their_data() -> None:
+    scene = djpt.load_dict({"type": "scene", "c": {**ellipsoids(cloud()), "type": "ellipsoidsmesh"}})
+    params = djpt.traverse(scene)
+    params["c.data"] = cloud(1).ravel()
+    params.update()
+    o, d = rays(500)
+    again = djpt.load_dict({"type": "scene", "c": {**ellipsoids(cloud(1)), "type": "ellipsoidsmesh"}})
+    np.testing.assert_array_equal(np.array(hits(scene, o, d).t), np.array(hits(again, o, d).t))
+
+
+def test_a_shell_of_ones_own() -> None:
+    corners = [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]
+    shell = djpt.Mesh("tetrahedron", corners, [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    mesh = djpt.load_dict({**ellipsoids(cloud(), shell=shell), "type": "ellipsoidsmesh"})
+    assert mesh.face_count() == 4 * COUNT
+    with pytest.raises(djpt.SceneError, match="'shell' can't be 'cone'; possible: box, default, ico_sphere, uv_sphere"):
+        djpt.load_dict({**ellipsoids(cloud(), shell="cone"), "type": "ellipsoidsmesh"})
+
+
+@pytest.mark.parametrize("way", ["call", "steps"])
+def test_all_sorts_of_pieces_in_one_scene(way: str, tmp_path: Path) -> None:
+    """Curves of both sorts, ellipsoids, shells in an instance, solids and a mesh: each is hit as if it were alone."""
+    points = np.column_stack([np.linspace(-1, 1, 8), np.sin(np.arange(8)), np.cos(np.arange(8)), np.full(8, 0.1)])
+    path = tmp_path / "curve.txt"
+    path.write_text("\n".join(" ".join(map(str, row)) for row in points))
+    group = {"type": "shapegroup", "cloud": {**ellipsoids(cloud(3), extent=1.0), "type": "ellipsoidsmesh"}}
+    parts = {
+        "line": {"type": "linearcurve", "filename": str(path), "to_world": T().translate([0, 0, 0.7])},
+        "cubic": {"type": "bsplinecurve", "filename": str(path)},
+        "cloud": ellipsoids(cloud(), extent=1.0),
+        "shells": {"type": "instance", "to_world": T().rotate([0, 0, 1], 50), "group": group},
+        "mesh": djpt.Mesh("mesh", [[-1, -1, 0.5], [1, -1, 0.5], [0, 1, 0.4]], [[0, 1, 2]]),
+        **{
+            f"ball{k}": {"type": "sphere", "center": [0.08 * k - 1, 0.5, -0.5], "radius": 0.03 + 0.001 * k}
+            for k in range(26)
+        },
+    }
+    (o, d), found = rays(), {}
+    with ray_queries(way):
+        whole = hits(djpt.load_dict({"type": "scene", **parts}), o, d)
+        for name, part in parts.items():
+            found[name] = hits(djpt.load_dict({"type": "scene", name: part}), o, d)
+    names, distances = list(found), np.array([np.array(si.t) for si in found.values()])
+    first = distances.argmin(axis=0)
+    np.testing.assert_allclose(np.array(whole.t), distances.min(axis=0), rtol=1e-4)
+    for k, name in enumerate(names[:5]):
+        mine = (first == k) & np.isfinite(distances[k])
+        assert mine.sum() > 5, name
+        # Origins are moved near other boxes: the last bits differ.
+        for field in ("n", "p"):
+            a, b = (np.array(getattr(si, field))[:, mine] for si in (whole, found[name]))
+            assert (np.abs(a - b).max(axis=0) < 5e-3).mean() > 0.95, (name, field)
+        assert (np.array(whole.prim_index)[mine] == np.array(found[name].prim_index)[mine]).mean() > 0.97, name

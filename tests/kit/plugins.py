@@ -45,7 +45,7 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     # Meshes of other files are sampled by the same code, and these two are no lights.
     "obj": [], "serialized": [], "shapegroup": [], "instance": [], "merge": [],
     # No lights: tests/geometry/test_curves.py, tests/geometry/test_ellipsoids.py.
-    "linearcurve": [], "bsplinecurve": [], "ellipsoids": [],
+    "linearcurve": [], "bsplinecurve": [], "ellipsoids": [], "ellipsoidsmesh": [],
     "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],
     "mesh_attribute": [],  # only meshes have any: tests/textures/test_lookups.py
     "spectrum": [{"value": 0.4}],

@@ -45,6 +45,7 @@ __all__ = [
     "EXIT",
     "LEAF",
     "NUMBER",
+    "ONE_SIDED",
     "PORTAL",
     "ROOT",
     "SLACK",
@@ -62,10 +63,12 @@ WORDS = 16
 CHILD, CELL = 0x007FFFFF, 0x7F800000
 """The bits of word 12 of nodes: the record of the first child, and the size of a cell."""
 
-LEAF, PORTAL, EMITS, SOLID, NUMBER = 0x80000000, 0x40000000, 0x20000000, 0x10000000, 0x0FFFFFFF
+LEAF, PORTAL, EMITS, SOLID = 0x80000000, 0x40000000, 0x20000000, 0x10000000
+ONE_SIDED, NUMBER = 0x08000000, 0x07FFFFFF
 """The bits of word 12 of leaves.
 
 PORTAL: an instance, the way out of one, or, with SOLID, an analytic shape. EMITS: it is part of a light.
+ONE_SIDED: rays that come from behind pass through the triangle.
 """
 
 EMPTY, EXIT, ROOT = 0, 1, 2
@@ -115,6 +118,8 @@ class Records:
     """Whether there are instances."""
     kinds: tuple[int, ...]
     """The analytic shapes among the leaves: numbers into `canonical.KINDS`."""
+    one_sided: bool = False
+    """Whether there are one-sided triangles."""
 
 
 def extent_of(tree: WideTree) -> Extent:
@@ -130,7 +135,11 @@ def roots(trees: Sequence[WideTree]) -> list[int]:
 
 
 def pack(
-    trees: Sequence[WideTree], leaves: Sequence[Leaves], least_depth: int = 0, kinds: tuple[int, ...] = ()
+    trees: Sequence[WideTree],
+    leaves: Sequence[Leaves],
+    least_depth: int = 0,
+    kinds: tuple[int, ...] = (),
+    one_sided: bool = False,
 ) -> Records:
     """Lay out some trees, each over the primitives of its `leaves`; rays start in the first.
 
@@ -157,6 +166,7 @@ def pack(
         first.diagonal,
         len(trees) > 1,
         kinds,
+        one_sided,
     )
 
 

@@ -58,14 +58,14 @@ class StepTrees:
         """Where each tree begins, as instances name it: the record of its root."""
         return roots(self._wide())
 
-    def packed(self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool) -> StepTree:
+    def packed(self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool, one_sided: bool) -> StepTree:
         """The trees in memory."""
         leaves: list[Leaves] = [self._leaves[number] for number in sorted(self._trees)]
         if placed is not None:
             leaves[0] = MixedLeaves(self._leaves[0], placed)
         self._leaves.clear()
         # The depth before an edit keeps compiled kernels usable.
-        records = pack(self._wide(), leaves, self._depth, kinds)
+        records = pack(self._wide(), leaves, self._depth, kinds, one_sided)
         self._depth = records.depth
         return StepTree.of(records)
 

@@ -18,7 +18,20 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.geometry.bvh.records import CELL, CHILD, EMITS, EMPTY, EXIT, LEAF, NUMBER, PORTAL, ROOT, SOLID, Records
+from djpt.geometry.bvh.records import (
+    CELL,
+    CHILD,
+    EMITS,
+    EMPTY,
+    EXIT,
+    LEAF,
+    NUMBER,
+    ONE_SIDED,
+    PORTAL,
+    ROOT,
+    SOLID,
+    Records,
+)
 from djpt.geometry.canonical import intersect
 from djpt.geometry.query import NONE
 from djpt.geometry.triangle import RayPlane, TriangleHit, intersect_triangle
@@ -273,7 +286,7 @@ class Stepper:
 
     def __init__(self, records: Records, o: Point3f, d: Vector3f) -> None:
         """`o` is relative to the records' centre: see `enter`."""
-        self.records, self.o = records, o
+        self.records, self.o, self.d = records, o, d
         self.plane = RayPlane(o, d)
         self.inv = reciprocal(d)
         # The half of a word that holds the near plane.
@@ -291,6 +304,9 @@ class Stepper:
         hit = (leaf if portal is None else leaf & ~portal) & found.hit & (found.t > 0) & (found.t < cursor.t)
         if through_lights is not None:
             hit &= ~(through_lights & ((words[12] & EMITS) != 0))
+        if self.records.one_sided:
+            n = Vector3f(*(float_in(word) for word in words[9:12]))
+            hit &= ~(((words[12] & ONE_SIDED) != 0) & (dr.dot(n, self.d) > 0))
         t = dr.select(hit, found.t, cursor.t)
         record = dr.select(hit, cursor.current, cursor.hit)
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from djpt.geometry.bvh.records import EMITS
+from djpt.geometry.bvh.records import EMITS, ONE_SIDED
 from djpt.geometry.compiled.layout import PASSES_LIGHTS, ROW_BYTES, ROW_WORDS
-from djpt.geometry.query import LABEL
+from djpt.geometry.query import LABEL, NORMAL
 from djpt.llvm.arithmetic import fma
 from djpt.llvm.ir import F32, I32, I64, Function, Value
 
@@ -24,6 +24,8 @@ class Features:
     """The kinds of analytic solids: numbers into `djpt.geometry.canonical.KINDS`."""
     lights: bool = False
     """Whether shapes emit that rays may pass through."""
+    one_sided: bool = False
+    """Whether rays pass through some triangles that they meet from behind."""
 
     @property
     def placed(self) -> bool:
@@ -34,6 +36,13 @@ class Features:
         """Whether a ray with `flags` passes through the shape at a record since it is part of a light."""
         label = f.load(I32, scene.at(record.to(I64) * ROW_BYTES).at(4 * LABEL))
         return ((flags & PASSES_LIGHTS) != 0) & ((label & EMITS) != 0)
+
+    def behind(self, f: Function, scene: Value, record: Value, d: Sequence[Value]) -> Value:
+        """Whether a ray along `d` meets a one-sided triangle from behind."""
+        row = scene.at(record.to(I64) * ROW_BYTES)
+        x, y, z = (f.load(F32, row.at(4 * (NORMAL + axis))) for axis in range(3))
+        label = f.load(I32, row.at(4 * LABEL))
+        return ((label & ONE_SIDED) != 0) & (fma(x, d[0], fma(y, d[1], z * d[2])) > 0.0)
 
 
 class Triple(NamedTuple):

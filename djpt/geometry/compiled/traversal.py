@@ -252,7 +252,7 @@ class Search:
             hit = test.inside & (t > 0.0) & (t < self.reach.value)
             hits = hit.bits_as(I8).to(I32)
             with f.when(hits != 0):
-                if self.any_hit and not self.features.lights:
+                if self.any_hit and not (self.features.lights or self.features.one_sided):
                     f.give(1)
                 else:
                     self.take_closest(leaf, hits, t, (b1, b2))
@@ -273,6 +273,8 @@ class Search:
             record = f.load(I32, leaf.at(NUMBER_ROW).at(slot * 4)) + f.load(I32, self.tree)
             if self.features.lights:
                 candidates.again_if(self.passed(record))
+            if self.features.one_sided:
+                candidates.again_if(self.features.behind(f, self.scene, record, self.ray.d))
             if self.any_hit:
                 f.give(1)
             else:

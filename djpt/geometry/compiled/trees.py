@@ -67,7 +67,9 @@ class CompiledTrees:
         sizes = [len(tree.built.memory) // ROW_WORDS for tree in self._ordered()]
         return [int(n) for n in np.cumsum([0, *sizes])]
 
-    def packed(self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool) -> CompiledTree:
+    def packed(
+        self, placed: PlacedLeaves | None, kinds: tuple[int, ...], lights: bool, one_sided: bool
+    ) -> CompiledTree:
         """The trees in memory."""
         trees, starts = self._ordered(), self.starts()
         count = 0 if placed is None else len(placed.label)
@@ -92,7 +94,7 @@ class CompiledTrees:
             placed.write(table, every.view(np.uint32), every, extent.center)
         return CompiledTree(
             UInt32(rows.ravel()),
-            functions(Features(len(trees) > 1, kinds, lights)),
+            functions(Features(len(trees) > 1, kinds, lights, one_sided)),
             as_vector(extent.center.astype(np.float64)),
             as_float(0.50001 * extent.diagonal),
             extent.diagonal,
