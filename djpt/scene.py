@@ -50,6 +50,10 @@ from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 __all__ = ["Scene"]
 
 
+WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", "embree_use_robust_intersections")
+"""Mitsuba's settings for ray queries of its own, which descriptions may hold."""
+
+
 class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
@@ -61,6 +65,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
+        for setting in WITHOUT_EFFECT:
+            props.boolean(setting, False)
         self.named = [(key, plugin) for kind in KINDS for key, plugin in props.children(kind)]
         order = {key: i for i, key in enumerate(props.keys())}
         self.named.sort(key=lambda entry: order[entry[0]])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
@@ -13,6 +16,8 @@ from djpt.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, S
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["TwoSided"]
+
+Value = TypeVar("Value", Color3f, Float)
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission | BSDFFlags.Null
 
@@ -54,6 +59,21 @@ class TwoSided(BSDF):
     def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
         return si.replaced(wi=wi)
+
+    def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
+        return any(bsdf is not None and bsdf.has_attribute(name, active) for bsdf in (self.front, self.back))
+
+    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self._of_side(lambda bsdf, seen: bsdf.eval_attribute(name, seen, active), si)
+
+    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
+        return self._of_side(lambda bsdf, seen: bsdf.eval_attribute_1(name, seen, active), si)
+
+    def _of_side(self, ask: Callable[[BSDF, SurfaceInteraction3f], Value], si: SurfaceInteraction3f) -> Value:
+        """The answer of the BSDF that `si.wi` sees."""
+        seen = self._seen_from_front(si)
+        front = ask(self.front, seen)
+        return front if self.back is None else dr.select(si.wi.z < 0, ask(self.back, seen), front)
 
     def _only(self, ctx: BSDFContext, behind: Bool) -> tuple[BSDF, BSDFContext, Bool] | None:
         """The BSDF that has the only lobe asked for, its context, and where it is seen; None if all are asked for."""

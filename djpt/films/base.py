@@ -35,7 +35,7 @@ class Film(Plugin):
     """A grid of pixels, of which a window is rendered, with a reconstruction filter.
 
     Parameters of all films: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
-    `crop_height` (the rest), `sample_border` (default false: no samples outside the crop, so border pixels see
+    `crop_height` (the whole), `sample_border` (default false: no samples outside the crop, so border pixels see
     fewer), a nested `rfilter` (default `gaussian`).
     """
 
@@ -49,8 +49,8 @@ class Film(Plugin):
         self._size = (props.integer("width", 768, low=1), props.integer("height", 576, low=1))
         offset = (props.integer("crop_offset_x", 0, low=0), props.integer("crop_offset_y", 0, low=0))
         size = (
-            props.integer("crop_width", self._size[0] - offset[0]),
-            props.integer("crop_height", self._size[1] - offset[1]),
+            props.integer("crop_width", self._size[0]),
+            props.integer("crop_height", self._size[1]),
         )
         self._require_crop(props.node, offset, size)
         self._crop_offset, self._crop_size = offset, size
@@ -65,7 +65,10 @@ class Film(Plugin):
             if size[axis] < 1 or offset[axis] + size[axis] > self._size[axis]:
                 name = ("width", "height")[axis]
                 place = f"{size[axis]} at offset {offset[axis]}"
-                raise SceneError(f"{node}: a crop of {name} {place} doesn't fit in {self._size[axis]} pixels")
+                raise SceneError(
+                    f"{node}: a crop of {name} {place} doesn't fit in {self._size[axis]} pixels; "
+                    f"'crop_{name}' says how many are rendered, all by default"
+                )
 
     # ---- parameters -------------------------------------------------------------
 

@@ -31,7 +31,7 @@ class HDRFilm(Film):
     distance of the pixel's centre; `develop` divides the two sums.
 
     Parameters: `width` (768), `height` (576), `crop_offset_x`, `crop_offset_y` (0), `crop_width`,
-    `crop_height` (the rest), `pixel_format` (`rgb`, `rgba`, `luminance`, `luminance_alpha`, `xyz` or `xyza`; default
+    `crop_height` (the whole), `pixel_format` (`rgb`, `rgba`, `luminance`, `luminance_alpha`, `xyz` or `xyza`; default
     `rgb`), `component_format` (checked, then without effect: pixels are float32), `file_format` (for `write`; all three
     in any case),
     `banner` (without effect, for scenes of older versions of Mitsuba), `sample_border`

@@ -9,6 +9,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import RenderError
+from djpt.records.record import Wavelengths
 from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, Vector2f
 
 __all__ = ["Texture"]
@@ -67,7 +68,13 @@ class Texture(Plugin):
         """Raise `RenderError`: colours are red, green and blue, not spectra."""
         raise self.unknown(SPECTRA)
 
-    sample_spectrum = wavelength_range = spectral_resolution = pdf_spectrum
+    wavelength_range = spectral_resolution = pdf_spectrum
+
+    def sample_spectrum(self, si: Any, sample: Any = None, active: Bool | bool = True) -> tuple[Any, Color3f]:
+        """No wavelengths, and the colour at `si`, as in Mitsuba; raises `RenderError` unless `is_constant`."""
+        if not self.is_constant:
+            raise self.unknown(SPECTRA)
+        return Wavelengths(), self.eval(si, active)
 
     @staticmethod
     def D65(scale: float = 1.0) -> Texture:

@@ -215,7 +215,7 @@ class ImageSlopes(Slopes):
 
 
 # Dozens of images each, more than ten seconds: values are differentiated above, images in files of theirs.
-LONG = ("blendbsdf", "principled", "principledthin", "roughplastic")
+LONG = ("blendbsdf", "hair", "principled", "principledthin", "roughplastic")
 
 
 @pytest.mark.parametrize("name", first_of_each(NAMES, LONG))

@@ -324,3 +324,29 @@ def test_new_files_keep_their_names() -> None:
     assert "diffuseReflectance" in read_string(
         '<bsdf type="diffuse" version="2.0.0"><float name="diffuseReflectance" value="1"/></bsdf>'
     )
+
+
+def test_the_root_may_be_a_spectrum() -> None:
+    lamp = djpt.load_string('<spectrum version="3.0.0" type="d65"><float name="scale" value="2"/></spectrum>')
+    assert lamp.mean()[0] == 2
+
+
+def test_a_film_and_its_parts_may_stand_in_the_scene() -> None:
+    text = """
+        <scene version="3.0.0">
+            <boolean name="embree_use_robust_intersections" value="true"/>
+            <sampler type="stratified" id="random"> <integer name="sample_count" value="9"/> </sampler>
+            <rfilter type="box" id="flat"/>
+            <film type="hdrfilm" id="pixels">
+                <string name="pixel_format" value="RGBA"/> <string name="file_format" value="OpenEXR"/>
+                <string name="component_format" value="Float32"/>
+                <integer name="width" value="5"/> <integer name="height" value="3"/> <ref id="flat"/>
+            </film>
+            <sensor type="perspective"> <ref id="random"/> <ref id="pixels"/> </sensor>
+            <emitter type="constant"/>
+        </scene>
+    """
+    scene = djpt.load_string(text)
+    sensor = scene.sensors()[0]
+    assert (type(sensor.sampler()).__name__, sensor.sampler().sample_count()) == ("Stratified", 9)
+    assert djpt.render(scene, spp=1).shape == (3, 5, 4)

@@ -193,7 +193,14 @@ def test_films_without_pixels(film: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "film",
-    [{"crop_width": 9}, {"crop_offset_x": 8}, {"crop_width": 0}, {"crop_offset_x": -1}, {"crop_height": -2}],
+    [
+        {"crop_width": 9},
+        {"crop_offset_x": 8},
+        {"crop_offset_x": 1},
+        {"crop_width": 0},
+        {"crop_offset_x": -1},
+        {"crop_height": -2},
+    ],
     ids=str,
 )
 def test_crops_that_do_not_fit(film: dict[str, Any]) -> None:

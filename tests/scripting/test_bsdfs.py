@@ -195,3 +195,16 @@ def test_scripts_can_write_bsdfs() -> None:
     params.update()
     value = bsdf.eval(BSDFContext(), interaction(Vector3f(0, 0, 1)), Vector3f(0, 0, 1))
     np.testing.assert_allclose(in_numpy(value).ravel(), [0.25 / np.pi] * 3, rtol=1e-6)
+
+
+def test_both_sides_have_attributes() -> None:
+    sides = {
+        name: {"type": "roughconductor", "material": "Al", "alpha": alpha} for name, alpha in (("a", 0.2), ("b", 0.1))
+    }
+    bsdf = djpt.load_dict({"type": "twosided", **sides})
+    assert bsdf.has_attribute("alpha") and not bsdf.has_attribute("alpah")
+    si = interaction(djpt.Vector3f([0, 0], [0, 0.6], [1, -0.8]), width=2)
+    np.testing.assert_allclose(in_numpy(bsdf.eval_attribute_1("alpha", si)), [0.2, 0.1], rtol=1e-6)
+    np.testing.assert_allclose(in_numpy(bsdf.eval_attribute("alpha", si)), [[0.2, 0.1]] * 3, rtol=1e-6)
+    single = djpt.load_dict({"type": "twosided", "a": sides["a"]})
+    np.testing.assert_allclose(in_numpy(single.eval_attribute_1("alpha", si)), 0.2, rtol=1e-6)

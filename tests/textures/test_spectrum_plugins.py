@@ -63,6 +63,18 @@ def test_values_and_names_are_mitsubas(description: dict[str, Any]) -> None:
     assert set(djpt.traverse(ours).keys()) == {key for key, _ in mi.traverse(theirs)}
 
 
+@pytest.mark.parametrize("name", ["srgb", "one raw number", "three raw numbers", "uniform"])
+def test_a_sampled_spectrum_is_the_colour(name: str) -> None:
+    mi = mitsuba()
+    weights = []
+    for module in (djpt, mi):
+        si = dr.zeros(module.SurfaceInteraction3f)
+        weights.append(module.load_dict(CASES[name]).sample_spectrum(si, sample=si.wavelengths)[1])
+    np.testing.assert_allclose(*(np.array(weight).ravel() for weight in weights), rtol=1e-6)
+    with pytest.raises(djpt.DjptError, match="no wavelengths"):
+        djpt.load_dict({"type": "checkerboard"}).sample_spectrum(None)
+
+
 @pytest.mark.parametrize("user", [{"type": "constant"}, {"type": "diffuse"}], ids=["light", "paint"])
 @pytest.mark.parametrize("name", ["srgb", "d65 with a colour", "three raw numbers", "scaled d65", "bright srgb"])
 def test_users_see_mitsubas_numbers(name: str, user: dict[str, Any]) -> None:

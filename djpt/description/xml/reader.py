@@ -91,7 +91,7 @@ class Reader:
         return self._read(source.parse(text, "<string>"), "<string>", FileResolver(file_resolver(), self.root), ())
 
     def _read(self, root: Element, name: str, resolver: FileResolver, stack: tuple[str, ...]) -> Node:
-        if root.tag not in OBJECTS:
+        if not is_object(root):
             possible = near_miss(root.tag, OBJECTS)
             raise root.error(f"a scene file begins with <scene version=...> or another object{possible}")
         text = root.attributes.pop("version", None)
@@ -146,16 +146,15 @@ class Reader:
     def _child(self, element: Element, parent: Node, file: _File, is_root: bool) -> None:
         """Add the entry of an element to the object around it."""
         tag = element.tag
-        is_object = tag in OBJECTS or (tag == "spectrum" and "type" in element.attributes)
         if tag in OPERATIONS or (is_old(file.version) and upgrade_tag(tag) in OPERATIONS):
             raise element.error("can only stand in a <transform>")
-        if not is_object and tag not in VALUES and tag not in _OTHERS:
+        if not is_object(element) and tag not in VALUES and tag not in _OTHERS:
             raise element.error(f"unknown tag{near_miss(tag, [*OBJECTS, *VALUES, *_OTHERS])}")
         self._substitute(element)
-        for inner in element.children if not is_object and tag != "transform" else ():
+        for inner in element.children if not is_object(element) and tag != "transform" else ():
             raise inner.error(f"can't stand in a <{tag}>")
         name = self._name(element, file)
-        if is_object:
+        if is_object(element):
             parent.add(name, self._object(element, file, parent), element)
         elif tag == "include":
             self._include(element, name, parent, file)
@@ -240,3 +239,8 @@ class Reader:
             raise element.error("can only stand directly in the file's outermost object")
         folder = file.resolve(element.attributes["value"], element)
         file.resolver = FileResolver((folder, *file.resolver), self.root)
+
+
+def is_object(element: Element) -> bool:
+    """Whether an element stands for a plugin."""
+    return element.tag in OBJECTS or (element.tag == "spectrum" and "type" in element.attributes)
