@@ -7,7 +7,7 @@ therefore be *opaque*: inputs of the kernel, not literals in its text.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -15,8 +15,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.frozen import hold_garbage
+from djpt.description.frozen import hold_garbage, recording
 from djpt.description.numeric import may_wait
+from djpt.errors import ArgumentError
 from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "mapped",
     "maximum",
     "minimum",
+    "one_by_one",
     "opaque",
     "own_copy",
     "own_floats",
@@ -200,17 +202,34 @@ def own_floats(values: NDArray[np.float32]) -> Float:
     return own_array(Float, np.ascontiguousarray(values, np.float32).ravel())
 
 
+MAX_RECORDED = 4096
+"""The longest table that is made number by number."""
+
+
 def own_array(kind: type[T], values: NDArray[Any]) -> T:
     """Copy numbers to an array of Dr.Jit, in its own memory."""
+    if not len(values):
+        return kind()
+    if recording():
+        if len(values) > MAX_RECORDED:
+            raise ArgumentError(f"a frozen function can't make a table of {len(values)} numbers: prepare it before")
+        return one_by_one([dr.opaque(kind, number) for number in values.tolist()])  # type: ignore[arg-type]
     if dr.backend_v(kind) != dr.JitBackend.LLVM:
         # To GPUs everything is copied.
         return kind(values)  # type: ignore[call-arg]
-    if not len(values):
-        return kind()
     memory = dr.empty(kind, len(values))
     # The host sees the same memory, once no kernel uses what stood there before.
     with may_wait():
         np.asarray(memory)[:] = values
+    return memory
+
+
+def one_by_one(numbers: Sequence[Any]) -> Any:
+    """The array of some arrays of width 1, in a way that `dr.freeze` can record."""
+    memory = dr.opaque(type(numbers[0]), 0, len(numbers))
+    for i, number in enumerate(numbers):
+        dr.scatter(memory, opaque(number), dr.opaque(UInt32, i))
+        dr.eval(memory)
     return memory
 
 
