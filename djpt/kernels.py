@@ -32,6 +32,7 @@ __all__ = [
     "mapped",
     "maximum",
     "minimum",
+    "numbers_of",
     "one_by_one",
     "opaque",
     "own_copy",
@@ -114,6 +115,19 @@ def mapped(record: Any, change: Callable[[Any], Any]) -> Any:
     for name in type(record).DRJIT_STRUCT:
         setattr(copy, name, mapped(getattr(record, name), change))
     return copy
+
+
+def numbers_of(record: Any) -> list[Any]:
+    """The arrays of numbers that a record, list, tuple or vector consists of, in the order of `mapped`."""
+    if isinstance(record, (list, tuple)):
+        return [number for entry in record for number in numbers_of(entry)]
+    if dr.is_array_v(record):
+        return [number for entry in record for number in numbers_of(entry)] if dr.depth_v(record) > 1 else [record]
+    if is_dataclass(record) and not isinstance(record, type):
+        names: Any = (f.name for f in fields(record))
+    else:
+        names = getattr(record, "DRJIT_STRUCT", ())
+    return [number for name in names for number in numbers_of(getattr(record, name))]
 
 
 def wide(record: Any, lanes: int) -> Any:
