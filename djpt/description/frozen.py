@@ -13,6 +13,7 @@ import gc
 import inspect
 import operator
 import types
+import warnings
 import weakref
 from collections.abc import Hashable, Iterable
 from enum import Enum
@@ -24,7 +25,7 @@ import numpy as np
 
 from djpt.errors import ParameterError
 
-__all__ = ["SHARED", "Held", "Holder", "Structure", "hold_garbage", "recording", "require_editable"]
+__all__ = ["SHARED", "Held", "Holder", "Structure", "hold_garbage", "recording", "require_editable", "undifferentiated"]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
@@ -61,6 +62,21 @@ def hold_garbage() -> None:
 
 _held: list[bool] = []
 """Not empty while collections are off because of `hold_garbage`."""
+
+
+undifferentiated: list[str] = []
+"""Names of images that a frozen function has rendered with gradients, and not differentiated since."""
+
+
+def warn_of_lost_gradients() -> None:
+    """Warn if a function that was recorded returns images without having differentiated them."""
+    if undifferentiated and not recording():
+        undifferentiated.clear()
+        warnings.warn(
+            "a function frozen by dr.freeze has rendered an image with gradients without differentiating it: "
+            "its result has none, so call dr.backward or dr.forward in the function",
+            stacklevel=2,
+        )
 
 
 def require_editable(plugins: Iterable[Any]) -> None:
@@ -225,6 +241,7 @@ class Holder:
     def held(self) -> list[Any]:
         """The structure of the object, and the arrays that can be reached from it: see `Inventory`."""
         hold_garbage()
+        warn_of_lost_gradients()
         found: Inventory | None = getattr(self, "_inventory", None)
         if found is None or not found.is_current(self):
             self.prepare_to_record()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -139,6 +140,18 @@ def test_forward_derivatives_can_be_frozen() -> None:
     scene, frozen = djpt.load_dict(box(8)), dr.freeze(change)
     for k in range(3):
         np.testing.assert_array_equal(pixels(frozen(scene, UInt32(k))), pixels(change(scene, UInt32(k))))
+
+
+def test_gradients_that_are_lost_outside_cause_a_warning() -> None:
+    scene = djpt.load_dict(box(8))
+    params = djpt.traverse(scene)
+    dr.enable_grad(params[RED])
+    params.update()
+    with pytest.warns(UserWarning, match=r"its result has none, so call dr\.backward"):
+        dr.freeze(image)(scene, UInt32(0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dr.freeze(reverse)(scene, dr.zeros(TensorXf, (8, 8, 3)), UInt32(0))
 
 
 # ---- what is an input, and what is structure -----------------------------------------------------
