@@ -17,7 +17,7 @@ import warnings
 import weakref
 from collections.abc import Hashable, Iterable
 from enum import Enum
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import drjit as dr
@@ -146,13 +146,13 @@ class Inventory:
         )
 
     def _visit(self, value: Any) -> None:
-        if isinstance(value, PLAIN):
+        sort = sort_of(type(value))
+        if sort == "plain":
             self._parts.append(value)
-        elif dr.is_array_v(value):
-            if dr.is_jit_v(value) and dr.width(value):
-                self._arrays.append(value)
-            else:
-                self._parts.append(repr(value))
+        elif sort == "input" and dr.width(value):
+            self._arrays.append(value)
+        elif sort:
+            self._parts.append(repr(value))
         elif id(value) in self._visited:
             self._parts.append(self._visited[id(value)][0])
         else:
@@ -173,7 +173,8 @@ class Inventory:
         elif isinstance(value, list):
             self._visit_all(self._noted(value))
         elif isinstance(value, dict):
-            self._parts.extend(key for key in value if isinstance(key, str))
+            # Keys with identities tell entries apart that were made anew, in another order.
+            self._parts.extend(key if isinstance(key, (str, int, tuple)) else type(key) for key in value)
             self._visit_all(self._noted(value))
         else:
             self._visit_all(members(value))
@@ -192,6 +193,16 @@ class Inventory:
         values = tuple(values_of(holder))
         self._contents.append((holder, values))
         return values
+
+
+@cache
+def sort_of(kind: Any) -> str:
+    """The use of a type's objects: ``plain``, ``input`` (arrays of kernels), ``array`` (others), or none of them."""
+    if issubclass(kind, PLAIN):
+        return "plain"
+    if not dr.is_array_v(kind):
+        return ""
+    return "input" if dr.is_jit_v(kind) else "array"
 
 
 def values_of(holder: Container) -> Iterable[Any]:
