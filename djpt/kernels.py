@@ -7,7 +7,7 @@ therefore be *opaque*: inputs of the kernel, not literals in its text.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -15,8 +15,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.frozen import hold_garbage
+from djpt.description.frozen import hold_garbage, recording
 from djpt.description.numeric import may_wait
+from djpt.errors import ArgumentError
 from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
@@ -31,6 +32,8 @@ __all__ = [
     "mapped",
     "maximum",
     "minimum",
+    "numbers_of",
+    "one_by_one",
     "opaque",
     "own_copy",
     "own_floats",
@@ -112,6 +115,19 @@ def mapped(record: Any, change: Callable[[Any], Any]) -> Any:
     for name in type(record).DRJIT_STRUCT:
         setattr(copy, name, mapped(getattr(record, name), change))
     return copy
+
+
+def numbers_of(record: Any) -> list[Any]:
+    """The arrays of numbers that a record, list, tuple or vector consists of, in the order of `mapped`."""
+    if isinstance(record, (list, tuple)):
+        return [number for entry in record for number in numbers_of(entry)]
+    if dr.is_array_v(record):
+        return [number for entry in record for number in numbers_of(entry)] if dr.depth_v(record) > 1 else [record]
+    if is_dataclass(record) and not isinstance(record, type):
+        names: Any = (f.name for f in fields(record))
+    else:
+        names = getattr(record, "DRJIT_STRUCT", ())
+    return [number for name in names for number in numbers_of(getattr(record, name))]
 
 
 def wide(record: Any, lanes: int) -> Any:
@@ -200,17 +216,34 @@ def own_floats(values: NDArray[np.float32]) -> Float:
     return own_array(Float, np.ascontiguousarray(values, np.float32).ravel())
 
 
+MAX_RECORDED = 4096
+"""The longest table that is made number by number."""
+
+
 def own_array(kind: type[T], values: NDArray[Any]) -> T:
     """Copy numbers to an array of Dr.Jit, in its own memory."""
+    if not len(values):
+        return kind()
+    if recording():
+        if len(values) > MAX_RECORDED:
+            raise ArgumentError(f"a frozen function can't make a table of {len(values)} numbers: prepare it before")
+        return one_by_one([dr.opaque(kind, number) for number in values.tolist()])  # type: ignore[arg-type]
     if dr.backend_v(kind) != dr.JitBackend.LLVM:
         # To GPUs everything is copied.
         return kind(values)  # type: ignore[call-arg]
-    if not len(values):
-        return kind()
     memory = dr.empty(kind, len(values))
     # The host sees the same memory, once no kernel uses what stood there before.
     with may_wait():
         np.asarray(memory)[:] = values
+    return memory
+
+
+def one_by_one(numbers: Sequence[Any]) -> Any:
+    """The array of some arrays of width 1, in a way that `dr.freeze` can record."""
+    memory = dr.opaque(type(numbers[0]), 0, len(numbers))
+    for i, number in enumerate(numbers):
+        dr.scatter(memory, opaque(number), dr.opaque(UInt32, i))
+        dr.eval(memory)
     return memory
 
 

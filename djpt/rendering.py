@@ -182,6 +182,8 @@ def prepare_to_record(scene: Scene) -> None:
     for sensor in scene.sensors():
         prepare_sums(sensor.film(), integrator)
         sensor.film().reserve(channel_names(scene, sensor))
+    for shape in scene.shapes():
+        shape.make_parameters()
     integrator.prepare_scene(scene.choosing_emitters(integrator.emitter_choice))
 
 

@@ -13,10 +13,11 @@ import gc
 import inspect
 import operator
 import types
+import warnings
 import weakref
 from collections.abc import Hashable, Iterable
 from enum import Enum
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import drjit as dr
@@ -24,7 +25,7 @@ import numpy as np
 
 from djpt.errors import ParameterError
 
-__all__ = ["SHARED", "Held", "Holder", "Structure", "hold_garbage", "recording", "require_editable"]
+__all__ = ["SHARED", "Held", "Holder", "Structure", "hold_garbage", "recording", "require_editable", "undifferentiated"]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
@@ -61,6 +62,21 @@ def hold_garbage() -> None:
 
 _held: list[bool] = []
 """Not empty while collections are off because of `hold_garbage`."""
+
+
+undifferentiated: list[str] = []
+"""Names of images that a frozen function has rendered with gradients, and not differentiated since."""
+
+
+def warn_of_lost_gradients() -> None:
+    """Warn if a function that was recorded returns images without having differentiated them."""
+    if undifferentiated and not recording():
+        undifferentiated.clear()
+        warnings.warn(
+            "a function frozen by dr.freeze has rendered an image with gradients without differentiating it: "
+            "its result has none, so call dr.backward or dr.forward in the function",
+            stacklevel=2,
+        )
 
 
 def require_editable(plugins: Iterable[Any]) -> None:
@@ -130,13 +146,13 @@ class Inventory:
         )
 
     def _visit(self, value: Any) -> None:
-        if isinstance(value, PLAIN):
+        sort = sort_of(type(value))  # type: ignore[arg-type]
+        if sort == "plain":
             self._parts.append(value)
-        elif dr.is_array_v(value):
-            if dr.is_jit_v(value) and dr.width(value):
-                self._arrays.append(value)
-            else:
-                self._parts.append(repr(value))
+        elif sort == "input" and dr.width(value):
+            self._arrays.append(value)
+        elif sort:
+            self._parts.append(repr(value))
         elif id(value) in self._visited:
             self._parts.append(self._visited[id(value)][0])
         else:
@@ -157,7 +173,8 @@ class Inventory:
         elif isinstance(value, list):
             self._visit_all(self._noted(value))
         elif isinstance(value, dict):
-            self._parts.extend(key for key in value if isinstance(key, str))
+            # Keys with identities tell entries apart that were made anew, in another order.
+            self._parts.extend(key if isinstance(key, (str, int, tuple)) else type(key) for key in value)
             self._visit_all(self._noted(value))
         else:
             self._visit_all(members(value))
@@ -176,6 +193,16 @@ class Inventory:
         values = tuple(values_of(holder))
         self._contents.append((holder, values))
         return values
+
+
+@cache
+def sort_of(kind: Any) -> str:
+    """The use of a type's objects: ``plain``, ``input`` (arrays of kernels), ``array`` (others), or none of them."""
+    if issubclass(kind, PLAIN):
+        return "plain"
+    if not dr.is_array_v(kind):
+        return ""
+    return "input" if dr.is_jit_v(kind) else "array"
 
 
 def values_of(holder: Container) -> Iterable[Any]:
@@ -225,6 +252,7 @@ class Holder:
     def held(self) -> list[Any]:
         """The structure of the object, and the arrays that can be reached from it: see `Inventory`."""
         hold_garbage()
+        warn_of_lost_gradients()
         found: Inventory | None = getattr(self, "_inventory", None)
         if found is None or not found.is_current(self):
             self.prepare_to_record()

@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording
-from djpt.kernels import float_in, opaque, own_copy
+from djpt.kernels import float_in, one_by_one, opaque, own_copy
 from djpt.types import Bool, Int32, UInt32
 
 __all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "choose", "is_one_of"]
@@ -127,25 +127,14 @@ class Flat:
             self.data: Any = dr.concat(components)
             dr.make_opaque(self.data)
         else:
-            # One by one: the kernel of a long concatenation takes seconds to compile.
-            self.data = one_by_one(components)
+            # Not by `dr.concat`: the kernel of a long concatenation takes seconds to compile.
+            kind = type(components[0])
+            self.data = one_by_one(components) if recording() else opaque(kind([c[0] for c in components]))
 
     def at(self, index: UInt32) -> Any:
         """The rows at `index`; an unspecified one beyond the last."""
         # The default mode for gradients writes beyond small memory where a row is a packet (Dr.Jit 1.5.0).
         return dr.gather(self.dtype, self.data, inside(index, self._last), mode=dr.ReduceMode.Local)
-
-
-def one_by_one(numbers: Sequence[Any]) -> Any:
-    """The array of some arrays of width 1: by way of the host, if that can read them."""
-    kind = type(numbers[0])
-    if not recording():
-        return opaque(kind([c[0] for c in numbers]))
-    memory = dr.opaque(kind, 0, len(numbers))
-    for i, number in enumerate(numbers):
-        dr.scatter(memory, opaque(number), dr.opaque(UInt32, i))
-        dr.eval(memory)
-    return memory
 
 
 class Rows:

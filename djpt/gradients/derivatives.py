@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Protocol, cast
 
 import drjit as dr
 
+from djpt.description.frozen import recording, undifferentiated
 from djpt.dispatch.ensemble import Attached, Detached
 from djpt.errors import RenderError
 from djpt.gradients.leaves import Accumulator, Numbering, Parameter, Tangents
@@ -120,13 +121,17 @@ class ImageOp(dr.CustomOp):
         self, values: list[Any], unused: list[Any], primal: Callable[[], TensorXf], derivative: Derivative
     ) -> TensorXf:
         self.derivative = derivative
+        if recording():
+            undifferentiated.append(self.name())
         return primal()
 
     def backward(self) -> None:
+        undifferentiated.clear()
         begin_trace()
         self.set_grad_in("values", self.derivative.backward(cast(TensorXf, self.grad_out())))
 
     def forward(self) -> None:
+        undifferentiated.clear()
         begin_trace()
         self.set_grad_out(self.derivative.forward(list(cast("list[Any]", self.grad_in("values")))))
 

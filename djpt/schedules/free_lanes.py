@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import drjit as dr
 
-from djpt.kernels import mapped, while_loop
+from djpt.kernels import mapped, numbers_of, while_loop
 from djpt.llvm.masks import all_lanes, can_unmask
 from djpt.types import Bool, UInt32
 
@@ -46,8 +46,11 @@ class Memory:
     def __init__(self, record: Any, lanes: int) -> None:
         """Make room for records like `record`."""
         self._record, self._lanes = record, lanes
-        self._types = [type(number) for number in numbers(record)]
+        self._types = [type(number) for number in numbers_of(record)]
         self._kinds = list(dict.fromkeys(self._types))
+        before = [self._types[:i].count(kind) for i, kind in enumerate(self._types)]
+        self._places = [(self._kinds.index(kind), n) for kind, n in zip(self._types, before, strict=True)]
+        """The array of each number, and its place there."""
 
     def allocated(self) -> list[Any]:
         """Arrays that hold the record."""
@@ -57,29 +60,12 @@ class Memory:
     def read(self, arrays: list[Any]) -> Any:
         """The record in the arrays."""
         with all_lanes(self._lanes):
-            found = iter([arrays[kind].read(place) for kind, place in self._places()])
+            found = iter([arrays[kind].read(UInt32(place)) for kind, place in self._places])
         return mapped(self._record, lambda _: next(found))
 
     def write(self, arrays: list[Any], record: Any) -> list[Any]:
         """Write a record to the arrays and return them."""
         with all_lanes(self._lanes):
-            for (kind, place), number in zip(self._places(), numbers(record), strict=True):
-                arrays[kind].write(number, place)
+            for (kind, place), number in zip(self._places, numbers_of(record), strict=True):
+                arrays[kind].write(number, UInt32(place))
         return arrays
-
-    def _places(self) -> list[tuple[int, UInt32]]:
-        """The array of each number, and its place there."""
-        before = [self._types[:i].count(kind) for i, kind in enumerate(self._types)]
-        return [(self._kinds.index(kind), UInt32(n)) for kind, n in zip(self._types, before, strict=True)]
-
-
-def numbers(record: Any) -> list[Any]:
-    """The arrays without components of a record."""
-    found: list[Any] = []
-
-    def note(number: Any) -> Any:
-        found.append(number)
-        return number
-
-    mapped(record, note)
-    return found

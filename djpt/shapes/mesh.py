@@ -185,6 +185,10 @@ class Mesh(MeshQueries, Shape):
         setattr(self, name, value)
         return value
 
+    def make_parameters(self) -> None:
+        for name in (*PARAMETERS, *self.attributes):
+            getattr(self, name)
+
     def _forget(self) -> None:
         """Let the parameters be made from the host's arrays again, and what follows from the faces."""
         self.build_directed_edges()

@@ -235,8 +235,12 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
         return self._alone
 
     def prepare_to_record(self) -> None:
+        self.make_parameters()
         if self.original is None:
             self.alone()
+
+    def make_parameters(self) -> None:
+        """Make the parameters that otherwise are made when they are asked for: frozen functions can't."""
 
     def forget_alone(self) -> None:
         """Drop the scene of the shape alone, after an edit."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ from drjit.opt import Adam
 
 import djpt
 from djpt.types import Color3f, TensorXf, UInt32
+from tests.kit.processes import run_python
 from tests.kit.renders import box, pixels
 
 RED = "red.reflectance.value"
@@ -140,6 +142,18 @@ def test_forward_derivatives_can_be_frozen() -> None:
         np.testing.assert_array_equal(pixels(frozen(scene, UInt32(k))), pixels(change(scene, UInt32(k))))
 
 
+def test_gradients_that_are_lost_outside_cause_a_warning() -> None:
+    scene = djpt.load_dict(box(8))
+    params = djpt.traverse(scene)
+    dr.enable_grad(params[RED])
+    params.update()
+    with pytest.warns(UserWarning, match=r"its result has none, so call dr\.backward"):
+        dr.freeze(image)(scene, UInt32(0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dr.freeze(reverse)(scene, dr.zeros(TensorXf, (8, 8, 3)), UInt32(0))
+
+
 # ---- what is an input, and what is structure -----------------------------------------------------
 
 
@@ -214,3 +228,78 @@ def test_a_seed_is_one_number() -> None:
 def causes(error: BaseException | None) -> list[str]:
     """The messages of an error and of its causes."""
     return [] if error is None else [str(error), *causes(error.__cause__)]
+
+
+# ---- tables, meshes and memory ---------------------------------------------------------------------
+
+
+def many_walls(scene: dict[str, Any]) -> None:
+    """Add twenty spheres of different colours."""
+    for k in range(20):
+        colour = {"type": "rgb", "value": [0.9 - 0.04 * k, 0.1 + 0.04 * k, 0.5]}
+        place = [0.09 * (k - 10), -0.8 + 0.08 * k, 0.3]
+        scene[f"ball{k}"] = {"type": "sphere", "center": place, "radius": 0.05}
+        scene[f"ball{k}"]["bsdf"] = {"type": "diffuse", "reflectance": colour}
+
+
+def test_many_gradients_are_summed_in_memory() -> None:
+    """More parameters than fit into registers need tables, which a frozen function has to make itself."""
+    scene = djpt.load_dict(box(8, edit=many_walls))
+    keys = [f"ball{k}.bsdf.reflectance.value" for k in range(20)]
+
+    def gradients(step: Callable[..., Any], seed: int) -> np.ndarray:
+        params = djpt.traverse(scene)
+        for key in keys:
+            params[key] = dr.detach(params[key])
+            dr.enable_grad(params[key])
+        params.update()
+        step(scene, dr.zeros(TensorXf, (8, 8, 3)), UInt32(seed))
+        return np.array([np.array(dr.grad(params[key])).ravel() for key in keys])
+
+    frozen = dr.freeze(reverse)
+    for seed in range(3):
+        found, expected = gradients(frozen, seed), gradients(reverse, seed)
+        assert np.abs(expected).max() > 0
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
+
+
+def test_parameters_of_meshes_survive_a_frozen_function() -> None:
+    def looked_through(scene: djpt.Scene, seed: UInt32) -> TensorXf:
+        djpt.traverse(scene)
+        return image(scene, seed)
+
+    scene, frozen = djpt.load_dict(box(8, edit=with_mesh)), dr.freeze(looked_through)
+    for k in range(3):
+        frozen(scene, UInt32(k))
+    corners = np.array(djpt.traverse(scene)["tetrahedron.vertex_positions"])
+    np.testing.assert_allclose(corners, np.array([-3, -3, 0, 3, -3, 0, 0, 3, 0, 0, 0, 4]) / 10, rtol=1e-6)
+
+
+GARBAGE = """
+import gc
+import djpt
+import drjit as dr, numpy as np
+from tests.kit.renders import box
+
+class Cycle:
+    def __init__(self):
+        self.itself, self.numbers = self, djpt.Float(np.zeros(64, np.float32))
+
+@dr.freeze
+def image(scene, spp):
+    return djpt.render(scene, spp=spp)
+
+scene = djpt.load_dict(box(4))
+gc.set_threshold(100, 2, 2)
+for spp in range(1, 5):
+    for _ in range(200):
+        Cycle()
+    dr.eval(image(scene, spp))
+print(gc.isenabled())
+"""
+
+
+def test_garbage_does_not_end_the_process_while_a_function_is_recorded() -> None:
+    done = run_python("-c", GARBAGE)
+    assert done.returncode == 0, done.stderr[-1500:]
+    assert done.stdout.strip() == "True", "Python collects garbage again"

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.kernels import mapped, numbers_of
 from djpt.llvm.masks import can_unmask
 from djpt.schedules import free_lanes
-from djpt.schedules.free_lanes import Memory, mapped, numbers, run_free
+from djpt.schedules.free_lanes import Memory, run_free
 from djpt.types import PCG32, Bool, Float, Point2f, UInt32
 from tests.kit.renders import box, pixels
 
@@ -98,7 +99,7 @@ def test_records_come_back_from_memory() -> None:
     memory = Memory(record, 2)
     back = memory.read(memory.allocated())
     assert back[1] is None
-    assert [type(x) for x in numbers(back)] == [type(x) for x in numbers(record)]
-    for a, b in zip(numbers(record), numbers(back), strict=True):
+    assert [type(x) for x in numbers_of(back)] == [type(x) for x in numbers_of(record)]
+    for a, b in zip(numbers_of(record), numbers_of(back), strict=True):
         np.testing.assert_array_equal(np.array(a), np.array(b))
     assert mapped(record, lambda x: x)[0].x is not None
