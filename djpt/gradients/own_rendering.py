@@ -14,6 +14,7 @@ from djpt.gradients.leaves import Parameter, attached_parameters, moving_paramet
 from djpt.integrators.base import Integrator
 from djpt.scene import Scene
 from djpt.silhouettes.moving import exchanged
+from djpt.silhouettes.normals import with_normals
 from djpt.types import TensorXf
 
 __all__ = ["attached_view", "image_by_itself"]
@@ -79,7 +80,7 @@ class OwnDerivative:
         fresh = [type(value)(value) for value in self._values]
         dr.enable_grad(fresh)
         values = dict(zip(self._places, fresh, strict=True))
-        with exchanged(values):
+        with exchanged(with_normals(values, self._scene.shapes())):
             yield fresh, attached_view(self._scene, values)
 
     def backward(self, image: TensorXf) -> list[Any]:

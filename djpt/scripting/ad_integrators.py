@@ -21,6 +21,7 @@ from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES
 from djpt.sensors.base import Sensor
 from djpt.silhouettes.moving import exchanged
+from djpt.silhouettes.normals import with_normals
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 
 __all__ = ["ADIntegrator", "RBIntegrator"]
@@ -270,7 +271,7 @@ def attached(scene: Scene, mode: dr.ADMode) -> Iterator[Scene]:
             dr.enable_grad(values)
             dr.set_grad(values, changes)
     places = {(id(p.owner), p.attribute): v for p, v in zip(parameters, values, strict=True)}
-    with exchanged(places):
+    with exchanged(with_normals(places, scene.shapes())):
         yield attached_view(scene, places)
 
 

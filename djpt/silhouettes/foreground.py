@@ -23,8 +23,9 @@ def foreground(
 ) -> tuple[SurfaceInteraction3f, Bool]:
     """The surface points at silhouettes, seen along `ss.d`, and whether they were found.
 
-    A ray from just above the surface finds the triangle and all that belongs to it. Where the shading normal of a
-    smooth surface points away from the viewer, it is bent until it doesn't.
+    A ray from just above the surface finds the triangle and all that belongs to it. Where the shading normal points
+    away from the viewer, it is bent until it doesn't: rounding decides for analytic shapes, and meshes with smooth
+    normals have a black seam there, whose inner border moves like the silhouette, so that the sum of both jumps counts.
 
     Args:
         scene: the scene.

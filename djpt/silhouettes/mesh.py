@@ -12,6 +12,7 @@ from djpt.distributions.weights import Weights
 from djpt.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
 from djpt.silhouettes.base import INSET, PERIMETER, Placement, Silhouette, SurfacePoint, edge_normal, with_gradient
 from djpt.silhouettes.moving import attached_place
+from djpt.silhouettes.normals import attached_normals
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import (
@@ -273,7 +274,7 @@ class MeshSilhouette(Silhouette):
         if mesh.has_vertex_normals():
             normals = mesh.vertex_normals
             if dr.grad_enabled(place):
-                normals = with_gradient(normals, vertex_normals(place, mesh.faces_parameter))
+                normals = with_gradient(normals, attached_normals(mesh))
             at_corners = [dr.gather(Normal3f, normals, corner, active) for corner in corners]
             shading = dr.normalize(sum((w * m for w, m in zip(shares, at_corners, strict=True)), Normal3f(0)))
             shading = -shading if mesh.flip_normals else shading
@@ -281,19 +282,6 @@ class MeshSilhouette(Silhouette):
             texcoords = [dr.gather(Point2f, mesh.vertex_texcoords, corner, active) for corner in corners]
             uv = sum((w * t for w, t in zip(shares, texcoords, strict=True)), Point2f(0))
         return SurfacePoint(n, shading, uv)
-
-
-def vertex_normals(positions: Float, faces: UInt32) -> Float:
-    """The normals at vertices, as `djpt.shapes.meshes.normals` computes them, attached to the positions."""
-    corner = [dr.gather(UInt32, faces, 3 * dr.arange(UInt32, dr.width(faces) // 3) + k) for k in range(3)]
-    p = [dr.gather(Point3f, positions, k) for k in corner]
-    n = dr.normalize(dr.cross(p[1] - p[0], p[2] - p[0]))
-    total = dr.zeros(Normal3f, dr.width(positions) // 3)
-    for k in range(3):
-        d1, d2 = dr.normalize(p[(k + 1) % 3] - p[k]), dr.normalize(p[(k + 2) % 3] - p[k])
-        dr.scatter_add(total, n * dr.safe_acos(dr.dot(d1, d2)), corner[k])
-    flat: Any = dr.ravel(dr.normalize(total))
-    return Float(flat)
 
 
 def by_edge(edge: UInt32, values: list[Any]) -> Any:

@@ -12,7 +12,7 @@ import drjit as dr
 from djpt.transforms.host import ScalarTransform4f
 from djpt.types import Float
 
-__all__ = ["AttachedTransform", "attached_place", "exchanged", "motion_name"]
+__all__ = ["AttachedTransform", "attached_place", "exchanged", "exchanged_value", "motion_name"]
 
 
 class AttachedTransform(ScalarTransform4f):
@@ -48,6 +48,11 @@ def exchanged(values: Mapping[tuple[int, str], Any]) -> Iterator[None]:
         _exchanged.reset(token)
 
 
+def exchanged_value(shape: Any, name: str) -> Any:
+    """The variable that stands in for an attribute of a shape; None if there is none."""
+    return (_exchanged.get() or {}).get((id(shape), name))
+
+
 def motion_name(shape: Any) -> str:
     """The attribute that holds the variable by which a shape moves: a matrix, or the positions of vertices."""
     return "vertex_positions" if shape.of_triangles else "attached_matrix"
@@ -56,7 +61,7 @@ def motion_name(shape: Any) -> str:
 def attached_place(shape: Any) -> Any:
     """The variable by which a shape moves: a `Matrix4f`, or the `Float` of a mesh's positions; None if it stays."""
     name = motion_name(shape)
-    value = (_exchanged.get() or {}).get((id(shape), name))
+    value = exchanged_value(shape, name)
     if value is None:
         value = shape.__dict__.get(name) if shape.of_triangles else shape.attached_matrix
     if value is None or not dr.grad_enabled(value):

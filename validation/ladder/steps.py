@@ -167,6 +167,8 @@ STEPS: tuple[Step, ...] = (
 
 ELSEWHERE: dict[str, str] = {
     "prb": "`path` with other defaults",
+    "direct_projective": "`direct`, with gradients by moving shapes",
+    "prb_projective": "`path`, with gradients by moving shapes",
     "depth": "distances, not light",
     "aov": "properties of surfaces, not light",
     "moment": "another integrator and its squares",
