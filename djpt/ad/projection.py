@@ -42,7 +42,7 @@ class ProjectOperation:
         self.mesh_proj_algo, self.max_walk, self.max_jump = mesh_proj_algo, max_walk, max_jump
 
     def eval(
-        self, scene: Any, ray_guide: Ray3f, si_guide: SurfaceInteraction3f, sampler: Any, active: Bool, number: UInt32
+        self, scene: Any, ray_guide: Ray3f, si_guide: SurfaceInteraction3f, sampler: Any, active: Bool
     ) -> tuple[SilhouetteSample3f, Bool]:
         """The silhouettes that rays are projected to, and where there are any.
 
@@ -51,9 +51,14 @@ class ProjectOperation:
             ray_guide: the rays.
             si_guide: their hits.
             sampler: a source of random numbers.
-            active: the lanes that hit a moving shape.
-            number: its index in `scene.silhouette_shapes()`.
+            active: the lanes that matter.
         """
+        shapes = scene.silhouette_shapes()
+        number, on_moving = UInt32(0), Bool(False)
+        for k, shape in enumerate(shapes):
+            mine = si_guide.shape == shape
+            number, on_moving = dr.select(mine, UInt32(k), number), on_moving | mine
+        active = active & on_moving
         state = UInt64(sampler.next_1d() * 2**32) << 16 | UInt64(sampler.next_1d() * 2**16)
         kinds = {
             ShapeType.Mesh: self.project_mesh,
@@ -64,7 +69,6 @@ class ProjectOperation:
         }
         si_guide.shape = scene.silhouette_shape(number)
         result = SilhouetteSample3f()
-        shapes = scene.silhouette_shapes()
         for kind, project in kinds.items():
             members = [k for k, shape in enumerate(shapes) if shape.shape_type() == kind]
             if not members:
@@ -74,6 +78,7 @@ class ProjectOperation:
                 mine = mine | (number == k)
             mine = mine & active
             result = dr.select(mine, project(scene, ray_guide, si_guide, state, mine), result)
+        result.scene_index = number
         return result, active & result.is_valid()
 
     # ---- shapes with formulas ----------------------------------------------------------------
@@ -105,14 +110,16 @@ class ProjectOperation:
 
     # ---- meshes --------------------------------------------------------------------------------
 
-    def project_mesh(self, scene: Any, ray_guide: Ray3f, si: Any, state: UInt64, active: Bool) -> SilhouetteSample3f:
+    def project_mesh(
+        self, scene: Any, ray_guide: Ray3f, si_guide: Any, state: UInt64, active: Bool
+    ) -> SilhouetteSample3f:
         """A point of an edge that is on the silhouette, by the algorithm that was chosen; none if it isn't found."""
         if self.mesh_proj_algo == "jump":
-            ss, valid = self.mesh_jump(scene, si, ray_guide.o, state, active, self.max_jump)
+            ss, valid = self.mesh_jump(scene, si_guide, ray_guide.o, state, active, self.max_jump)
         elif self.mesh_proj_algo == "walk":
-            ss, _, valid = self.mesh_walk(si, ray_guide.o, state, active, self.max_walk)
+            ss, _, valid = self.mesh_walk(si_guide, ray_guide.o, state, active, self.max_walk)
         else:
-            ss, valid = self.hybrid_mesh_projection(scene, si, ray_guide.o, state, active, self.max_walk)
+            ss, valid = self.hybrid_mesh_projection(scene, si_guide, ray_guide.o, state, active, self.max_walk)
         ss.discontinuity_type = dr.select(valid, ss.discontinuity_type, 0)
         ss.flags = UInt32(int(PERIMETER | DiscontinuityFlags.DirectionSphere))
         return ss

@@ -120,13 +120,7 @@ class ProjectiveDetail:
         partials = RayFlags.dNSdUV if parent.proj_mesh_algo == "jump" else RayFlags.Empty
         si = scene.ray_intersect(rays, RayFlags.All | partials, active=active)
         active = active & si.is_valid()
-        on_moving, number = Bool(False), UInt32(0)
-        for k, shape in enumerate(scene.silhouette_shapes()):
-            mine = active & (si.shape == shape)
-            number, on_moving = dr.select(mine, UInt32(k), number), on_moving | mine
-        si.scene = scene
-        ss, active = operation.eval(scene, rays, si, sampler, on_moving, number)
-        ss.scene_index = number
+        ss, active = operation.eval(scene, rays, si, sampler, active)
         return scene.invert_silhouette_sample(ss, active), active
 
     def init_indirect_silhouette(self, scene: Any, sensor: Any, seed: Any) -> None:

@@ -70,7 +70,20 @@ class PSIntegrator(RBIntegrator):
 
     # ---- what subclasses override ------------------------------------------------------
 
-    def sample(self, *args: Any, **options: Any) -> Any:
+    def sample(  # type: ignore[override]
+        self,
+        mode: dr.ADMode,
+        scene: Scene,
+        sampler: Sampler,
+        ray: Any,
+        depth: Any,
+        δL: Any,
+        δaovs: Any,
+        state_in: Any,
+        active: Any,
+        project: bool = False,
+        si_shade: Any = None,
+    ) -> Any:
         """The result of all samples: see `ADIntegrator.sample`.
 
         Two more keywords may be given. With `project` true, the fourth result is (rays, mask): one ray per path that
