@@ -81,7 +81,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
         white(reflectence={"type": "rgb", "value": 0.5}),
         r"^scene\.white: unknown key 'reflectence' \(a texture\) of bsdf 'diffuse'; did you mean 'reflectance'\?",
     ),
-    "number in a scene": (scene(a=3), r"^scene: unknown key 'a' of 'scene'$"),
+    "number in a scene": (scene(a=3), r"^scene: unknown key 'a' of 'scene'; possible: allow_thread"),
     "box in a sphere": (sphere(a={"type": "box"}), r"^scene\.ball: unknown key 'a' \(an rfilter\) of shape 'sphere'"),
     "two names": (
         scene(a={"type": "cube", "id": "x"}, b={"type": "cube", "id": "x"}),
