@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import drjit as dr
 
 from djpt.description.plugin import TraversalCallback
@@ -42,6 +45,24 @@ class TwoSided(BSDF):
         callback.put("brdf_0", self.front)
         if self.back is not None:
             callback.put("brdf_1", self.back)
+
+    def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
+        return any(bsdf.has_attribute(name) for bsdf in (self.front, self.back) if bsdf is not None)
+
+    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The parameter of the BSDF on the side of `si.wi`, 0 if only the other has one; see `BSDF.eval_attribute`."""
+        return self._of_side(name, si, lambda bsdf: bsdf.eval_attribute(name, si, active), Color3f(0))
+
+    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
+        return self._of_side(name, si, lambda bsdf: bsdf.eval_attribute_1(name, si, active), Float(0))
+
+    def _of_side(self, name: str, si: SurfaceInteraction3f, value: Callable[[BSDF], Any], nothing: Any) -> Any:
+        if not self.has_attribute(name):
+            self.front.eval_attribute(name, si)  # which says what is possible
+        front, back = (
+            value(bsdf) if bsdf.has_attribute(name) else nothing for bsdf in (self.front, self.back or self.front)
+        )
+        return dr.select(si.wi.z < 0, back, front)
 
     def components(self) -> tuple[int, ...]:
         back = self.back or self.front
