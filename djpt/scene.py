@@ -14,6 +14,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.family import Family
+from djpt.dispatch.live import Live
 from djpt.dispatch.lookup import Members
 from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, SensorPtr, ShapePtr
 from djpt.emitters import Emitter
@@ -79,7 +80,7 @@ class Scene(RayQuestions, LightQuestions, Plugin):
         return [plugin for _, plugin in self.named if plugin.kind == kind]
 
     def _compile(self) -> None:
-        self.lookup: Lookup = Detached()
+        self.lookup: Lookup = Live()
         self._from_infinity = [i for i, e in enumerate(self._emitters) if e.from_infinity]
         self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
 

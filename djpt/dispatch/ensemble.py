@@ -99,6 +99,11 @@ class Detached:
         self._copies: dict[tuple[int, str], Any] = {}
         self._tables: dict[int, tuple[Leaf, Any]] = {}
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether no value that is looked up is attached."""
+        return True
+
     def prepare(self, leaves: Iterable[Leaf]) -> None:
         """Build the tables of some leaves. Long ones must exist before a kernel's loop asks for them."""
         for leaf in leaves:

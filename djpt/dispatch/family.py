@@ -11,7 +11,8 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.plugin import Plugin
-from djpt.dispatch.ensemble import Attached, Detached, Ensemble, Lookup
+from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.live import Live
 from djpt.dispatch.lookup import Members, Numbers, choose
 from djpt.errors import SceneError
 from djpt.records import Record
@@ -145,9 +146,9 @@ class Pointer(Record, Generic[P]):
 
     @property
     def lookup(self) -> Lookup:
-        """The way to read the plugins' values; those of a script's own plugins stay attached to their gradients."""
+        """The way to read the plugins' values."""
         if self.is_of_script:
-            return as_attached(self.ensemble)
+            return Live()
         family: Family[P] = only(tuple(self.home))
         return family.lookup
 
@@ -235,17 +236,6 @@ class Pointer(Record, Generic[P]):
 
     def __repr__(self) -> str:
         return repr([self.at(lane) for lane in range(dr.width(self.index))])
-
-
-def as_attached(ensemble: Ensemble[Any]) -> Lookup:
-    """A lookup of the values of plugins that is attached to those with gradients."""
-    values = {
-        (id(owner), leaf.attribute): getattr(owner, leaf.attribute)
-        for leaf in ensemble.leaves()
-        for owner in leaf.owners
-    }
-    attached = {place: value for place, value in values.items() if dr.grad_enabled(value)}
-    return Attached(attached) if attached else Detached()
 
 
 def identity(plugin: Any) -> int:

@@ -164,7 +164,7 @@ class BSDFPtr(Pointer[BSDF]):
         What `sample` computes may have cancelled terms of value and density, and differentiates as if the
         direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
         """
-        if isinstance(self.lookup, Detached):
+        if isinstance(self.lookup, Detached) and self.lookup.is_plain:
             return weight
         value = bsdf.eval(ctx, si, bs.wo, active)
         if not dr.grad_enabled(weight, value):
