@@ -130,6 +130,13 @@ def test_python_takes_streams() -> None:
     assert stream.raw_buffer() == b"[1, 2]"
 
 
+def test_meshes_write_to_streams(tmp_path: Path) -> None:
+    mesh, stream = djpt.Mesh("m", np.eye(3), [[0, 1, 2]]), djpt.MemoryStream()
+    mesh.write_ply(stream=stream)
+    mesh.write_ply(tmp_path / "m.ply")
+    assert stream.raw_buffer() == (tmp_path / "m.ply").read_bytes()
+
+
 PATHS = ["", ".", "..", "a", "a/b.c", "/a/b", "./a/../b", "a.b/c", ".hidden", "a/", "/", "a.tar.gz"]
 
 
