@@ -123,7 +123,7 @@ class Visit(TraversalCallback):
 
 
 class SceneParameters(Mapping[str, Any]):
-    """A dict-like view of parameters; made by `traverse`.
+    """A dict-like view of parameters; made by `traverse`. ``SceneParameters()`` has none.
 
     Assigning (``params[key] = value``) converts numbers, lists, NumPy and Mitsuba arrays to the
     parameter's type, checks the value, and writes it to the plugin; Dr.Jit arrays stay attached to
@@ -137,10 +137,15 @@ class SceneParameters(Mapping[str, Any]):
 
     DRJIT_STRUCT = Held()
 
-    def __init__(self, root: Plugin, entries: Mapping[str, Entry], parents: Mapping[int, Plugin | None]) -> None:
-        self._root = root
-        self._entries = dict(entries)
-        self._parents = parents
+    def __init__(
+        self,
+        root: Plugin | None = None,
+        entries: Mapping[str, Entry] | None = None,
+        parents: Mapping[int, Plugin | None] | None = None,
+    ) -> None:
+        self._root = Plugin() if root is None else root
+        self._entries = dict(entries or {})
+        self._parents = parents or {}
         self._lent: dict[str, Loan] = {}
         self._dirty: dict[str, tuple[Entry, Any]] = {}
         """The parameters that have changed since the last update, with the values that they had before."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import drjit as dr
 
@@ -48,6 +48,24 @@ class TwoSided(BSDF):
         if self.back is not None:
             callback.put("brdf_1", self.back)
 
+    def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
+        return any(bsdf.has_attribute(name) for bsdf in (self.front, self.back) if bsdf is not None)
+
+    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The parameter of the BSDF on the side of `si.wi`, 0 if only the other has one; see `BSDF.eval_attribute`."""
+        return self._of_side(name, si, lambda bsdf: bsdf.eval_attribute(name, si, active), Color3f(0))
+
+    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
+        return self._of_side(name, si, lambda bsdf: bsdf.eval_attribute_1(name, si, active), Float(0))
+
+    def _of_side(self, name: str, si: SurfaceInteraction3f, value: Callable[[BSDF], Any], nothing: Any) -> Any:
+        if not self.has_attribute(name):
+            self.front.eval_attribute(name, si)  # which says what is possible
+        front, back = (
+            value(bsdf) if bsdf.has_attribute(name) else nothing for bsdf in (self.front, self.back or self.front)
+        )
+        return dr.select(si.wi.z < 0, back, front)
+
     def components(self) -> tuple[int, ...]:
         back = self.back or self.front
         sides = int(BSDFFlags.FrontSide | BSDFFlags.BackSide)
@@ -59,21 +77,6 @@ class TwoSided(BSDF):
     def _seen_from_front(self, si: SurfaceInteraction3f) -> SurfaceInteraction3f:
         wi = Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
         return si.replaced(wi=wi)
-
-    def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
-        return any(bsdf is not None and bsdf.has_attribute(name, active) for bsdf in (self.front, self.back))
-
-    def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        return self._of_side(lambda bsdf, seen: bsdf.eval_attribute(name, seen, active), si)
-
-    def eval_attribute_1(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Float:
-        return self._of_side(lambda bsdf, seen: bsdf.eval_attribute_1(name, seen, active), si)
-
-    def _of_side(self, ask: Callable[[BSDF, SurfaceInteraction3f], Value], si: SurfaceInteraction3f) -> Value:
-        """The answer of the BSDF that `si.wi` sees."""
-        seen = self._seen_from_front(si)
-        front = ask(self.front, seen)
-        return front if self.back is None else dr.select(si.wi.z < 0, ask(self.back, seen), front)
 
     def _only(self, ctx: BSDFContext, behind: Bool) -> tuple[BSDF, BSDFContext, Bool] | None:
         """The BSDF that has the only lobe asked for, its context, and where it is seen; None if all are asked for."""

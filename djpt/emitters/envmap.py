@@ -63,7 +63,8 @@ class EnvironmentMap(OrientedEmitter):
     and `scale` (default 1, not negative), `to_world` (a rotation or reflection, default identity),
     `mis_compensation` (default false; true samples only what is brighter than the average: O. Karlik et al., "MIS
     Compensation: Optimizing Sampling Techniques in Multiple Importance Sampling", SIGGRAPH Asia 2019; not for
-    integrators that only sample lights). At least 2 x 3 texels, not negative and not all black.
+    integrators that only sample lights). At least 2 x 3 texels, not negative; a black sky is
+    sampled uniformly.
 
     The parameter `data` is a `TensorXf` (H, W + 2, 3), as in Mitsuba 3.9: the first column repeats the last texels,
     and the last column the first ones. These two are never read, so they have no gradients; `update` renews them
@@ -143,6 +144,8 @@ class EnvironmentMap(OrientedEmitter):
         self._mean = mean_over_sphere(texels)
         weights = luminance(texels)
         everywhere = corner_weights(weights)
+        if not everywhere.any():  # a black sky is sampled, too, until a script makes it brighter
+            everywhere = corner_weights(np.ones_like(weights))
         self.distribution.set(everywhere)
         if self.ray_distribution is not None:
             self.ray_distribution.set(everywhere)
@@ -340,10 +343,7 @@ def check_radiance(data: TensorXf) -> None:
     rows, columns = data.shape[0], data.shape[1] - 2
     if columns < 2 or rows < 3:
         raise SceneError(f"must have at least 2 x 3 texels, found {columns} x {rows}")
-    texels = numbers_of(data)[:, 1:-1]
-    Allowed(low=0.0).require(texels)
-    if not texels[1:-1].any():
-        raise SceneError("is black, so that no direction can be sampled; for no light leave the emitter away")
+    Allowed(low=0.0).require(numbers_of(data)[:, 1:-1])
 
 
 def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, overload
 
 import drjit as dr
 
@@ -36,16 +36,36 @@ class ImageBlock:
         RenderError: Shapes that don't fit.
     """
 
+    @overload
     def __init__(
         self,
-        size: Any = None,
+        size: Sequence[int],
+        offset: Sequence[int],
+        channel_count: int,
+        rfilter: ReconstructionFilter | None = None,
+        border: bool = False,
+        normalize: bool = False,
+        coalesce: bool = True,
+        warn_negative: bool = False,
+        warn_invalid: bool = False,
+    ) -> None: ...
+    @overload
+    def __init__(
+        self,
+        tensor: TensorXf,
         offset: Sequence[int] = (0, 0),
-        *further: Any,
-        tensor: Any = None,
-        **options: Any,
-    ) -> None:
-        if len(getattr(size, "shape", ())) == 3:
-            tensor = size
+        rfilter: ReconstructionFilter | None = None,
+        border: bool = False,
+        normalize: bool = False,
+        coalesce: bool = True,
+        warn_negative: bool = False,
+        warn_invalid: bool = False,
+    ) -> None: ...
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        first, *further = arguments or (options.pop("size", None),)
+        offset = further.pop(0) if further else options.pop("offset", (0, 0))
+        tensor = first if len(getattr(first, "shape", ())) == 3 else options.pop("tensor", None)
         given = settings(tensor is None, further, options)
         self._rfilter: ReconstructionFilter | None = given["rfilter"]
         self._border = self._rfilter.border_size() if given["border"] and self._rfilter is not None else 0
@@ -54,7 +74,7 @@ class ImageBlock:
         self.set_offset(offset)
         if tensor is None:
             self._channels = int(given["channel_count"])
-            self.set_size(size)
+            self.set_size(first)
             return
         tensor = TensorXf(tensor)
         height, width, self._channels = tensor.shape
@@ -160,7 +180,14 @@ class ImageBlock:
 
     # ---- samples ----------------------------------------------------------------------
 
-    def put(self, pos: Point2f, *args: Any, **options: Any) -> None:
+    @overload
+    def put(
+        self, pos: Any, wavelengths: Any, value: Any, alpha: Any = 1.0, weight: Any = 1, active: Bool | bool = True
+    ) -> None: ...
+    @overload
+    def put(self, pos: Any, values: Sequence[Any], active: Bool | bool = True) -> None: ...
+
+    def put(self, pos: Any, *args: Any, **options: Any) -> None:
         """Add samples at positions `pos`, in pixels of the film; inactive lanes add nothing.
 
         Either ``put(pos, values, active=True)`` with one value per channel, or, for blocks with the 4 or 5 channels of

@@ -141,10 +141,10 @@ class Interaction3f(Record):
         """An unbounded ray that leaves the surface in direction `d`."""
         return self._along(self.offset_p(d), d, Float(dr.inf), d)
 
-    def spawn_ray_to(self, target: Point3f) -> Ray3f:
-        """The segment to `target`: `d` is not normalised, `maxt` is just short of 1."""
-        o = self.offset_p(target - self.p)
-        return self._along(o, target - o, Float(1 - SHADOW_EPSILON), target - self.p)
+    def spawn_ray_to(self, t: Point3f) -> Ray3f:
+        """The segment to the point `t`: `d` is not normalised, `maxt` is just short of 1."""
+        o = self.offset_p(t - self.p)
+        return self._along(o, t - o, Float(1 - SHADOW_EPSILON), t - self.p)
 
     def _along(self, o: Point3f, d: Vector3f, maxt: Float, leaving: Vector3f) -> Ray3f:
         """A ray with the time of the interaction, in the medium on the side that `leaving` points to."""
@@ -269,8 +269,9 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     media: tuple[UInt32, ...]
     """The medium of the ray that arrived; nothing in scenes without media."""
 
-    def __init__(self, other: Any = None, wavelengths: Any = None, **fields: Any) -> None:
+    def __init__(self, other: Any = None, wavelengths: Any = None, *, ps: Any = None, **fields: Any) -> None:
         no_wavelengths(wavelengths)
+        other = other if ps is None else ps
         Record.__init__(self, other, **fields)
         if other is not None and not isinstance(other, Interaction3f):
             self.t, self.sh_frame = Float(0), Frame3f.from_normal(self.n)

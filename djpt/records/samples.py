@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import drjit as dr
 
@@ -34,8 +34,8 @@ class PositionSample3f(Record):
     delta: Bool
     """True if the point can't be sampled by chance."""
 
-    def __init__(self, other: Record | None = None, **fields: Any) -> None:
-        other = fields.pop("si", other)
+    def __init__(self, other: Record | None = None, *, si: SurfaceInteraction3f | None = None, **fields: Any) -> None:
+        other = other if si is None else si
         if isinstance(other, SurfaceInteraction3f):
             fields = {"p": other.p, "n": other.sh_frame.n, "uv": other.uv, "time": other.time, **fields}
             other = None
@@ -68,6 +68,15 @@ class DirectionSample3f(PositionSample3f):
     emitter_index: UInt32
     """The number of the emitter; the count of emitters, or `NO_EMITTER`, means none."""
     home: Home
+
+    @overload
+    def __init__(self, other: PositionSample3f | None = None, **fields: Any) -> None: ...
+    @overload
+    def __init__(self, scene: Any, si: SurfaceInteraction3f, ref: Any) -> None: ...
+    @overload
+    def __init__(
+        self, p: Any, n: Any, uv: Any, time: Any, pdf: Any, delta: Any, d: Any, dist: Any, emitter: Any
+    ) -> None: ...
 
     def __init__(self, *values: Any, **fields: Any) -> None:
         if len(values) == 3 or "ref" in fields:
@@ -214,7 +223,16 @@ class BSDFSample3f(Record):
     """`BSDFFlags` of the lobe that was sampled."""
     sampled_component: UInt32
 
+    @overload
+    def __init__(
+        self, wo: Any = None, pdf: Any = None, eta: Any = None, sampled_type: Any = None, sampled_component: Any = None
+    ) -> None: ...
+    @overload
+    def __init__(self, bs: BSDFSample3f) -> None: ...
+
     def __init__(self, *values: Any, **fields: Any) -> None:
+        if "bs" in fields:
+            values = (fields.pop("bs"),)
         if values and isinstance(values[0], BSDFSample3f):
             super().__init__(values[0], **fields)
         else:

@@ -19,7 +19,15 @@ from djpt.types import TensorXf
 __all__ = ["AdjointIntegrator"]
 
 
-class AdjointIntegrator(Integrator):
+class Adjoint(type):
+    """The type of `AdjointIntegrator`: djpt's own integrators that start at the lights count as instances of it."""
+
+    def __instancecheck__(cls, instance: Any) -> bool:
+        own = cls.__name__ == "AdjointIntegrator" and isinstance(instance, Integrator) and instance.starts_at_lights
+        return own or super().__instancecheck__(instance)
+
+
+class AdjointIntegrator(Integrator, metaclass=Adjoint):
     """An integrator whose samples may reach any pixel: one light path per lane, as many as `spp` per pixel."""
 
     starts_at_lights = True

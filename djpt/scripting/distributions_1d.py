@@ -86,7 +86,7 @@ class DiscreteDistribution(Table):
             assignment to `pmf` and `update` fill it.
     """
 
-    def __init__(self, pmf: Any = None, /) -> None:
+    def __init__(self, pmf: Any = None) -> None:
         weights = pmf.pmf if isinstance(pmf, DiscreteDistribution) else pmf
         super().__init__(Float() if weights is None else Float(weights))
         if pmf is not None:

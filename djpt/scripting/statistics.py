@@ -13,7 +13,7 @@ import numpy as np
 __all__ = ["chi2", "rlgamma"]
 
 
-def chi2(obs: Any, exp: Any, pool_threshold: float, /) -> tuple[float, int, int, int]:
+def chi2(obs: Any, exp: Any, pool_threshold: float) -> tuple[float, int, int, int]:
     """Pearson's statistic, the sum of (observed - expected)^2 / expected.
 
     Args:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -249,7 +250,10 @@ def horizontal_fov(props: Properties, aspect: float) -> float:
         axis = fov_axis(props, aspect)
     else:
         if "fov_axis" in props:
-            raise props.error("fov_axis", "needs 'fov'; a focal length refers to the diagonal")
+            if "focal_length" not in props:
+                raise props.error("fov_axis", "needs 'fov'; a focal length refers to the diagonal")
+            fov_axis(props, aspect)
+            warnings.warn(f"{props.node}: 'fov_axis' has no effect on a focal length", stacklevel=2)
         fov = math.degrees(2 * math.atan(FRAME_DIAGONAL / (2 * focal_length(props))))
         axis = "diagonal"
     t = math.tan(math.radians(fov) / 2)

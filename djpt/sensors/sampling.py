@@ -11,6 +11,7 @@ from djpt.records import DirectionSample3f, Ray3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f
 
 if TYPE_CHECKING:
+    from djpt.errors import RenderError
     from djpt.films.base import Film
 
 __all__ = ["SampledRays"]
@@ -42,6 +43,9 @@ class SampledRays:
 
         def film(self) -> Film:
             """See `Sensor`."""
+
+        def unanswered(self, what: str) -> RenderError:
+            """See `djpt.Endpoint`."""
 
     def needs_aperture_sample(self) -> bool:
         """Whether rays depend on the aperture sample."""
@@ -101,6 +105,10 @@ class SampledRays:
         ds, importance = self.look_from(Point3f(getattr(it, "p", it)), Point2f(sample), active)
         ds.uv = ds.uv * Point2f(self.film().crop_size())
         return ds, Color3f(dr.select(active, importance, 0))
+
+    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> Any:
+        """Raise `RenderError`: cameras have no surface to sample."""
+        raise self.unanswered("no surface to sample")
 
     def sample_wavelengths(
         self, si: Any, sample: Float | float, active: Bool | bool = True

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import IO, TYPE_CHECKING, Any, Literal, overload
 
 import drjit as dr
 import numpy as np
@@ -347,13 +347,13 @@ class Mesh(MeshQueries, Shape):
         """The area of all triangles."""
         return as_float(self._measures.area)
 
-    def write_ply(self, filename: str | os.PathLike[str]) -> None:
-        """Write the mesh as it is now, in world space, to a binary PLY file with all its attributes.
+    def write_ply(self, filename: str | os.PathLike[str] | IO[bytes] = "", stream: IO[bytes] | None = None) -> None:
+        """Write the mesh as it is now, in world space, to a binary PLY file or stream, with all its attributes.
 
         Raises:
             FileError: the file can't be written.
         """
-        write_ply(filename, self.data())
+        write_ply(filename if stream is None else stream, self.data())
 
     def data(self) -> MeshData:
         """The mesh on the host, in world space."""

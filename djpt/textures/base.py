@@ -89,7 +89,7 @@ class Texture(Plugin):
         """A point (u, v) of the unit square where the texture is bright, and its density; by default uniform."""
         return sample, Float(1)
 
-    def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
+    def pdf_position(self, p: Point2f, active: Bool | bool = True) -> Float:
         """The density of `sample_position` per unit of uv, for points of the unit square; detached."""
         return Float(1)
 

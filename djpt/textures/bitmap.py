@@ -184,16 +184,16 @@ class Bitmap(UVTexture):
             return dr.select(u < 0, u + 1, dr.select(u > 1, u - 1, u))
         return dr.select(u < 0, -u, dr.select(u > 1, 2 - u, u))
 
-    def pdf_position(self, uv: Point2f, active: Bool | bool = True) -> Float:
+    def pdf_position(self, p: Point2f, active: Bool | bool = True) -> Float:
         if self.distribution is None:
             like = self._sampled()
-            return super().pdf_position(uv, active) if like is None else like.pdf_position(uv, active)
+            return super().pdf_position(p, active) if like is None else like.pdf_position(p, active)
         if self.tents:
-            (s, t), columns, rows = self._around(uv)
+            (s, t), columns, rows = self._around(p)
             f00, f10, f01, f11 = (self.distribution.density(x, y, active) for y in rows for x in columns)
             return lerp(lerp(f00, f10, s), lerp(f01, f11, s), t)
         cells = self._cells()
-        column, row = (UInt32(minimum(maximum(dr.floor(uv[k] * cells[k]), 0), cells[k] - 1)) for k in range(2))
+        column, row = (UInt32(minimum(maximum(dr.floor(p[k] * cells[k]), 0), cells[k] - 1)) for k in range(2))
         return self.distribution.density(column, row, active)
 
     def _cells(self) -> Vector2f:

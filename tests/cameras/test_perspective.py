@@ -133,6 +133,22 @@ REFUSED = {
 }  # fmt: skip
 
 
+def test_a_focal_length_refers_to_the_diagonal_whatever_the_axis() -> None:
+    plain = djpt.load_dict({"type": "perspective", "focal_length": "25mm"})
+    with pytest.warns(UserWarning, match="'fov_axis' has no effect on a focal length"):
+        other = djpt.load_dict({"type": "perspective", "focal_length": "25mm", "fov_axis": "y"})
+    assert other.x_fov[0] == plain.x_fov[0]
+
+
+def test_the_focus_distance_of_cameras() -> None:
+    assert djpt.load_dict({"type": "perspective", "far_clip": 50}).focus_distance() == 50
+    assert djpt.load_dict({"type": "perspective", "focus_distance": 3}).focus_distance() == 3
+    lens = djpt.load_dict({"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3})
+    params = djpt.traverse(lens)
+    params.update({"focus_distance": 4.0})
+    assert lens.focus_distance() == 4
+
+
 @pytest.mark.parametrize(("entries", "message"), REFUSED.values(), ids=REFUSED.keys())
 def test_refused(entries: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):

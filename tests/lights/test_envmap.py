@@ -300,17 +300,44 @@ def test_halo_follows_the_texels() -> None:
     np.testing.assert_array_equal(np.array(params["data"]), halo(data[:, 1:-1]))
 
 
-# ---------------------------------------------------------------- errors
-
 BLACK = np.zeros((4, 4, 3), np.float32)
 ONLY_POLES = BLACK.copy()
 ONLY_POLES[[0, -1]] = 1
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_a_black_sky_is_sampled_uniformly(compensated: bool) -> None:
+    """A script may begin with one, and make it brighter."""
+    scene = djpt.load_dict(scene_with(BLACK, mis_compensation=compensated))
+    assert not pixels(djpt.render(scene, spp=2)).any()
+    params = djpt.traverse(scene)
+    params["light.data"] = TensorXf(halo(texels(4, 4)))
+    params.update()
+    bright = djpt.load_dict(scene_with(texels(4, 4), mis_compensation=compensated))
+    np.testing.assert_array_equal(pixels(djpt.render(scene, spp=2)), pixels(djpt.render(bright, spp=2)))
+    params["light.data"] = TensorXf(halo(BLACK))
+    params.update()
+    assert not pixels(djpt.render(scene, spp=2)).any()
+
+
+def test_a_sky_that_shines_at_the_poles_only() -> None:
+    """The mean weight of directions is the integral of the radiance over the sphere."""
+    sky = emitter(ONLY_POLES)
+    rng = djpt.PCG32(size=1 << 16)
+    sample = djpt.Point2f(rng.next_float32(), rng.next_float32())
+    _, weight = sky.sample_direction(dr.zeros(djpt.Interaction3f), sample)
+    # From theta = 0 the radiance falls to 0 over a third of pi.
+    step = np.pi / 3
+    integral = 2 * 2 * np.pi * (1 - np.sin(step) / step)
+    np.testing.assert_allclose(dr.mean(weight.x)[0], integral, rtol=0.02)
+
+
+# ---------------------------------------------------------------- errors
+
 NAN = texels(4, 4)
 NAN[1, 2, 0] = np.nan
 
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    (light(BLACK), "scene.light: 'data' is black, so that no direction can be sampled"),
-    (light(ONLY_POLES), "'data' is black"),
     (light(NAN), "'data' must be finite, found nan in row 1, column 2"),
     (light(-texels(4, 4)), "'data' must be at least 0, found -"),
     (light(texels(2, 4)), "'data' must have at least 2 x 3 texels, found 4 x 2"),
@@ -335,7 +362,6 @@ def test_descriptions_refused(description: dict[str, Any], message: str) -> None
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("data", halo(BLACK), "light.data: is black"),
         ("data", halo(NAN), "light.data: must be finite"),
         ("data", -halo(texels(4, 4)), "light.data: must be at least 0"),
         ("data", texels(4, 3), "light.data: must have at least 2 x 3 texels, found 1 x 4"),

@@ -240,3 +240,69 @@ def test_a_loop_before_any_ray_reads_values() -> None:
         lambda i, total: (i + 1, total + value(floor.ray_intersect(ray))),
     )
     np.testing.assert_allclose(np.array(dr.detach(total)), 3 * 0.5 / np.pi, rtol=1e-6)
+
+
+def lit_floors(count: int, reflectance: Any) -> Any:
+    """Floors side by side, each with a reflectance of its own, under a lamp."""
+    description: dict[str, Any] = {
+        "type": "scene",
+        "lamp": {"type": "point", "position": [0, 0, 5], "intensity": {"type": "rgb", "value": [3, 2, 1]}},
+    }
+    for i in range(count):
+        own = reflectance if i == 1 else {"type": "rgb", "value": [0.1 + i / 50] * 3}
+        to_world = T().translate([i, 0, 0]).scale(0.5)
+        description[f"floor_{i}"] = {
+            "type": "rectangle",
+            "to_world": to_world,
+            "bsdf": {"type": "diffuse", "reflectance": own},
+        }
+    return djpt.load_dict(description)
+
+
+def shade(scene: Any, count: int) -> Any:
+    """What a script may compute: the light of the lamp that the middles of all floors send upwards."""
+    o = djpt.Point3f(dr.arange(djpt.Float, count) + 0.1, 0.1, 3)
+    si = scene.ray_intersect(djpt.Ray3f(o, djpt.Vector3f(0, 0, -1)))
+    ds, weight = scene.sample_emitter_direction(si, djpt.Point2f(0.5, 0.5))
+    return si.bsdf().eval(djpt.BSDFContext(), si, si.to_local(ds.d)) * weight
+
+
+BITMAP = {"type": "bitmap", "data": np.full((4, 4, 3), 0.5, np.float32), "raw": True}
+
+
+@pytest.mark.parametrize("count", [1, 3, 20])
+@pytest.mark.parametrize("name", ["reflectance.value", "reflectance.data", "lamp"])
+def test_what_scripts_compute_is_attached_to_the_scene(name: str, count: int) -> None:
+    """Light is linear in reflectances and intensities: a derivative times the parameter is the light."""
+    count = max(count, 2)
+    scene = lit_floors(count, BITMAP if name.endswith("data") else {"type": "rgb", "value": [0.5, 0.25, 0.75]})
+    params = djpt.traverse(scene)
+    key = "lamp.intensity.value" if name == "lamp" else f"floor_1.bsdf.{name}"
+    plain = np.array(shade(scene, count))
+    dr.enable_grad(params[key])
+    params.update()
+    light = shade(scene, count)
+    np.testing.assert_allclose(np.array(dr.detach(light)), plain, rtol=1e-6)
+    dr.backward(dr.sum(dr.sum(light)))
+    gradient, value = (
+        np.array(x).reshape(-1, 3) if name.endswith("data") else np.array(x).ravel()
+        for x in (dr.grad(params[key]), dr.detach(params[key]))
+    )
+    expected = plain.sum() if name == "lamp" else plain[:, 1].sum()
+    np.testing.assert_allclose((gradient * value).sum(), expected, rtol=1e-4)
+    with dr.suspend_grad():
+        assert not dr.grad_enabled(shade(scene, count))
+
+
+def test_sampled_weights_are_attached() -> None:
+    """Their derivative is that of the value over the density, which is kept."""
+    scene = lit_floors(2, {"type": "rgb", "value": [0.5, 0.25, 0.75]})
+    params = djpt.traverse(scene)
+    dr.enable_grad(params["floor_1.bsdf.reflectance.value"])
+    params.update()
+    si = scene.ray_intersect(djpt.Ray3f([1.1, 0.1, 3], [0, 0, -1]))
+    bs, weight = si.bsdf().sample(djpt.BSDFContext(), si, djpt.Float(0.3), djpt.Point2f(0.2, 0.6))
+    assert not dr.grad_enabled(bs.wo)
+    dr.backward(weight.y)
+    gradient = dr.grad(params["floor_1.bsdf.reflectance.value"])
+    np.testing.assert_allclose(np.array(gradient).ravel(), [0, 1, 0], atol=1e-6)

@@ -141,6 +141,17 @@ def test_attributes_are_mitsubas(mi: Any, name: str, attribute: str) -> None:
         mine.eval_attribute("reflectence", si)
 
 
+def test_two_sides_have_attributes_of_their_own() -> None:
+    bsdf = djpt.load_dict({"type": "twosided", "a": {"type": "diffuse", "reflectance": 0.25}, "b": ROUGH})
+    si = dr.zeros(djpt.SurfaceInteraction3f, 2)
+    si.wi = Vector3f(0, 0, [1, -1])
+    assert bsdf.has_attribute("alpha_u") is False and bsdf.has_attribute("alpha") and bsdf.has_attribute("reflectance")
+    np.testing.assert_allclose(np.array(bsdf.eval_attribute_1("alpha", si)), [0, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(np.array(bsdf.eval_attribute("reflectance", si).x), [0.25, 0], rtol=1e-6)
+    with pytest.raises(DjptError, match="there is no attribute 'x'"):
+        bsdf.eval_attribute("x", si)
+
+
 def test_pointers_answer_per_lane() -> None:
     scene = djpt.load_dict(djpt.cornell_box())
     ray = djpt.Ray3f(djpt.Point3f(0, 0, 3.5), djpt.Vector3f([0, -0.25], [0, 0.0], [-1, -1]))

@@ -200,6 +200,11 @@ def test_scripts_can_start_at_the_lights() -> None:
         dr.backward(dr.mean(djpt.render(scene, params, integrator=djpt.load_dict({"type": "confetti"}), spp=1).array))
 
 
+def test_integrators_that_start_at_the_lights_are_adjoint() -> None:
+    assert isinstance(djpt.load_dict({"type": "ptracer"}), djpt.AdjointIntegrator)
+    assert not isinstance(djpt.load_dict({"type": "path"}), djpt.AdjointIntegrator)
+
+
 def test_a_rendering_can_be_cancelled() -> None:
     scene, integrator = room(), djpt.load_dict({"type": "path"})
     assert not integrator.should_stop()

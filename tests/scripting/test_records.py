@@ -185,3 +185,14 @@ def test_interactions_are_loop_state() -> None:
 def test_an_interaction_without_a_scene_says_so() -> None:
     with pytest.raises(RenderError, match="this SurfaceInteraction3f belongs to no scene: it wasn't found by a ray"):
         djpt.SurfaceInteraction3f().bsdf()
+
+
+def test_records_take_the_names_of_mitsubas_arguments() -> None:
+    si = djpt.SurfaceInteraction3f(p=[1, 2, 3], n=[0, 0, 1])
+    assert numbers(djpt.PositionSample3f(si=si).p) == [1, 2, 3]
+    assert numbers(djpt.SurfaceInteraction3f(ps=djpt.PositionSample3f(si=si), wavelengths=[]).p) == [1, 2, 3]
+    sample = djpt.BSDFSample3f(wo=[0, 0, 1])
+    assert numbers(djpt.BSDFSample3f(bs=sample).wo) == [0, 0, 1]
+    zeros = {"uv": [0, 0], "time": 0, "pdf": 2, "delta": False, "d": [0, 0, 1], "dist": 4, "emitter": None}
+    assert numbers(djpt.DirectionSample3f(p=[1, 2, 3], n=[0, 0, 1], **zeros).dist) == [4]
+    assert numbers(djpt.Interaction3f(p=[0, 0, 0], n=[0, 0, 1], t=1).spawn_ray_to(t=djpt.Point3f(0, 0, 2)).d)[2] > 1.9

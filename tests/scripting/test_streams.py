@@ -6,7 +6,6 @@ import gzip
 import io
 import json
 import pickle
-import struct
 import zlib
 from pathlib import Path
 from typing import Any
@@ -130,6 +129,13 @@ def test_python_takes_streams() -> None:
     assert stream.raw_buffer() == b"[1, 2]"
 
 
+def test_meshes_write_to_streams(tmp_path: Path) -> None:
+    mesh, stream = djpt.Mesh("m", np.eye(3), [[0, 1, 2]]), djpt.MemoryStream()
+    mesh.write_ply(stream=stream)
+    mesh.write_ply(tmp_path / "m.ply")
+    assert stream.raw_buffer() == (tmp_path / "m.ply").read_bytes()
+
+
 PATHS = ["", ".", "..", "a", "a/b.c", "/a/b", "./a/../b", "a.b/c", ".hidden", "a/", "/", "a.tar.gz"]
 
 
@@ -172,22 +178,3 @@ def test_files_in_memory(tmp_path: Path) -> None:
     assert not name.exists()
     with pytest.raises(FileError, match="can't be mapped"):
         djpt.MemoryMappedFile(tmp_path / "none")
-
-
-def test_tensors_are_those_of_mitsuba(tmp_path: Path, mi: Any) -> None:
-    tensors = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.array([1, 2], np.uint8)}
-    for writer, reader in ((djpt, mi), (mi, djpt)):
-        path = str(tmp_path / writer.__name__)
-        writer.tensor_io.write(path, **tensors)
-        found = reader.tensor_io.read(path)
-        for name, tensor in tensors.items():
-            np.testing.assert_array_equal(found[name].reshape(np.shape(tensor)), tensor)
-        assert str(djpt.TensorFile(path)) == str(mi.TensorFile(path))
-        assert "b" in djpt.TensorFile(path) and "d" not in djpt.TensorFile(path)
-        np.testing.assert_array_equal(djpt.TensorFile(path)["a"].to(djpt.TensorXf), tensors["a"])
-    path = tmp_path / "no"
-    path.write_bytes(struct.pack("<I", 1))
-    with pytest.raises(FileError, match="this isn't a file of tensors"):
-        djpt.tensor_io.read(path)
-    with pytest.raises(FileError, match="'x' can't be stored: its type is complex128"):
-        djpt.tensor_io.write(path, x=1j)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,30 @@ from djpt.shapes.meshes.data import MeshData
 __all__ = ["write_ply"]
 
 
-def write_ply(path: str | os.PathLike[str], mesh: MeshData) -> None:
-    """Write a little-endian PLY file, with the names that `read_ply` and Mitsuba understand.
+def write_ply(path: str | os.PathLike[str] | IO[bytes], mesh: MeshData) -> None:
+    """Write a PLY file: see `ply_bytes`. `path` may be a binary stream, too.
 
     The file is written under another name first, so that a failure leaves an older one whole.
 
     Raises:
         FileError: it can't be written.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        path.write(ply_bytes(mesh))
+        return
+    target = Path(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        temporary.write_bytes(ply_bytes(mesh))
+        temporary.replace(target)
+    except OSError as error:
+        raise FileError(f"can't write '{target}': {error.strerror}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def ply_bytes(mesh: MeshData) -> bytes:
+    """A little-endian PLY file, with the names that `read_ply` and Mitsuba understand."""
     vertex = {"xyz": mesh.positions}
     names = ["x", "y", "z"]
     if mesh.normals is not None:
@@ -46,18 +63,8 @@ def write_ply(path: str | os.PathLike[str], mesh: MeshData) -> None:
     rows["n"], rows["i"] = 3, mesh.indices
     if face:
         rows["f"] = np.concatenate(list(face.values()), axis=1)
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as file:
-            file.write("\n".join([*header, "end_header\n"]).encode())
-            file.write(np.concatenate(list(vertex.values()), axis=1).astype("<f4").tobytes())
-            file.write(rows.tobytes())
-        temporary.replace(target)
-    except OSError as error:
-        raise FileError(f"can't write '{target}': {error.strerror}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    text = "\n".join([*header, "end_header\n"]).encode()
+    return text + np.concatenate(list(vertex.values()), axis=1).astype("<f4").tobytes() + rows.tobytes()
 
 
 def channel_names(base: str, count: int) -> list[str]:
