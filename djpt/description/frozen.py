@@ -146,7 +146,8 @@ class Inventory:
         )
 
     def _visit(self, value: Any) -> None:
-        sort = sort_of(type(value))  # type: ignore[arg-type]
+        kind: Any = type(value)
+        sort = sort_of(kind)
         if sort == "plain":
             self._parts.append(value)
         elif sort == "input" and dr.width(value):
@@ -158,7 +159,7 @@ class Inventory:
         else:
             # The object is kept beside its number so that its id stays taken.
             self._visited[id(value)] = (len(self._visited), value)
-            self._parts.append(type(value))
+            self._parts.append(kind)
             self._visit_members(value)
 
     def _visit_members(self, value: Any) -> None:
