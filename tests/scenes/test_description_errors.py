@@ -72,7 +72,6 @@ MISTAKES: dict[str, tuple[Any, str]] = {
         scene(a={"type": "hair"}),
         r"^scene\.a: Mitsuba's bsdf 'hair' isn't supported yet; supported: .*diffuse.*twosided",
     ),
-    "medium": (scene(a={"type": "homogeneous"}), r"^scene\.a: Mitsuba's medium .* supported: no medium at all$"),
     "unknown key": (
         white(reflectence=0.5),
         r"^scene\.white: unknown key 'reflectence' of bsdf 'diffuse'; did you mean 'reflectance'\?",
