@@ -23,15 +23,15 @@ def media() -> None:
         ("wax", "sigma_t 40, bright", ball(40.0, {"type": "rgb", "value": [0.999, 0.995, 0.97]})),
     ]
     tiles = [
-        Tile(title, subtitle, shown(djpt.render(djpt.load_dict(scene), spp=1024))) for title, subtitle, scene in panels
+        Tile(title, subtitle, shown(djpt.render(djpt.load_dict(scene), spp=512))) for title, subtitle, scene in panels
     ]
     djpt.write(str(IMAGES / "media.png"), captioned_sheet(tiles))
 
 
-def room(size: int = 240) -> dict[str, Any]:
+def room(size: int = 200) -> dict[str, Any]:
     """The Cornell box, to be rendered by `volpathmis`."""
     scene = djpt.cornell_box()
-    scene["integrator"] = {"type": "volpathmis", "max_depth": 128, "rr_depth": 32}
+    scene["integrator"] = {"type": "volpathmis", "max_depth": 128, "rr_depth": 128}
     scene["sensor"]["film"].update(width=size, height=size)
     return scene
 

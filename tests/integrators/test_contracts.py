@@ -80,7 +80,7 @@ def test_light_fades_in_matter() -> None:
     expected = np.exp(-SIGMA * np.array([0.5, 0.25, 0.0]))
     np.testing.assert_allclose(np.array(scene.transmittance(ray, Float(0.5, 0.25, 7.0))).T[:, 0], expected, rtol=1e-6)
     si = scene.ray_intersect(Ray3f(p, Vector3f(0, 0, 1), medium=ray.medium))
-    inward, outward = (np.array(si.target_medium(Vector3f(0, 0, sign))) for sign in (-1, 1))
+    inward, outward = (np.array(si.medium_beyond(Vector3f(0, 0, sign))) for sign in (-1, 1))
     np.testing.assert_array_equal(inward[:2], np.array(ray.medium)[:2])
     assert (outward[:2] == np.array(ray.medium)[2]).all()
 

@@ -72,7 +72,6 @@ MISTAKES: dict[str, tuple[Any, str]] = {
         scene(a={"type": "measured_polarized"}),
         r"^scene\.a: Mitsuba's bsdf 'measured_polarized' isn't supported yet; supported: .*diffuse.*twosided",
     ),
-    "medium": (scene(a={"type": "homogeneous"}), r"^scene\.a: Mitsuba's medium .* supported: no medium at all$"),
     "unknown key": (
         white(reflectence=0.5),
         r"^scene\.white: unknown key 'reflectence' of bsdf 'diffuse'; did you mean 'reflectance'\?",
