@@ -97,13 +97,8 @@ def test_the_table_of_plugins_is_true(row: str) -> None:
         assert both | only_here == set(own)
     mitsuba = pytest.importorskip("mitsuba")
     theirs = {path.stem for path in (Path(mitsuba.__file__).parent / "plugins").iterdir()}
-<<<<<<< HEAD
     # Some of its integrators are in Python.
-    assert both - {"prb", "prb_basic", "direct_projective", "prb_projective"} <= theirs
-=======
-    # Three of its integrators are in Python.
-    assert both - {"prb", "prb_basic", "prbvolpath"} <= theirs
->>>>>>> me
+    assert both - {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective"} <= theirs
     assert missing <= theirs and not only_here & theirs
 
 
