@@ -1,0 +1,94 @@
+"""Shadows of media: the light on a floor under a box of absorbing matter, in closed form, for each kind of light."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.transforms import ScalarTransform4f as T
+from tests.kit.media_scenes import NULL, fog
+
+LOW, HIGH = np.array([-1, -1, 0.2]), np.array([1, 1, 2.2])
+"""The corners of the box."""
+
+SIZE, HALF = 24, 4.0
+"""The pixels of a row, and half the width of what is seen of the floor."""
+
+TO_LIGHT = np.array([-0.5, -0.6, 0.6])
+FAR, NEAR = 10 * TO_LIGHT, np.array([-2.0, -2.4, 2.4])
+GRID = {"type": "gridvolume", "data": np.ones((4, 4, 4, 1), np.float32)}
+
+LIGHTS: dict[str, dict[str, Any]] = {
+    "directional": {"type": "directional", "direction": (-TO_LIGHT).tolist(), "irradiance": 1.0},
+    "far point": {"type": "point", "position": FAR.tolist(), "intensity": 50.0},
+    "near point": {"type": "point", "position": NEAR.tolist(), "intensity": 50.0},
+}
+
+MEDIA: dict[str, dict[str, Any]] = {
+    "homogeneous": fog(1.0, 0.0),
+    "heterogeneous": {
+        "type": "heterogeneous",
+        "albedo": 0.0,
+        "sigma_t": {**GRID, "to_world": T().translate(LOW.tolist()).scale((HIGH - LOW).tolist())},
+    },
+}
+
+
+def floor_under(medium: dict[str, Any], light: dict[str, Any], integrator: str) -> Any:
+    """The floor, seen straight from above."""
+    return {
+        "type": "scene",
+        "integrator": {"type": integrator, "max_depth": 3},
+        "sensor": {
+            "type": "orthographic",
+            "to_world": T().look_at([0, 0, 10], [0, 0, 0], [0, 1, 0]) @ T().scale(HALF),
+            "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}},
+        },
+        "light": light,
+        "floor": {"type": "rectangle", "to_world": T().scale(20), "bsdf": {"type": "diffuse", "reflectance": 0.5}},
+        "box": {"type": "cube", "to_world": T().translate([0, 0, 1.2]), "bsdf": NULL, "interior": medium},
+    }
+
+
+def inside(o: np.ndarray, d: np.ndarray, length: np.ndarray | float = np.inf) -> np.ndarray:
+    """The length of rays within the box."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near, far = (LOW - o) / d, (HIGH - o) / d
+    begin, end = np.fmin(near, far).max(axis=-1), np.fmax(near, far).min(axis=-1)
+    return np.maximum(0, np.minimum(end, length) - np.maximum(begin, 0))
+
+
+def expected(name: str, points: np.ndarray) -> np.ndarray:
+    """The light that points of the floor reflect upwards, outside of what is below the box."""
+    if name == "directional":
+        d = np.broadcast_to(TO_LIGHT / np.linalg.norm(TO_LIGHT), points.shape)
+        irradiance, distance = d[..., 2], np.full(points.shape[:-1], np.inf)
+    else:
+        way = (FAR if name == "far point" else NEAR) - points
+        distance = np.linalg.norm(way, axis=-1)
+        d = way / distance[..., None]
+        irradiance = 50 * d[..., 2] / distance**2
+    return 0.5 / np.pi * irradiance * np.exp(-inside(points, d, distance))
+
+
+CASES = [(medium, light, "volpath") for medium in MEDIA for light in LIGHTS]
+CASES += [("homogeneous", light, "volpathmis") for light in LIGHTS]
+
+
+@pytest.mark.parametrize(("medium", "light", "integrator"), CASES)
+def test_the_shadow_of_a_box(medium: str, light: str, integrator: str) -> None:
+    scene = djpt.load_dict(floor_under(MEDIA[medium], LIGHTS[light], integrator))
+    image = djpt.render(scene, spp=256).numpy()[..., 0]
+    centres = (np.arange(SIZE) + 0.5) / SIZE * 2 * HALF - HALF
+    # Seen from above with +y upwards, +x points to the right.
+    x, y = np.meshgrid(centres, -centres)
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    clear = (np.abs(x) > 1.2) | (np.abs(y) > 1.2)
+    found = expected(light, points)
+    dark = clear & (found < 0.7 * found.max())
+    assert np.median(np.abs(image[clear] / found[clear] - 1)) < 0.01
+    assert image[clear].mean() == pytest.approx(found[clear].mean(), rel=5e-3)
+    assert image[dark].mean() == pytest.approx(found[dark].mean(), rel=2e-2)
