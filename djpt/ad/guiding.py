@@ -16,7 +16,7 @@ from djpt.errors import RenderError
 from djpt.scripting.distributions_1d import DiscreteDistribution
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
-__all__ = ["BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr"]
+__all__ = ["BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "numbers_of"]
 
 Array3u = backend.Array3u
 

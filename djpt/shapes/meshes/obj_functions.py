@@ -12,7 +12,7 @@ from djpt.llvm.arithmetic import select
 from djpt.llvm.ir import I32, I64, PTR, Function, Module, Value
 from djpt.shapes.meshes.obj_text import BLANK, HASH, NEWLINE, Text, add_text_functions, any_of, fail_if
 
-__all__ = ["add_obj_functions"]
+__all__ = ["CORNERS", "FACES", "LINES", "TRIANGLES", "WIDTHS", "add_obj_functions"]
 
 SLASH = ord("/")
 V, T, N, FACE = b"vtnf"
