@@ -28,6 +28,7 @@ __all__ = [
     "begin_trace",
     "float_in",
     "if_stmt",
+    "lerp",
     "loop_traced_once",
     "mapped",
     "maximum",
@@ -163,7 +164,7 @@ def loop_traced_once(start: T, condition: Callable[[T], Bool], body: Callable[[T
     return result
 
 
-# ---- minimum and maximum ---------------------------------------------------------------------
+# ---- minimum, maximum, interpolation ---------------------------------------------------------
 #
 # `dr.minimum` and `dr.maximum` propagate NaNs and take three instructions for it. In the inner
 # loop of a path tracer that costs 15 % (docs/performance.md). These take two, for operands that
@@ -178,6 +179,11 @@ def minimum(a: Float, b: Float | float) -> Float:
 def maximum(a: Float, b: Float | float) -> Float:
     """The larger of two numbers; `b` if either is NaN."""
     return dr.select(a > b, a, b)
+
+
+def lerp(a: Any, b: Any, t: Float) -> Any:
+    """The linear interpolation from `a` (t = 0) to `b` (t = 1)."""
+    return dr.fma(b - a, t, a)
 
 
 # ---- memory ----------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from djpt.sensors import Sensor
 from djpt.silhouettes.moving import attached_place
 from djpt.types import TensorXf, UInt32
 
-__all__ = ["channel_names", "film_image", "image_derivative", "render"]
+__all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "render"]
 
 
 def render(

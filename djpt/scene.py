@@ -20,9 +20,7 @@ from djpt.dispatch.family import Family
 from djpt.dispatch.lookup import Members
 from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, SensorPtr, ShapePtr
 from djpt.emitters import Emitter
-from djpt.emitters.choice import EmitterChoice, make_choice
 from djpt.emitters.choice.questions import LightQuestions
-from djpt.emitters.choice.sampling import LightSampling
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
@@ -103,9 +101,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         check_textures(contents.shapes)
         self._set_bounds()
         self._prepare()
-        self._choices: dict[str, EmitterChoice] = {}
-        self._brightness: list[float] = []
-        self._choice_name = "uniform"
+        self.begin_choices()
         self._light_on_miss = none if self._environment is None else self._environment
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
         self.near_share = Float(0)
@@ -182,8 +178,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if shapes:
             self._set_bounds()
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
-            self._choices.clear()
-            self._brightness.clear()
+            self.forget_choices()
         self._prepare()
 
     def prepare_to_record(self) -> None:
@@ -201,14 +196,6 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         """A view of this scene that reads values through `lookup`."""
         view = self._view()
         view.lookup = lookup
-        return view
-
-    def choosing_emitters(self, choice: str) -> Scene:
-        """A view of this scene whose emitters are chosen in another way: see `djpt.emitters.choice`."""
-        if choice == self._choice_name:
-            return self
-        view = self._view()
-        view._choice_name = choice
         return view
 
     def measured_from(self, sensor: Sensor) -> Scene:
@@ -384,21 +371,6 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
     def emitter_ptr(self, index: UInt32) -> EmitterPtr:
         """The emitters with the numbers `index`, per lane."""
         return EmitterPtr.into(self._family(self.lights), index)
-
-    # ---- light sampling ------------------------------------------------------------------------
-
-    @property
-    def light_sampling(self) -> LightSampling:
-        """The emitters, the way to choose among them, and the way to read their values."""
-        return LightSampling(self.lights, self.emitter_choice, self.lookup)
-
-    @property
-    def emitter_choice(self) -> EmitterChoice:
-        """The way to choose an emitter: see `choosing_emitters`."""
-        name = self._choice_name
-        if name not in self._choices:
-            self._choices[name] = make_choice(name, self._emitters)
-        return self._choices[name]
 
 
 KINDS = (

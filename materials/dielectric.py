@@ -18,7 +18,7 @@ from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteractio
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float, Point2f
 
-__all__ = ["Dielectric"]
+__all__ = ["REFLECTION", "TRANSMISSION", "Dielectric", "optional_texture", "tint"]
 
 REFLECTION = int(BSDFFlags.DeltaReflection | BSDFFlags.FrontSide | BSDFFlags.BackSide)
 TRANSMISSION = int(

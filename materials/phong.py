@@ -18,7 +18,7 @@ from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteractio
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
-__all__ = ["Phong"]
+__all__ = ["Phong", "cosine_power", "power"]
 
 INV_PI = 1 / math.pi
 

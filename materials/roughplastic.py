@@ -24,10 +24,10 @@ from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.microfacet import MIN_ALPHA, MicrofacetDistribution, distribution_name
+from djpt.materials.rough_coat import RoughCoatAtPoint
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["RoughPlastic"]
 
@@ -151,7 +151,7 @@ class RoughPlastic(SharedWorkBSDF):
         return self.diffuse_reflectance.eval(si, active)
 
 
-class RoughPlasticAtPoint:
+class RoughPlasticAtPoint(RoughCoatAtPoint):
     """A `RoughPlastic` at one point, seen from `wi`: the work that evaluation and sampling share."""
 
     def __init__(
@@ -200,16 +200,6 @@ class RoughPlasticAtPoint:
         pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
         pdf = dr.lerp(cosine, pdf, self.p_specular)
         return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
-
-    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
-        specular = sample1 < self.p_specular
-        m = self.surface.sample_normal(self.wi, sample2)
-        wo = dr.select(specular, reflect(self.wi, m), square_to_cosine_hemisphere(sample2))
-        value, pdf = self.eval_pdf(wo)
-        weight = value * dr.rcp(dr.select(pdf > 0, pdf, 1))
-        sampled_type = dr.select(specular, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
-        component = dr.select(specular, UInt32(0), UInt32(1))
-        return BSDFSample3f.of(wo, pdf, sampled_type, sampled_component=component), weight
 
 
 # ---- the coat as a whole --------------------------------------------------------------

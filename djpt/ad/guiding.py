@@ -16,7 +16,7 @@ from djpt.errors import RenderError
 from djpt.scripting.distributions_1d import DiscreteDistribution
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f, backend
 
-__all__ = ["BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr"]
+__all__ = ["BaseGuidingDistr", "GridDistr", "OcSpaceDistr", "UniformDistr", "places_of"]
 
 Array3u = backend.Array3u
 
@@ -181,7 +181,7 @@ class OcSpaceDistr(BaseGuidingDistr):
             is_leaf = (population <= 1) & (level >= 3) | (level >= self.max_depth)
             dr.eval(buffer, child, is_leaf)
 
-            chosen, others = numbers_of(is_leaf), numbers_of(~is_leaf)
+            chosen, others = places_of(is_leaf), places_of(~is_leaf)
             if dr.width(chosen):
                 leaves.append(self.aabbs(buffer, chosen))
             total += dr.width(chosen)
@@ -219,7 +219,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         Raises:
             RenderError: no point has mass.
         """
-        kept = numbers_of(mass > self.mass_contruction_thres)
+        kept = places_of(mass > self.mass_contruction_thres)
         if not dr.width(kept):
             raise RenderError("OcSpaceDistr: no sample has mass above the threshold: give more samples, or lower it")
         low, high = self.construct_octree(dr.gather(Point3f, points, kept), log)
@@ -228,7 +228,7 @@ class OcSpaceDistr(BaseGuidingDistr):
         box_mass = mean * size.x * size.y * size.z
         if self.clamp_mass_thres > 0:
             # Where there is hardly any mass, a sample would have an enormous weight.
-            valid = numbers_of((mean >= self.clamp_mass_thres * dr.sum(mean)) & (box_mass > 0))
+            valid = places_of((mean >= self.clamp_mass_thres * dr.sum(mean)) & (box_mass > 0))
             if not dr.width(valid):
                 raise RenderError("OcSpaceDistr: no leaf has mass: give more samples")
             low, high = dr.gather(Point3f, low, valid), dr.gather(Point3f, high, valid)
@@ -253,8 +253,8 @@ def joined(parts: Sequence[Point3f]) -> Point3f:
     return Point3f(*(dr.concat([p[axis] for p in parts]) for axis in range(3)))
 
 
-def numbers_of(mask: Bool) -> UInt32:
-    """The numbers of the entries that are true."""
+def places_of(mask: Bool) -> UInt32:
+    """The places of the entries that are true."""
     found: Any = dr.compress(mask)
     return UInt32(found)
 

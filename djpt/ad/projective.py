@@ -10,7 +10,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.ad.guiding import BaseGuidingDistr, GridDistr, OcSpaceDistr, UniformDistr, numbers_of
+from djpt.ad.guiding import BaseGuidingDistr, GridDistr, OcSpaceDistr, UniformDistr, places_of
 from djpt.ad.projection import ProjectOperation
 from djpt.errors import RenderError
 from djpt.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
@@ -209,7 +209,7 @@ class ProjectiveDetail:
         mass = self._mass(scene, sensor, points, sampler, active)
         dr.eval(points, mass)
         self.guiding_distr = None
-        count = dr.width(numbers_of(mass > 0))
+        count = dr.width(places_of(mass > 0))
         if not count:
             return
         if parent.octree_contruction_thres == 0 and count >= FEW_SAMPLES:

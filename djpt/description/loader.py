@@ -15,7 +15,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.errors import SceneError, near_miss
 
-__all__ = ["load_dict"]
+__all__ = ["Loader", "load_dict"]
 
 
 def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = True) -> Any:

@@ -28,6 +28,7 @@ __all__ = [
     "describe",
     "may_wait",
     "non_negative",
+    "numbers_in",
 ]
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -189,3 +190,15 @@ def non_negative(value: Any) -> float:
     if number < 0:
         raise SceneError(f"must be at least 0, found {number:g}")
     return number
+
+
+def numbers_in(text: str) -> list[float]:
+    """The numbers in a text, separated by commas or spaces.
+
+    Raises:
+        SceneError: a word isn't a number.
+    """
+    try:
+        return [float(word) for word in text.replace(",", " ").split()]
+    except ValueError as error:
+        raise SceneError(f"must be numbers separated by commas, found {describe(text)} ({error})") from None

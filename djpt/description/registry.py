@@ -19,6 +19,7 @@ from djpt.errors import SceneError, near_miss
 
 __all__ = [
     "Factory",
+    "home_of",
     "kind_of",
     "lookup",
     "name_of",

@@ -31,7 +31,7 @@ from djpt.records import (
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["BSDFPtr", "EmitterPtr", "SensorPtr", "ShapePtr"]
+__all__ = ["BSDFPtr", "EmitterPtr", "SensorPtr", "ShapePtr", "observer"]
 
 
 class BSDFPtr(Pointer[BSDF]):

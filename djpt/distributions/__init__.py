@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from djpt.distributions.discrete import Discrete
-from djpt.distributions.discrete_2d import DiscreteDistribution2D
-from djpt.distributions.hierarchical_2d import Hierarchical2D
+from typing import TYPE_CHECKING
 
-__all__ = ["Discrete", "DiscreteDistribution2D", "Hierarchical2D"]
+from djpt.lazy import lazily
+
+if TYPE_CHECKING:
+    from djpt.distributions.discrete import Discrete as Discrete
+    from djpt.distributions.discrete_2d import DiscreteDistribution2D as DiscreteDistribution2D
+    from djpt.distributions.hierarchical_2d import Hierarchical2D as Hierarchical2D
+else:
+    __getattr__, __dir__, __all__ = lazily(__name__)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.distributions.grids import cell_masses, corner_table, halve
-from djpt.kernels import aligned_floats, as_vector, if_stmt, maximum, minimum
+from djpt.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, minimum
 from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
-__all__ = ["Hierarchical2D", "entry", "lerp", "place_in_cell"]
+__all__ = ["Hierarchical2D", "entry", "place_in_cell"]
 
 HIDDEN = ParamFlags.NonDifferentiable
 LEAST = 2.0**-33
@@ -163,11 +163,6 @@ def linear(a: Float, b: Float, sample: Float) -> Float:
     """A number in [0, 1] with a density that is proportional to the straight line from `a` to `b`."""
     root = dr.sqrt(dr.fma(sample, dr.square(b) - dr.square(a), dr.square(a)))
     return minimum(sample * (a + b) * dr.rcp(maximum(a + root, Float(TINY))), Float(1))
-
-
-def lerp(a: Any, b: Any, t: Float) -> Any:
-    """The linear interpolation from `a` (t = 0) to `b` (t = 1)."""
-    return dr.fma(b - a, t, a)
 
 
 def entry(table: Any, index: UInt32, active: Bool | bool = True) -> Any:

@@ -18,13 +18,13 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
 from djpt.distributions import Hierarchical2D
 from djpt.distributions.grids import luminance, side_by_side
-from djpt.distributions.hierarchical_2d import entry, lerp, place_in_cell
+from djpt.distributions.hierarchical_2d import entry, place_in_cell
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
-from djpt.kernels import aligned_floats, as_float, as_vector, maximum, minimum
+from djpt.kernels import aligned_floats, as_float, as_vector, lerp, maximum, minimum
 from djpt.records import (
     DirectionSample3f,
     EmissionSample,

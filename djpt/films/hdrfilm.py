@@ -170,15 +170,8 @@ class HDRFilm(Film):
         return (*self.channel_names(), *self._names[self._names.index("W") + 1 :])
 
     def bitmap(self, raw: bool = False) -> Any:
-        """The result of `develop` as a `djpt.Bitmap`.
-
-        Raises:
-            RenderError: The class isn't there.
-        """
-        try:
-            home = importlib.import_module("djpt.scripting.bitmap")
-        except ModuleNotFoundError as error:
-            raise RenderError(f"{self.id()}: bitmap() needs djpt.Bitmap, which isn't installed") from error
+        """The result of `develop` as a `djpt.Bitmap`."""
+        home = importlib.import_module("djpt.scripting.bitmap")
         image, names = self.develop(raw), self.developed_names()
         if raw:
             colors = self.base_channels_count()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.images.color import LUMINANCE
+from djpt.images.color import LUMINANCE, RGB_TO_XYZ
 
 __all__ = ["CHANNELS", "ROWS"]
 
@@ -16,8 +16,5 @@ CHANNELS = {
 }
 """The names of the channels of a pixel format; A is the share of samples that are covered."""
 
-XYZ = ((0.412453, 0.357580, 0.180423), LUMINANCE, (0.019334, 0.119193, 0.950227))
-"""CIE XYZ (1931) of the primaries of linear sRGB, row by row (ITU-R BT.709)."""
-
-ROWS = {"luminance": (LUMINANCE,), "luminance_alpha": (LUMINANCE,), "xyz": XYZ, "xyza": XYZ}
+ROWS = {"luminance": (LUMINANCE,), "luminance_alpha": (LUMINANCE,), "xyz": RGB_TO_XYZ, "xyza": RGB_TO_XYZ}
 """The weights of red, green and blue in each channel, for formats that don't store these three."""

@@ -22,7 +22,7 @@ from djpt.kernels import as_float
 from djpt.records import Ray3f
 from djpt.types import Float, Vector3f
 
-__all__ = ["Axis", "AxisPool", "ProjectedRay", "SignedAxis"]
+__all__ = ["ALIGNED", "Axis", "AxisPool", "ProjectedRay", "SignedAxis"]
 
 ALIGNED = 2e-7
 """Unit directions closer than this are one axis, and smaller components are 0: float32 can't tell them apart."""

@@ -11,7 +11,7 @@ import drjit.scalar as scalar
 from djpt.description.numeric import as_type
 from djpt.types import Bool, Float, Point3f
 
-__all__ = ["BoundingSphere3f", "ScalarBoundingSphere3f"]
+__all__ = ["BoundingSphere3f", "ScalarBoundingSphere3f", "as_point"]
 
 
 class BoundingSphere3f:

@@ -42,7 +42,15 @@ from djpt.schedules.reconstruction import add_samples, collected, sample_adjoint
 from djpt.schedules.sinks import blank_sums, sample_buffers
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
-__all__ = ["Derivative", "attached_image", "derivative_of", "differentiable"]
+__all__ = [
+    "AttachedDerivative",
+    "Derivative",
+    "attached_image",
+    "derivative_of",
+    "differentiable",
+    "on_grid",
+    "over_weights",
+]
 
 MAX_ATTACHED_SAMPLES = 2**25
 """The largest number of samples for plain AD, which holds the graph of all of them at once."""

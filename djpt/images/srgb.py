@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["decoded", "encoded", "from_srgb", "shares", "strips", "to_srgb8"]
+__all__ = ["Codes", "decoded", "encoded", "from_srgb", "shares", "strips", "to_srgb8"]
 
 Codes = npt.NDArray[np.unsignedinteger[Any]]
 """Stored pixels, (H, W, C) of 8 or 16 bits; the type's largest number stands for 1."""

@@ -21,7 +21,7 @@ from djpt.images.color import LUMINANCE
 from djpt.images.colorimetry import XYZ_TO_RGB, black_body_xyz
 from djpt.images.image import Image
 
-__all__ = ["OPERATORS", "balance_matrix", "log_average", "tonemap"]
+__all__ = ["OPERATORS", "balance_matrix", "log_average", "stops", "tonemap"]
 
 Pixels = npt.NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from djpt.phase.base import PhaseFunction
 from djpt.phase.microflakes import SGGXPhaseFunctionParams, sggx_pdf, sggx_projected_area, sggx_sample
 from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
 from djpt.records.media import MediumInteraction3f
+from djpt.textures.texels import numbers_of
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.volumes.base import Volume
 from djpt.volumes.gridvolume import GridVolume
-from djpt.volumes.voxels import numbers_of
 
 __all__ = ["SGGXPhaseFunction"]
 

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, describe
+from djpt.description.numeric import as_array, describe, numbers_in
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
@@ -111,14 +111,6 @@ class TabulatedPhaseFunction(PhaseFunction):
         low, high = (entry_at(self.density, UInt32(first) + end, active) for end in range(2))
         pdf = dr.fma(high - low, place - first, low)
         return Color3f(pdf), pdf
-
-
-def numbers_in(text: str) -> list[float]:
-    """The numbers in a text, separated by commas or spaces."""
-    try:
-        return [float(word) for word in text.replace(",", " ").split()]
-    except ValueError as error:
-        raise SceneError(f"must be numbers separated by commas, found {describe(text)} ({error})") from None
 
 
 def as_numbers(value: Any) -> Float:

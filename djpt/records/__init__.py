@@ -17,16 +17,8 @@ from djpt.records.flags import (
     TransportMode,
     has_flag,
 )
-from djpt.records.interactions import (
-    RAY_EPSILON,
-    SHADOW_EPSILON,
-    Interaction3f,
-    Observer,
-    PreliminaryIntersection3f,
-    Reference,
-    SceneView,
-    SurfaceInteraction3f,
-)
+from djpt.records.interactions import PreliminaryIntersection3f, SceneView, SurfaceInteraction3f
+from djpt.records.points import RAY_EPSILON, SHADOW_EPSILON, Interaction3f, Observer, Reference
 from djpt.records.rays import Ray3f
 from djpt.records.record import Record
 from djpt.records.samples import BSDFSample3f, DirectionSample3f, EmissionSample, PositionSample3f

@@ -6,7 +6,7 @@ from typing import Any
 
 from djpt.frame import Frame3f
 from djpt.records.homes import only
-from djpt.records.interactions import Interaction3f
+from djpt.records.points import Interaction3f
 from djpt.records.rays import Ray3f
 from djpt.types import Color3f, Float, Point3f, Vector3f
 

@@ -23,7 +23,7 @@ from djpt.silhouettes.moving import exchanged
 from djpt.silhouettes.normals import with_normals
 from djpt.types import Bool, Color3f, Float, Int32, Point2f, TensorXf, UInt32
 
-__all__ = ["ADIntegrator", "CppADIntegrator", "RBIntegrator"]
+__all__ = ["ADIntegrator", "CppADIntegrator", "RBIntegrator", "attached", "modes", "propagate"]
 
 UNBOUNDED = 0xFFFFFFFF
 """The attribute `max_depth` of paths without a longest one."""

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from djpt.errors import SceneError
-from djpt.images.color import LUMINANCE
+from djpt.images.color import RGB_TO_XYZ
 from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.scripting.bitmap_formats import CHANNELS, PixelFormat
 from djpt.scripting.structs import Field, Flags, Struct, Type
 
 __all__ = ["described", "layers_of", "obtainable"]
 
-OF_RGB = {
-    "X": dict(zip("RGB", (0.412453, 0.357580, 0.180423), strict=True)),
-    "Y": dict(zip("RGB", LUMINANCE, strict=True)),
-    "Z": dict(zip("RGB", (0.019334, 0.119193, 0.950227), strict=True)),
-}
-"""X, Y and Z as sums of linear sRGB (ITU-R BT.709, white point D65)."""
+OF_RGB = {name: dict(zip("RGB", row, strict=True)) for name, row in zip("XYZ", RGB_TO_XYZ, strict=True)}
+"""X, Y and Z as sums of linear sRGB."""
 
 OF_XYZ = {name: dict(zip("XYZ", row, strict=True)) for name, row in zip("RGB", XYZ_TO_RGB.tolist(), strict=True)}
 """Linear sRGB as sums of X, Y and Z."""

@@ -47,4 +47,4 @@ MI_CIE_D65_NORMALIZATION: Final = 0.010101273599490354
 """One over the luminance of the illuminant D65 of the CIE's tables."""
 
 MI_FILTER_RESOLUTION: Final = 31
-"""Steps in which Mitsuba tabulates reconstruction filters."""
+"""Steps in which Mitsuba tabulates reconstruction filters; djpt has no tables."""

@@ -14,7 +14,7 @@ from djpt.errors import ArgumentError
 from djpt.scripting.forms import forms
 from djpt.types import Bool, Float, UInt32, converting
 
-__all__ = ["ContinuousDistribution", "DiscreteDistribution", "IrregularContinuousDistribution"]
+__all__ = ["ContinuousDistribution", "DiscreteDistribution", "IrregularContinuousDistribution", "invert_line"]
 
 
 def search(cdf: Float, total: Float, wanted: Float, active: Bool | bool) -> UInt32:

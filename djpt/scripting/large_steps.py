@@ -45,24 +45,12 @@ class LargeSteps:
             raise ArgumentError(f"LargeSteps: faces must name vertices from 0 to {len(points) - 1}")
         _, first, merged = np.unique(points, axis=0, return_index=True, return_inverse=True)
         merged = merged.ravel()
-        self._build(merged[corners], first, merged, lambda_)
-
-    @classmethod
-    def from_mesh(cls, mesh: Any, lambda_: float = 19.0) -> LargeSteps:
-        """Those of a mesh that says which of its vertices are one point: `geometric_faces` and `position_count`."""
-        self = cls.__new__(cls)
-        every = np.arange(mesh.position_count())
-        self._build(triples("faces", mesh.geometric_faces()).astype(np.int64), every, every, lambda_)
-        return self
-
-    def _build(self, faces: NDArray[Any], first: NDArray[Any], merged: NDArray[Any], lambda_: float) -> None:
-        """Prepare the system: `first` is a vertex of each distinct one, `merged` the distinct one of each vertex."""
         if not lambda_ >= 0:
             raise ArgumentError(f"LargeSteps: 'lambda_' must not be negative, found {lambda_}")
         self.n_verts = len(first)
         """The number of distinct vertices."""
         self.index, self.inverse = UInt32(first), UInt32(merged)
-        (rows, columns), values = mesh_laplacian(self.n_verts, faces, lambda_)
+        (rows, columns), values = mesh_laplacian(self.n_verts, merged[corners], lambda_)
         matrix = sparse().coo_matrix((values, (rows, columns)), (self.n_verts, self.n_verts)).tocsc()
         self.solver = Cholesky(matrix)
         entries = matrix.tocoo()

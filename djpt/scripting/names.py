@@ -64,12 +64,11 @@ EXPORTS: dict[str, str] = {
         "sample_tea_float32 sample_tea_float64"
     ),
     "djpt.scripting.rays": "Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f",
-    "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition MI_FILTER_RESOLUTION Resampler",
+    "djpt.scripting.resampler": "BitmapReconstructionFilter FilterBoundaryCondition Resampler",
     "djpt.scripting.run": "Timer Version while_loop",
     "djpt.scripting.spectra": (
-        "MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION cie1931_xyz cie1931_y cie_d65 "
-        "depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum spectrum_from_file "
-        "spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
+        "cie1931_xyz cie1931_y cie_d65 depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum "
+        "spectrum_from_file spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
     "djpt.scripting.spiral": "Spiral",
     "djpt.scripting.streams": "DummyStream FileStream MemoryStream Stream",

@@ -16,7 +16,6 @@ from djpt.rfilters.base import ReconstructionFilter
 from djpt.types import Float
 
 __all__ = [
-    "MI_FILTER_RESOLUTION",
     "BitmapReconstructionFilter",
     "FilterBoundaryCondition",
     "Resampler",
@@ -25,9 +24,6 @@ __all__ = [
 
 BitmapReconstructionFilter = ReconstructionFilter
 """Another name of `ReconstructionFilter`: the same objects filter renderings and bitmaps."""
-
-MI_FILTER_RESOLUTION = 31
-"""The number of steps in Mitsuba's tables of filters; djpt has no tables."""
 
 
 class FilterBoundaryCondition(enum.Enum):

@@ -14,15 +14,12 @@ import numpy as np
 from djpt.errors import ArgumentError
 from djpt.files import writing
 from djpt.images import colorimetry
-from djpt.images.color import LUMINANCE
+from djpt.images.color import LUMINANCE, RGB_TO_XYZ
 from djpt.images.spectrum_files import read_pairs
+from djpt.scripting.constants import MI_CIE_D65_NORMALIZATION, MI_CIE_MAX, MI_CIE_MIN
 from djpt.types import Color3f, Float, UInt32, converting
 
 __all__ = [
-    "MI_CIE_D65_NORMALIZATION",
-    "MI_CIE_MAX",
-    "MI_CIE_MIN",
-    "MI_CIE_Y_NORMALIZATION",
     "cie1931_xyz",
     "cie1931_y",
     "cie_d65",
@@ -38,23 +35,6 @@ __all__ = [
     "unpolarized_spectrum",
     "xyz_to_srgb",
 ]
-
-MI_CIE_MIN, MI_CIE_MAX = colorimetry.SHORTEST, colorimetry.LONGEST
-"""The visible range, in nm."""
-
-MI_CIE_Y_NORMALIZATION = 1 / 106.7502593994140625
-"""The inverse of the integral of the observer's y, in nm."""
-
-MI_CIE_D65_NORMALIZATION = 1 / 98.99741751876255
-"""The factor of the tabulated D65 under which a constant spectrum has a luminance of 1."""
-
-SRGB_TO_XYZ = (
-    (0.412453, 0.357580, 0.180423),
-    (0.212671, 0.715160, 0.072169),
-    (0.019334, 0.119193, 0.950227),
-)
-"""The matrix from linear RGB to XYZ: ITU-R BT.709 primaries, white point D65."""
-
 
 # ---- colours -------------------------------------------------------------------------------
 
@@ -74,7 +54,7 @@ def xyz_to_srgb(rgb: Color3f, active: Any = True) -> Color3f:
 @converting
 def srgb_to_xyz(rgb: Color3f, active: Any = True) -> Color3f:
     """Convert linear RGB to CIE 1931 XYZ."""
-    return by_matrix(SRGB_TO_XYZ, rgb)
+    return by_matrix(RGB_TO_XYZ, rgb)
 
 
 def by_matrix(matrix: Sequence[Sequence[float]], v: Color3f) -> Color3f:

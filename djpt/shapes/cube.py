@@ -23,7 +23,7 @@ from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["Cube"]
+__all__ = ["FACES", "Cube", "face_axis"]
 
 # Local axes of each face as (axis, sign): normal, dp/du, dp/dv. The order and the senses are
 # those of Mitsuba's cube mesh, so that face numbers, uv and tangents agree.

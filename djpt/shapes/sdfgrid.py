@@ -17,11 +17,11 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
-from djpt.files import read_bytes
 from djpt.frame import Frame3f, coordinate_system
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
 from djpt.shapes.questions import ShapeType
 from djpt.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.volumes.volume_grid import VolumeGrid
 
 __all__ = ["SDFGrid", "read_volume"]
 
@@ -235,20 +235,11 @@ def samples(value: Any) -> NDArray[np.float32]:
 
 
 def read_volume(path: Path) -> NDArray[np.float32]:
-    """Read a file of one channel in Mitsuba's volume format, (Z, Y, X).
-
-    Its header is `VOL`, a byte 3 (the version), five int32 (1 for float32; cells along x, y, z; channels) and six
-    float32 (a bounding box, not used); the values follow, x fastest. Little endian.
-    """
-    data = read_bytes(path)
-    if len(data) < 48 or data[:4] != b"VOL\x03":
-        raise FileError(f"'{path}' isn't a volume: it must begin with 'VOL' and the version 3")
-    kind, nx, ny, nz, channels = (int(n) for n in np.frombuffer(data, "<i4", 5, offset=4))
-    if kind != 1 or channels != 1:
-        raise FileError(f"'{path}' must hold one channel of float32 (type 1), found {channels} of type {kind}")
-    if min(nx, ny, nz) < 1 or len(data) != 48 + 4 * nx * ny * nz:
-        raise FileError(f"'{path}' has {len(data)} bytes; a volume of {nx} x {ny} x {nz} has {48 + 4 * nx * ny * nz}")
-    return np.frombuffer(data, "<f4", offset=48).reshape(nz, ny, nx)
+    """Read a file of one channel in Mitsuba's volume format, (Z, Y, X); its box isn't used."""
+    grid = VolumeGrid(path)
+    if grid.channel_count() != 1:
+        raise FileError(f"'{path}' must hold one number at each point, found {grid.channel_count()}")
+    return grid.voxels()[..., 0]
 
 
 register_shape("sdfgrid", SDFGrid)

@@ -18,11 +18,11 @@ from djpt.distributions import DiscreteDistribution2D
 from djpt.distributions.grids import luminance
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
-from djpt.kernels import as_float, maximum, minimum
+from djpt.kernels import as_float, lerp, maximum, minimum
 from djpt.textures.brightness import cell_weights
 from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
-from djpt.textures.wrapping import WRAP_MODES, lerp, wrapped
+from djpt.textures.wrapping import WRAP_MODES, wrapped
 from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
 from djpt.warp import square_to_tent
 

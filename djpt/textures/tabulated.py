@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array
+from djpt.description.numeric import as_array, numbers_in
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.images.colorimetry import spectrum_to_rgb
@@ -84,10 +84,6 @@ def list_of_numbers(props: Properties, key: str) -> NDArray[np.float64]:
     """The numbers of an entry, a list or text with commas or spaces in between, (n,) float64."""
     value: Any = props.raw(key)
     try:
-        if isinstance(value, str):
-            value = [float(part) for part in value.replace(",", " ").split()]
-        return as_array(value).reshape(-1)
+        return as_array(numbers_in(value) if isinstance(value, str) else value).reshape(-1)
     except SceneError as error:
         raise props.error(key, str(error)) from None
-    except ValueError:
-        raise props.error(key, f"must be numbers, found '{value}'") from None

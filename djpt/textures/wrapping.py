@@ -1,15 +1,13 @@
-"""Grids beyond their borders, and interpolation between their points."""
+"""Grids beyond their borders."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import drjit as dr
 
 from djpt.kernels import maximum, minimum
 from djpt.types import Float, UInt32
 
-__all__ = ["WRAP_MODES", "lerp", "wrapped"]
+__all__ = ["WRAP_MODES", "wrapped"]
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
 """What lies beyond the border: the grid again, its mirror image, or the last point."""
@@ -29,8 +27,3 @@ def wrapped(i: Float, count: Float, mode: str) -> UInt32:
 def remainder(i: Float, n: Float) -> Float:
     """The remainder of `i` by `n`, whole numbers up to some millions: half a unit keeps off the steps of floor."""
     return dr.fma(-n, dr.floor((i + 0.5) * dr.rcp(n)), i)
-
-
-def lerp(a: Any, b: Any, t: Float) -> Any:
-    """The linear interpolation from `a` (t = 0) to `b` (t = 1)."""
-    return dr.fma(b - a, t, a)

@@ -19,14 +19,14 @@ from djpt.description.registry import register_volume
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
 from djpt.images.color import LUMINANCE
-from djpt.kernels import as_float, as_vector, maximum
-from djpt.textures.texels import mean_texel
-from djpt.textures.wrapping import WRAP_MODES, lerp, wrapped
+from djpt.kernels import as_float, as_vector, lerp, maximum
+from djpt.textures.texels import mean_texel, numbers_of
+from djpt.textures.wrapping import WRAP_MODES, wrapped
 from djpt.transforms import ScalarTransform4f, as_transform
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.volumes.base import Volume
 from djpt.volumes.cells import maxima_of_cells
-from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels, numbers_of
+from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels
 
 __all__ = ["GridVolume"]
 

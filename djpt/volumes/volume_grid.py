@@ -19,7 +19,7 @@ from djpt.errors import ArgumentError, FileError
 from djpt.files import read_bytes, writing
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 
-__all__ = ["VolumeGrid"]
+__all__ = ["VolumeGrid", "as_grid"]
 
 HEADER = struct.Struct("<3sBiiiii6f")
 """Magic, version, type of numbers, counts along x, y and z, channels, and the corners of the box; little-endian."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,11 +12,12 @@ from djpt.description.numeric import LARGEST
 from djpt.description.properties import Properties
 from djpt.errors import ArgumentError, FileError, SceneError
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
+from djpt.textures.texels import numbers_of
 from djpt.types import TensorXf
 from djpt.volumes.openvdb import read_openvdb
 from djpt.volumes.volume_grid import VolumeGrid, as_grid
 
-__all__ = ["as_voxels", "check_voxels", "load_voxels", "numbers_of"]
+__all__ = ["as_voxels", "check_voxels", "load_voxels"]
 
 SOURCES = ("filename", "grid", "data")
 CHANNELS = (1, 3, 6)
@@ -80,10 +80,3 @@ def check_voxels(numbers: NDArray[np.float32]) -> None:
     if not (numbers.min() >= -LARGEST and numbers.max() <= LARGEST):
         z, y, x, channel = np.argwhere(~(np.abs(numbers) <= LARGEST))[0]
         raise SceneError(f"must be finite, found {numbers[z, y, x, channel]} at x = {x}, y = {y}, z = {z}")
-
-
-def numbers_of(voxels: TensorXf) -> NDArray[np.float32]:
-    """The numbers on the host, to be read: where the backend allows it they aren't copied."""
-    numbers: NDArray[np.float32] = np.asarray(dr.detach(voxels))
-    numbers.flags.writeable = False
-    return numbers

@@ -16,6 +16,7 @@ CUTS: dict[str, tuple[int, int, int, int]] = {
     "materials": (430, 512, 840, 712),
     "textures": (430, 10, 840, 210),
     "lights": (704, 286, 1155, 506),
+    "media": (11, 10, 419, 210),
     "cameras": (0, 0, 480, 240),
     "ladder_paths": (264, 12, 756, 252),
     "samplers": (0, 0, 960, 480),

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import djpt
 from djpt.cli.console import ExitCode, short
-from djpt.cli.main import COMMANDS, app, main
+from djpt.cli.main import COMMANDS, main
 from djpt.errors import BackendError, DjptError, FileError, RenderError
 from djpt.images.image import read_pixels
+from tests.kit.commands import run
 
 SMALL = ["cornell_box", "--width", "16", "--spp", "4"]
 
@@ -24,13 +24,6 @@ SMALL = ["cornell_box", "--width", "16", "--spp", "4"]
 @pytest.fixture(autouse=True)
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    result = CliRunner().invoke(app, list(arguments))
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def process(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import djpt
 from djpt.cli.console import ExitCode
-from djpt.cli.main import app
 from djpt.description.registry import registered
 from djpt.errors import SceneError
 from djpt.images.image import read_pixels
 from djpt.images.sheets import fitting_font
 from djpt.scenes import SCENES
 from djpt.scenes.gallery import GLASS, PANELS, Panel, panels, shader_ball, sheet
+from tests.kit.commands import run
 
 SIZE = 16
 
@@ -27,13 +26,6 @@ def types_in(node: Any) -> set[str]:
     if not isinstance(node, dict):
         return set()
     return {node["type"]}.union(*map(types_in, node.values()))
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    result = CliRunner().invoke(app, list(arguments))
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 # ---------------------------------------------------------------- panels

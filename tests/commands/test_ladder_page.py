@@ -15,16 +15,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import djpt
 from djpt.cli.console import ExitCode
-from djpt.cli.main import app
 from djpt.description.registry import registered
 from djpt.images.image import read_pixels
 from djpt.validation.ladder.measure import Budget, Ladder, Reference, error_floor, measure, shared_error
 from djpt.validation.ladder.page import html
 from djpt.validation.ladder.steps import ELSEWHERE, STEPS
+from tests.kit.commands import run
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
@@ -285,13 +284,6 @@ def run_browser(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 # ---------------------------------------------------------------- on the command line
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    result = CliRunner().invoke(app, list(arguments))
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def test_the_commands_write_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

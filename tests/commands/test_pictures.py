@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import djpt
 from djpt.cli.console import ExitCode
-from djpt.cli.main import app
 from djpt.images.image import read_pixels
+from tests.kit.commands import run
 
 LAYERS = """
 <scene version="3.0.0">
@@ -37,13 +36,6 @@ LAYERS = """
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("COLUMNS", raising=False)
-
-
-def run(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout, stderr."""
-    result = CliRunner().invoke(app, list(arguments))
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
 
 
 def render(output: str, form: str = "rgb", *options: str) -> tuple[int, str, str]:

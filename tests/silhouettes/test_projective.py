@@ -176,7 +176,7 @@ def test_ways_to_project_onto_meshes(algorithm: str) -> None:
     with dr.suspend_grad():
         sampler, _ = estimator.prepare(room.sensors()[0], 1, 16)
         points, active = estimator.proj_detail.get_projected_points(room, room.sensors()[0], sampler)
-        chosen = djpt.ad.guiding.numbers_of(active)
+        chosen = djpt.ad.guiding.places_of(active)
         inside = dr.gather(Point3f, points, chosen)
     assert dr.width(chosen) > 50
     values = np.array(inside)

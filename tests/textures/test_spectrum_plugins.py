@@ -185,7 +185,7 @@ def test_a_spectrum_may_be_a_file(tmp_path: Any) -> None:
         ({"type": "regular", "wavelength_min": 400, "wavelength_max": 500, "values": "1"}, "two or more values"),
         (
             {"type": "regular", "wavelength_min": 400, "wavelength_max": 500, "values": "a"},
-            "must be numbers, found 'a'",
+            "must be numbers separated by commas, found str 'a'",
         ),
         ({"type": "regular", "value": 3.0}, "must be a 'spectrum' of several wavelengths"),
         ({"type": "irregular", "wavelengths": "500, 400", "values": "1, 2"}, "increasing wavelengths"),

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from djpt.validation.names.compare import Finding, Verdict
 
-__all__ = ["counts", "read_names", "render_page"]
+__all__ = ["counts", "read_names", "render_page", "share"]
 
 HEAD = """# Mitsuba's names
 

@@ -10,7 +10,7 @@ from djpt.ad.integrators.common import solid_angle_to_area_jacobian
 from djpt.records import BSDFContext, DirectionSample3f, EmitterFlags, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Color3f, Vector3f
 
-__all__ = ["attached_light", "attached_wi", "direction_to", "relative"]
+__all__ = ["attached_light", "attached_wi", "bsdf_weight", "direction_to", "relative"]
 
 
 def relative(value: Any) -> Any:

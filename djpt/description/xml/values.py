@@ -13,7 +13,7 @@ from djpt.description.xml.source import Element
 from djpt.errors import FileError, near_miss
 from djpt.files import read_bytes
 
-__all__ = ["VALUES", "check_attributes", "numbers", "spectrum_file", "vector"]
+__all__ = ["VALUES", "check_attributes", "number", "numbers", "spectrum_file", "vector"]
 
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _PLAIN = re.compile(r"[-+.eE:,\s\d]*", re.ASCII)

@@ -1,4 +1,4 @@
-"""What scripts ask a scene about its emitters, with Mitsuba's arguments."""
+"""How a scene chooses among its emitters, and what scripts ask about them, with Mitsuba's arguments."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.pointers import EmitterPtr, observer
 from djpt.emitters.base import Emitter
+from djpt.emitters.choice import make_choice
 from djpt.emitters.choice.base import EmitterChoice
 from djpt.emitters.choice.sampling import LightSampling
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
@@ -22,17 +24,48 @@ __all__ = ["LightQuestions"]
 class LightQuestions:
     """The part of a scene that chooses an emitter and asks it."""
 
+    lights: Ensemble[Emitter]
+    lookup: Lookup
+    _choice_name: str
+    _choices: dict[str, EmitterChoice]
+    """The ways to choose that were asked for, by name; views share them."""
     _brightness: list[float]
     """The estimate of `brightness`, once it was asked for."""
+
+    def begin_choices(self) -> None:
+        """Choose uniformly, as long as no view says otherwise."""
+        self._choice_name, self._choices, self._brightness = "uniform", {}, []
+
+    def forget_choices(self) -> None:
+        """Follow an edit that may change how bright the emitters are."""
+        self._choices.clear()
+        self._brightness.clear()
+
+    def choosing_emitters(self, choice: str) -> Any:
+        """A view of this scene whose emitters are chosen in another way: see `djpt.emitters.choice`."""
+        if choice == self._choice_name:
+            return self
+        view = self._view()
+        view._choice_name = choice
+        return view
 
     @property
     def light_sampling(self) -> LightSampling:
         """The emitters, the way to choose among them, and the way to read their values."""
-        raise NotImplementedError
+        return LightSampling(self.lights, self.emitter_choice, self.lookup)
 
     @property
     def emitter_choice(self) -> EmitterChoice:
-        """The way to choose an emitter."""
+        """The way to choose an emitter: see `choosing_emitters`."""
+        name = self._choice_name
+        if name not in self._choices:
+            self._choices[name] = make_choice(name, self.emitters())
+        return self._choices[name]
+
+    # ---- what the scene answers ----------------------------------------------------------
+
+    def _view(self) -> Any:
+        """A shallow copy of the scene."""
         raise NotImplementedError
 
     def emitters(self) -> list[Emitter]:
@@ -54,6 +87,8 @@ class LightQuestions:
     def emitter_ptr(self, index: UInt32) -> EmitterPtr:
         """The emitters with the numbers `index`, per lane."""
         raise NotImplementedError
+
+    # ---- questions -----------------------------------------------------------------------
 
     @property
     def brightness(self) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from djpt.emitters.bounds import LightBounds
 
-__all__ = ["LEAF", "Lights", "Tree", "build", "solid_angle"]
+__all__ = ["LEAF", "Lights", "Tree", "angle_between", "build", "solid_angle", "unit"]
 
 LEAF = 0x80000000
 """In a link: it leads to a light, whose number is in the other bits."""

@@ -17,7 +17,7 @@ from djpt.kernels import as_float, minimum
 from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
 
-__all__ = ["SunDisc", "irradiances"]
+__all__ = ["WAVELENGTHS", "SunDisc", "irradiances"]
 
 HIDDEN = ParamFlags.NonDifferentiable
 APERTURE = 0.5358

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from djpt.shapes.meshes.normals import CHUNK, length, weighted_normals
 from djpt.transforms import ScalarTransform4f
 
-__all__ = ["MeshData"]
+__all__ = ["MeshData", "unit"]
 
 
 @dataclass

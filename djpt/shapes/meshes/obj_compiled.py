@@ -7,16 +7,8 @@ from numpy.typing import NDArray
 
 from djpt.llvm.host import HostFunctions
 from djpt.shapes.meshes.data import MeshData
-from djpt.shapes.meshes.obj_functions import (
-    CORNERS,
-    EXACT_POWERS,
-    FACES,
-    LINES,
-    TRIANGLES,
-    UNKNOWN,
-    WIDTHS,
-    add_obj_functions,
-)
+from djpt.shapes.meshes.obj_functions import CORNERS, FACES, LINES, TRIANGLES, WIDTHS, add_obj_functions
+from djpt.shapes.meshes.obj_text import EXACT_POWERS, UNKNOWN
 
 __all__ = ["read_compiled"]
 

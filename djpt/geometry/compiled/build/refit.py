@@ -17,7 +17,7 @@ from djpt.geometry.compiled.build.collapse_functions import LEAF_COST, NODE_COST
 from djpt.geometry.compiled.build.functions import functions
 from djpt.geometry.compiled.build.workers import Workers, workers
 
-__all__ = ["NO_BOXES", "Built", "chunks", "extent_of", "fit", "floats", "refit"]
+__all__ = ["NO_BOXES", "TRIANGLES", "Built", "chunks", "extent_of", "fit", "floats", "refit"]
 
 CHUNK = 1024
 """Nodes that one task fits."""

@@ -1,0 +1,37 @@
+"""A diffuse base under rough facets, at one point: what `roughplastic` and `pplastic` have in common."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.materials.fresnel import reflect
+from djpt.materials.microfacet import MicrofacetDistribution
+from djpt.records import BSDFFlags, BSDFSample3f
+from djpt.types import Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["RoughCoatAtPoint"]
+
+
+class RoughCoatAtPoint:
+    """Samples one of two lobes, facets (component 0) or base (component 1), by a probability that is known before."""
+
+    wi: Vector3f
+    surface: MicrofacetDistribution
+    p_specular: Float
+    """The probability of the facets."""
+
+    def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
+        """The value of both lobes, f cos theta_o, and the density of `sample`."""
+        raise NotImplementedError
+
+    def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
+        """Sample a lobe and a direction of it; the weight is that of both lobes."""
+        specular = sample1 < self.p_specular
+        m = self.surface.sample_normal(self.wi, sample2)
+        wo = dr.select(specular, reflect(self.wi, m), square_to_cosine_hemisphere(sample2))
+        value, pdf = self.eval_pdf(wo)
+        weight = value * dr.rcp(dr.select(pdf > 0, pdf, 1))
+        sampled_type = dr.select(specular, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.DiffuseReflection))
+        component = dr.select(specular, UInt32(0), UInt32(1))
+        return BSDFSample3f.of(wo, pdf, sampled_type, sampled_component=component), weight
