@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeAlias
 
 import drjit as dr
 
+from djpt.errors import ArgumentError
 from djpt.frame import Frame3f
 from djpt.records.homes import at_home, latest_home, only
 from djpt.records.instanced import Instanced
@@ -357,11 +358,17 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     def medium_beyond(self, d: Any) -> UInt32 | None:
         return self.scene.medium_beyond(self, d) if self.media else None
 
-    def target_medium(self, d: Any) -> Any:
+    def target_medium(self, d: Any = None, *, cos_theta: Float | float | None = None) -> Any:
         """The medium, a `djpt.dispatch.media.MediumPtr`, that the shape names for the side that `d` points to.
 
-        `d` is a direction in world space, or its cosine with the normal.
+        `d` is a direction in world space, or its cosine with the normal; that can also be given as `cos_theta`.
+
+        Raises:
+            ArgumentError: neither or both are given.
         """
+        if (d is None) == (cos_theta is None):
+            raise ArgumentError("target_medium(): give a direction 'd' or its cosine with the normal, 'cos_theta'")
+        d = cos_theta if d is None else d
         direction = self.n * d if dr.depth_v(d) < 2 else Vector3f(d)
         return self.scene.target_medium(self, direction)
 
