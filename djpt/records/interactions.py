@@ -8,7 +8,6 @@ from typing import Any, Protocol, TypeAlias
 
 import drjit as dr
 
-from djpt.errors import ArgumentError
 from djpt.frame import Frame3f
 from djpt.records.homes import at_home, latest_home, only
 from djpt.records.instanced import Instanced
@@ -73,7 +72,7 @@ class SceneView(Protocol):
     def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
         """The medium of a ray that leaves `si` in the world direction `d`."""
 
-    def target_medium(self, si: SurfaceInteraction3f, d: Vector3f) -> Any:
+    def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> Any:
         """The `djpt.dispatch.media.MediumPtr` of the medium that a shape names for the side that `d` points to."""
 
     def surface_interaction_of(
@@ -362,15 +361,8 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
         """The medium, a `djpt.dispatch.media.MediumPtr`, that the shape names for the side that `d` points to.
 
         `d` is a direction in world space, or its cosine with the normal; that can also be given as `cos_theta`.
-
-        Raises:
-            ArgumentError: neither or both are given.
         """
-        if (d is None) == (cos_theta is None):
-            raise ArgumentError("target_medium(): give a direction 'd' or its cosine with the normal, 'cos_theta'")
-        d = cos_theta if d is None else d
-        direction = self.n * d if dr.depth_v(d) < 2 else Vector3f(d)
-        return self.scene.target_medium(self, direction)
+        return self.scene.target_medium(self, d, cos_theta)
 
     def bsdf(self, ray: Ray3f | None = None) -> Any:
         """The BSDF at this point, a `djpt.dispatch.pointers.BSDFPtr`.
