@@ -24,7 +24,6 @@ from djpt.schedules.choice import choose
 from djpt.schedules.job import MAX_SAMPLES, Job, image_channels, require_countable
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
-from djpt.silhouettes.moving import attached_place
 from djpt.types import TensorXf, UInt32
 
 __all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "render"]
@@ -230,11 +229,11 @@ def require_scene(scene: Any) -> None:
 def require_still(scene: Scene) -> None:
     """Raise `RenderError` if a parameter that places a shape has gradients, which few integrators can follow."""
     require_scene(scene)
-    moving = next((shape for shape in scene.shapes() if attached_place(shape) is not None), None)
+    moving = next((shape for shape in scene.shapes() if shape.is_moving()), None)
     if moving is not None:
+        able = "'volprim_rf_basic'" if moving.is_ellipsoids() else "'direct_projective' or 'prb_projective'"
         raise RenderError(
-            f"'{moving.id()}' moves with parameters that have gradients: render with the integrator "
-            "'direct_projective' or 'prb_projective'"
+            f"'{moving.id()}' moves with parameters that have gradients: render with the integrator {able}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Light that an integrator can't show."""
+"""Light and media that an integrator can't show."""
 
 from __future__ import annotations
 
@@ -16,13 +16,22 @@ __all__ = ["warn_of_blind_spots"]
 
 
 def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
-    """Warn of the materials and lights of a scene that stay black, whatever the number of samples."""
+    """Warn of the materials and lights of a scene that stay black, and of its media that don't show.
+
+    No number of samples changes that.
+    """
     name = type(integrator).__name__
     delta = [bsdf.id() for bsdf in scene.bsdfs.plugins if has_flag(bsdf.flags(), BSDFFlags.Delta)]
     if delta and not integrator.shows_delta:
         warn(
             f"'{name}' without BSDF samples can't show mirrors, smooth glass or openings: "
             f"these lobes of {', '.join(delta)} stay black"
+        )
+    unseen = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
+    if unseen and integrator.needs_light and not (integrator.follows_media or integrator.from_script):
+        warn(
+            f"'{name}' doesn't follow light through media: it leaves out {', '.join(unseen)}; "
+            "render with the integrator 'volpath'"
         )
     if integrator.starts_at_lights or not integrator.needs_light:
         return
@@ -40,7 +49,7 @@ def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
 
 def warn(message: str) -> None:
     """Warn the caller of `render`, which checks the scene by way of `make_job` and `Integrator.check_scene`."""
-    warnings.warn(message, stacklevel=6)
+    warnings.warn(message, stacklevel=7)
 
 
 def stay_black(names: Sequence[str]) -> str:

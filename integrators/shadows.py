@@ -48,7 +48,8 @@ def light_through_null(scene: Scene, sampler: SampleStream, ray: Ray3f, light: C
     )
     # No loop can be differentiated here; the transmittance is computed again behind it.
     with dr.suspend_grad():
-        plain = scene.with_lookup(scene.lookup.plain()) if differentiable else scene
+        # Leaves that are made in a loop can't be used behind it.
+        plain = scene.with_lookup(scene.lookup.plain())
         end = walked(plain, sampler, dr.detach(ray), Color3f(1), dr.detach(lit), differentiable)
     go_on_with(sampler, end.sampler)
     arrives = dr.select(lit, end.light, 0)

@@ -214,14 +214,6 @@ class RayQuestions:
         """The shape at `si`; none on a miss."""
         return ShapePtr.into(self._shape_family(), dr.select(si.is_valid(), si.shape_index, NONE))
 
-    def silhouette_shapes(self) -> list[Any]:
-        """None: derivatives by silhouettes aren't computed."""
-        return []
-
-    def shapes_grad_enabled(self) -> bool:
-        """False: there are no gradients by geometry."""
-        return False
-
     def _family(self, ensemble: Ensemble[Any]) -> Family[Any]:
         """The plugins of an ensemble, for pointers: the same object for each, so that pointers can be compared."""
         key = id(ensemble)

@@ -71,7 +71,7 @@ def replayed(
         d=wide(ray.d, lanes),
         medium=wide(ray.medium, lanes),
         sampler=sampler,
-        state=wide(integrator.start(scene), lanes),
+        state=wide(integrator.begin(scene, sampler), lanes),
         radiance=wide(radiance, lanes),
         delta=wide(Color3f(0) if delta is None else delta, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),
@@ -82,7 +82,7 @@ def replayed(
         si = integrator.trace(scene, lane.state, way)
         with dr.resume_grad():
             v = integrator.advance(scene, lane.sampler, lane.state, way, si)
-            here = v.emitted + scene.light_through(v.shadow_ray, v.reflected)
+            here = v.emitted + integrator.arriving(scene, lane.sampler, v)
             left, weight = lane.radiance - dr.detach(here), dr.detach(v.weight)
             scattered = v.weight * dr.select(weight != 0, left * dr.rcp(weight), 0)
             outgoing = here + dr.select(v.active, scattered, 0)

@@ -22,7 +22,6 @@ from djpt.dispatch.tables import Buffer
 from djpt.errors import RenderError
 from djpt.kernels import opaque
 from djpt.scene import Scene
-from djpt.silhouettes.moving import motion_name
 from djpt.types import Bool, Float, UInt32
 
 __all__ = [
@@ -32,7 +31,7 @@ __all__ = [
     "Parameter",
     "Tangents",
     "attached_parameters",
-    "moving_parameters",
+    "shape_parameters",
     "unused_values",
 ]
 
@@ -92,10 +91,9 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
     return list(found.values())
 
 
-def moving_parameters(scene: Scene) -> list[Parameter]:
-    """The parameters with gradients that place shapes, as `djpt.silhouettes.moving` reads them."""
-    moving = [shape for shape in scene.shapes() if shape.parameters_grad_enabled()]
-    return [Parameter(shape, motion_name(shape)) for shape in moving]
+def shape_parameters(scene: Scene) -> list[Parameter]:
+    """The parameters of shapes that have gradients, as `djpt.silhouettes.moving` reads them."""
+    return [Parameter(shape, name) for shape in scene.shapes() for name in shape.attached_names()]
 
 
 def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:

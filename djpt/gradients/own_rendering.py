@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Attached
 from djpt.gradients.derivatives import attached_image
-from djpt.gradients.leaves import Parameter, attached_parameters, moving_parameters
+from djpt.gradients.leaves import Parameter, attached_parameters, shape_parameters
 from djpt.integrators.base import Integrator
 from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.scene import Scene
@@ -42,7 +42,9 @@ def image_by_itself(
     spp_grad: int,
 ) -> TensorXf:
     """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
-    parameters = [*attached_parameters(scene), *moving_parameters(scene)]
+    if integrator.follows_media:
+        scene = scene.with_media()
+    parameters = [*attached_parameters(scene), *shape_parameters(scene)]
 
     def primal() -> TensorXf:
         with dr.suspend_grad():

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Lookup
+from djpt.errors import ArgumentError
 from djpt.geometry.aggregate import Geometry
 from djpt.media.placement import Media, absorbing_sides, all_sides
 from djpt.records import Ray3f, SurfaceInteraction3f
@@ -64,13 +65,23 @@ class MediaQueries:
         given = self.media.number(sensor.get_medium())
         return self.media.around(sensor.viewpoint(), self.lookup) if given == self.media.vacuum else given
 
-    def target_medium(self, si: SurfaceInteraction3f, d: Vector3f) -> MediumPtr:
-        """The medium that a shape names for the side of `si` that `d` points to; none if it names none."""
+    def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> MediumPtr:
+        """The medium that a shape names for the side of `si` that a direction points to; none if it names none.
+
+        The direction `d` is in world space; or one number says its cosine with the normal, as `d` or `cos_theta`.
+
+        Raises:
+            ArgumentError: neither or both are given.
+        """
+        if (d is None) == (cos_theta is None):
+            raise ArgumentError("target_medium(): give a direction 'd' or its cosine with the normal, 'cos_theta'")
+        d = cos_theta if d is None else d
+        direction = si.n * d if dr.depth_v(d) < 2 else Vector3f(d)
         from djpt.dispatch.family import Family
         from djpt.dispatch.media import MediumPtr
 
         media = self.every_medium
-        pointer: MediumPtr = MediumPtr.into(Family(media.ensemble, self.lookup), media.side(si, d))
+        pointer: MediumPtr = MediumPtr.into(Family(media.ensemble, self.lookup), media.side(si, direction))
         return pointer
 
     def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:

@@ -48,7 +48,7 @@ class SceneView(Protocol):
     def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
         """The medium of a ray that leaves `si` in the world direction `d`."""
 
-    def target_medium(self, si: SurfaceInteraction3f, d: Vector3f) -> Any:
+    def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> Any:
         """The `djpt.dispatch.media.MediumPtr` of the medium that a shape names for the side that `d` points to."""
 
     def surface_interaction_of(
@@ -252,13 +252,12 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
     def medium_beyond(self, d: Any) -> UInt32 | None:
         return self.scene.medium_beyond(self, d) if self.media else None
 
-    def target_medium(self, d: Any) -> Any:
+    def target_medium(self, d: Any = None, *, cos_theta: Float | float | None = None) -> Any:
         """The medium, a `djpt.dispatch.media.MediumPtr`, that the shape names for the side that `d` points to.
 
-        `d` is a direction in world space, or its cosine with the normal.
+        `d` is a direction in world space, or its cosine with the normal; that can also be given as `cos_theta`.
         """
-        direction = self.n * d if dr.depth_v(d) < 2 else Vector3f(d)
-        return self.scene.target_medium(self, direction)
+        return self.scene.target_medium(self, d, cos_theta)
 
     def bsdf(self, ray: Ray3f | None = None) -> Any:
         """The BSDF at this point, a `djpt.dispatch.pointers.BSDFPtr`.

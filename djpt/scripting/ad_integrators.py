@@ -11,7 +11,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Attached, Detached
 from djpt.films.base import FilmFlags
-from djpt.gradients.leaves import attached_parameters, moving_parameters
+from djpt.gradients.leaves import attached_parameters, shape_parameters
 from djpt.gradients.own_rendering import attached_view
 from djpt.integrators.base import Integrator
 from djpt.rendering import find_sensor
@@ -275,7 +275,7 @@ def attached(scene: Scene, mode: dr.ADMode) -> Iterator[Scene]:
     if not isinstance(scene.lookup, Detached):
         yield scene
         return
-    parameters = [*attached_parameters(scene), *moving_parameters(scene)]
+    parameters = [*attached_parameters(scene), *shape_parameters(scene)]
     values = [p.value for p in parameters]
     if mode == dr.ADMode.Forward:
         with dr.resume_grad():

@@ -18,12 +18,15 @@ from djpt.kernels import own_floats
 from djpt.shapes.base import Shape
 from djpt.shapes.ellipsoids_file import Table, read_ellipsoids
 from djpt.shapes.mesh_file import MeshFile
+from djpt.silhouettes.moving import exchanged_value
 from djpt.types import ArrayXf, Bool, Color3f, Float, UInt32
 
 __all__ = ["Cloud"]
 
 WIDTH = 10
 """Numbers of an ellipsoid: centre (3), half-axes (3), rotation as a quaternion x y z w."""
+PARTS = {"ellipsoid": (0, WIDTH), "center": (0, 3), "scale": (3, 3), "quaternion": (6, 4)}
+"""Attributes that are parts of these numbers: the first one, and how many."""
 SOURCES = ("filename", "data", "centers")
 LEAST_RESPONSE = 0.01
 """The share of its opacity at which a Gaussian's support ends, with `extent_adaptive_clamping`."""
@@ -82,7 +85,7 @@ class Cloud(Shape):
         callback.put("extent_adaptive_clamping", self.extent_adaptive_clamping, fixed)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        return value if name in self.channels else super().check_parameter(name, value)
+        return value if name == "data" or name in self.channels else super().check_parameter(name, value)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         self._check()
@@ -114,19 +117,37 @@ class Cloud(Shape):
     def primitive_count(self) -> int:
         return self.count
 
+    def is_ellipsoids(self) -> bool:
+        """True."""
+        return True
+
     def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
-        return name in self.channels
+        return name in self.channels or name in PARTS
+
+    def is_moving(self) -> bool:
+        return bool(dr.grad_enabled(self.numbers))
+
+    def attached_names(self) -> list[str]:
+        with dr.resume_grad():
+            return [name for name in ("numbers", *self.channels) if dr.grad_enabled(getattr(self, name))]
 
     # ---- attributes ------------------------------------------------------------------
 
     def _attribute(self, name: str, si: Any, active: Bool | bool) -> Any:
         """An attribute at a point: a `Float`, a `Color3f`, or a list of channels."""
-        if name not in self.channels:
-            found = ", ".join(self.channels) or "none"
+        if name in self.channels:
+            owner, begin, width = name, 0, self.channels[name]
+            stride = width
+        elif name in PARTS:
+            owner, (begin, width), stride = "numbers", PARTS[name], WIDTH
+        else:
+            found = ", ".join([*self.channels, *PARTS])
             raise SceneError(f"{self.id()}: there is no attribute '{name}'; found: {found}")
-        width = self.channels[name]
-        first = UInt32(si.prim_index) * width
-        channels = [dr.gather(Float, getattr(self, name), first + k, active) for k in range(width)]
+        source = exchanged_value(self, owner)
+        if source is None:
+            source = getattr(self, owner)
+        first = UInt32(si.prim_index) * stride + begin
+        channels = [dr.gather(Float, source, first + k, active) for k in range(width)]
         return channels[0] if width == 1 else Color3f(*channels) if width == 3 else channels
 
     def eval_attribute_x(self, name: str, si: Any, active: Bool | bool = True) -> ArrayXf:

@@ -29,8 +29,9 @@ class Ellipsoids(Cloud):
     where the attribute `opacities` is o, times sqrt(2 log(o / 0.01)) / 3 as well. All other keys are attributes: (N, D)
     numbers, which `eval_attribute_1`, `_3` and `_x` look up by the number of the ellipsoid, `si.prim_index`.
 
-    There are no uv. Ellipsoids can't shine, and have no derivatives by their data; attributes have, where scripts look
-    them up.
+    There are no uv, and ellipsoids can't shine. Attributes and `data` have derivatives where scripts look them up
+    (`data` as the attributes `ellipsoid`, `center`, `scale` and `quaternion`), and in images of the integrator
+    `volprim_rf_basic`; hits have none.
     """
 
     shape_kind = ShapeType.Ellipsoids

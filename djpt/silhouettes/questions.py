@@ -9,6 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.records import SurfaceInteraction3f
+from djpt.silhouettes.moving import attached_place, motion_name
 from djpt.types import Bool, Float, Matrix4f, Point3f, UInt32, converting
 
 if TYPE_CHECKING:
@@ -109,3 +110,11 @@ class SilhouetteQuestions(Plugin):
             return False
         with dr.resume_grad():
             return bool(dr.grad_enabled(value))
+
+    def is_moving(self) -> bool:
+        """Whether the parameters that place the shape have gradients now: not where these are suspended."""
+        return attached_place(self) is not None
+
+    def attached_names(self) -> list[str]:
+        """The attributes of the shape that have gradients: those that place it, and what it is asked for at hits."""
+        return [motion_name(self)] if self.parameters_grad_enabled() else []

@@ -95,6 +95,9 @@ def test_media_of_shapes_and_sensors() -> None:
     assert si.is_medium_transition()[0]
     assert (si.target_medium(djpt.Vector3f(0, 0, -1)) == ball.interior_medium())[0]
     assert (si.target_medium(djpt.Float(1.0)) == ball.exterior_medium())[0]
+    assert (si.target_medium(cos_theta=1.0) == ball.exterior_medium())[0]
+    with pytest.raises(djpt.DjptError, match=r"target_medium\(\): give a direction"):
+        si.target_medium()
 
 
 @pytest.mark.parametrize(

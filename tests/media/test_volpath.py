@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import drjit as dr
@@ -139,7 +140,9 @@ def test_other_integrators_see_no_fog() -> None:
     scene = djpt.load_dict(clear)
     assert scene.camera_medium is None and scene.with_media().camera_medium is not None
     clear["fog"].pop("interior")
-    np.testing.assert_array_equal(pixels(djpt.render(scene, spp=4)), ours(clear, spp=4))
+    with pytest.warns(UserWarning, match="leaves out fog"):
+        foggy = pixels(djpt.render(scene, spp=4))
+    np.testing.assert_array_equal(foggy, ours(clear, spp=4))
 
 
 def test_glass_that_absorbs_is_a_medium() -> None:
@@ -161,6 +164,19 @@ def test_the_medium_of_the_camera_is_found() -> None:
     assert ours(scene, spp=1024).mean() == pytest.approx(np.exp(-0.35), rel=0.02)
 
 
+def test_other_integrators_warn_of_media() -> None:
+    scene = djpt.load_dict(foggy_room(fog(1.0)))
+    with pytest.warns(
+        UserWarning, match=r"'Path' doesn't follow light .*: it leaves out fog\.interior; render"
+    ) as caught:
+        djpt.render(scene, integrator=djpt.load_dict({"type": "path"}), spp=1)
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        djpt.render(scene, spp=1)
+        djpt.render(scene, integrator=djpt.load_dict({"type": "depth"}), spp=1)
+
+
 def test_an_edit_compiles_no_kernel() -> None:
     scene = djpt.load_dict(foggy_room(fog(colour(0.5, 0.6, 0.7), 0.9)))
     params = djpt.traverse(scene)
@@ -173,6 +189,25 @@ def test_an_edit_compiles_no_kernel() -> None:
         after = pixels(djpt.render(scene, spp=2))
         compiled = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT and not k["cache_hit"]]
     assert not compiled and np.abs(before - after).max() > 0.01
+
+
+def test_gradients_of_walls_behind_fog() -> None:
+    """By a colour that is looked up where shadow rays go through null surfaces."""
+    scene, key, step = djpt.load_dict(foggy_room(fog(0.8, 0.6), size=8)), "red.reflectance.value", 0.04
+    params = djpt.traverse(scene)
+    start = djpt.Color3f(params[key])
+
+    def loss(change: Any) -> Any:
+        params[key] = start + change
+        params.update()
+        return dr.mean(djpt.render(scene, params, spp=64, seed=1, seed_grad=1), axis=None)
+
+    # The mean is a polynomial in the colour of which only the first terms count.
+    above, below = (float(np.array(loss(djpt.Float(s * step)))) for s in (1, -1))
+    attached = djpt.Float(0)
+    dr.enable_grad(attached)
+    dr.backward(loss(attached))
+    assert dr.grad(attached)[0] == pytest.approx((above - below) / (2 * step), rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["albedo", "sigma_t"])

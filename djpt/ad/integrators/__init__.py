@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__all__ = ["common", "direct_projective", "prb", "prb_basic", "prb_projective"]
+__all__ = ["common", "direct_projective", "prb", "prb_basic", "prb_projective", "prbvolpath", "volprim_rf_basic"]
 
 
 def __getattr__(name: str) -> Any:

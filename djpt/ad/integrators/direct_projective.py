@@ -136,12 +136,12 @@ class DirectProjectiveIntegrator(PSIntegrator):
         max_depth: Any,
         sampler: Any,
         wavelengths: Any,
-        active: Any,
+        active_: Any,
     ) -> tuple[Color3f, Point2f, UInt32, Bool]:
         back = SilhouetteSample3f(ss)
         back.d = -ss.d
-        si = scene.ray_intersect(back.spawn_ray(wavelengths), active=active)
-        active = active & si.is_valid()
+        si = scene.ray_intersect(back.spawn_ray(wavelengths), active=active_)
+        active = active_ & si.is_valid()
         it = dr.zeros(Interaction3f)
         it.p = si.p
         ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
