@@ -85,7 +85,8 @@ def walked(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit:
         ]
         on = si.spawn_ray(segment.d)
         # Where the light lies on the surface, the ray has been moved past it.
-        goes_on = shadow.active & hit & (dr.max(light) > 0) & (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)
+        before_light = (ray.maxt == dr.inf) | (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)
+        goes_on = shadow.active & hit & (dr.max(light) > 0) & before_light
         return (Shadow(on.o, on.medium, light, lengths, shadow.sampler, goes_on),)
 
     (end,) = dr.while_loop((start,), lambda shadow: shadow.active, step, label="shadow")
