@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.description.scene_files import read_file, read_string
+from djpt.description.xml.reading import read_file, read_string
 from djpt.description.xml.writer import to_xml, write_dict
 
 __all__ = ["Document", "dict_to_xml", "read_file", "read_string", "to_xml", "write_dict"]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-__all__ = ["MAX_DEPTH", "MAX_FILES", "MAX_INCLUDES", "MAX_NAME", "MAX_NODES"]
+__all__ = ["LARGEST", "MAX_DEPTH", "MAX_FILES", "MAX_INCLUDES", "MAX_NAME", "MAX_NODES"]
+
+LARGEST = (2 - 2**-23) * 2.0**127
+"""The largest number of float32, in which kernels compute."""
 
 MAX_DEPTH = 32
 """Deepest nesting of nodes. Real scenes need about five levels."""

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.frozen import recording
+from djpt.description.limits import LARGEST
 from djpt.errors import SceneError
 
 __all__ = [
-    "LARGEST",
     "as_array",
     "as_integer",
     "as_number",
@@ -30,9 +30,6 @@ __all__ = [
     "non_negative",
     "numbers_in",
 ]
-
-LARGEST = float(np.finfo(np.float32).max)
-"""The largest number of float32, in which kernels compute."""
 
 FEW = 16
 """So many numbers, those of a matrix, are checked sooner one by one than as an array."""

@@ -52,7 +52,7 @@ def described(
     if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
         # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
         require_regular(scene)
-        from djpt.description.scene_files import read_file
+        from djpt.description.xml.reading import read_file
 
         document = read_file(scene, trusted=True, root=None, **(parameters or {}))
         return document.name, document

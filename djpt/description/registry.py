@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any
 
+from djpt.description.mitsuba_plugins import LACKING, home_of
+from djpt.description.own_plugins import PACKAGES, home, homes
 from djpt.errors import SceneError, near_miss
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "kind_of",
     "lookup",
     "name_of",
+    "names",
     "register",
     "register_bsdf",
     "register_emitter",
@@ -37,56 +39,11 @@ __all__ = [
     "register_texture",
     "register_volume",
     "registered",
+    "unknown",
 ]
 
 Factory = Callable[[Any], Any]
 """Builds a `Plugin` from the `Properties` of a node: usually the plugin's class."""
-
-PACKAGES = (
-    "djpt.textures",
-    "djpt.materials",
-    "djpt.shapes",
-    "djpt.emitters",
-    "djpt.media",
-    "djpt.phase",
-    "djpt.volumes",
-    "djpt.rfilters",
-    "djpt.films",
-    "djpt.samplers",
-    "djpt.sensors",
-    "djpt.integrators",
-    "djpt.ad.integrators",
-)
-"""The packages that djpt's own plugins stand in, besides the scene. Usually a plugin's file bears its name."""
-
-MITSUBA = {
-    "bsdf": (
-        "blendbsdf bumpmap circular conductor dielectric diffuse hair mask measured measured_polarized normalmap null "
-        "plastic polarizer pplastic principled principledthin retarder roughconductor roughdielectric roughplastic "
-        "thindielectric twosided"
-    ),
-    "emitter": "area constant directional directionalarea envmap point projector spot sunsky timed_sunsky",
-    "shape": (
-        "blender bsplinecurve cube cylinder disk ellipsoids ellipsoidsmesh instance linearcurve merge obj ply "
-        "rectangle sdfgrid serialized shapegroup sphere"
-    ),
-    "sensor": "batch distant irradiancemeter orthographic perspective radiancemeter thinlens",
-    "film": "hdrfilm specfilm",
-    "rfilter": "box catmullrom gaussian lanczos mitchell tent",
-    "sampler": "independent ldsampler multijitter orthogonal stratified",
-    "texture": (
-        "bitmap blackbody checkerboard d65 irregular mesh_attribute rawconstant regular rgb spectrum srgb uniform "
-        "volume"
-    ),
-    "integrator": (
-        "aov depth direct direct_projective moment path prb prb_basic prb_projective prbvolpath ptracer stokes "
-        "volpath volpathmis volprim_rf_basic"
-    ),
-    "medium": "heterogeneous homogeneous",
-    "phase": "blendphase hg isotropic rayleigh sggx tabphase",
-    "volume": "constvolume gridvolume",
-}
-"""The plugins of Mitsuba 3.9.1 by kind, for messages about those that djpt lacks."""
 
 _plugins: dict[str, tuple[str, Factory]] = {}
 _own_names: set[str] = set()
@@ -116,11 +73,6 @@ def register(kind: str, name: str, factory: Factory) -> None:
     if first_own and known is not None and not is_own(known[1]):
         return  # the user replaced a plugin of djpt before its package was imported
     _plugins[name] = (kind, factory)
-
-
-def home_of(name: str) -> str | None:
-    """The kind that a name has in Mitsuba, or None."""
-    return next((kind for kind, names in MITSUBA.items() if name in names.split()), None)
 
 
 def is_own(factory: Factory) -> bool:
@@ -195,10 +147,18 @@ def registered(kind: str | None = None) -> dict[str, Factory]:
     return {name: factory for name, (of, factory) in sorted(_plugins.items()) if kind in (None, of)}
 
 
+def names(kind: str | None = None) -> list[str]:
+    """The names of all plugins, or of those of one kind, in order. Nothing is imported."""
+    own = {name for name, place in homes().items() if kind in (None, place.kind)}
+    return sorted(own | {name for name, (of, _) in _plugins.items() if kind in (None, of)})
+
+
 def kind_of(name: str) -> str | None:
-    """The kind that `name` was registered for, or None."""
-    _import_home(name)
-    return _plugins[name][0] if name in _plugins else None
+    """The kind of the plugin of that name, or None. Nothing is imported."""
+    if name in _plugins:
+        return _plugins[name][0]
+    place = home(name)
+    return place.kind if place is not None else None
 
 
 def name_of(factory: Factory) -> str | None:
@@ -221,27 +181,21 @@ def lookup(kind: str | None, name: str) -> Factory:
         return _plugins[name][1]
     if name in _plugins:
         raise SceneError(f"expected the kind '{kind}', found the {_plugins[name][0]} '{name}'")
-    what = kind or "plugin"
-    home = home_of(name)
-    if home is not None and kind in (None, home):
-        own = ", ".join(sorted(registered(home))) or f"no {home} at all"
-        raise SceneError(f"Mitsuba's {home} '{name}' isn't supported yet; supported: {own}")
-    raise SceneError(f"unknown {what} '{name}'{near_miss(name, registered(kind))}")
+    their_kind = home_of(name)
+    if their_kind is not None and kind in (None, their_kind):
+        raise SceneError(f"Mitsuba's {their_kind} '{name}' isn't supported: {LACKING[name]}")
+    raise unknown(kind, name)
+
+
+def unknown(kind: str | None, name: str) -> SceneError:
+    """The error for a name that no plugin of a kind has, with the names that exist."""
+    return SceneError(f"unknown {kind or 'plugin'} '{name}'{near_miss(name, names(kind))}")
 
 
 def _import_home(name: str) -> None:
-    """Let the file that a plugin of djpt stands in register it: the one of that name, else all files."""
-    if name in _plugins or _own_packages_imported:
-        return
-    if name == "scene":
-        importlib.import_module("djpt.scene")
-        return
-    for package in PACKAGES if name.isidentifier() else ():
-        if find_spec(f"{package}.{name}") is not None:
-            importlib.import_module(f"{package}.{name}")
-            if name in _plugins:
-                return
-    _import_own_packages()
+    """Let the file that a plugin of djpt stands in register it."""
+    if name not in _plugins and not _own_packages_imported and (place := home(name)) is not None:
+        importlib.import_module(place.module)
 
 
 def _import_own_packages() -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.files import resolve
-from djpt.description.numeric import LARGEST, describe
+from djpt.description.limits import LARGEST
+from djpt.description.numeric import describe
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
 from djpt.images.colorimetry import XYZ_TO_RGB

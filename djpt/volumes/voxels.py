@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.files import resolve
-from djpt.description.numeric import LARGEST
+from djpt.description.limits import LARGEST
 from djpt.description.properties import Properties
 from djpt.errors import ArgumentError, FileError, SceneError
 from djpt.geometry.bounding_box import ScalarBoundingBox3f

@@ -112,6 +112,25 @@ print(sorted({"drjit", "numpy"} & set(sys.modules)))
     assert run_python("-c", code).stdout == "can't read 'nothing.xml': there is no such file\n[]\n"
 
 
+def test_a_misspelt_plugin_of_a_scene_file_is_found_without_drjit(tmp_path: Path) -> None:
+    file = tmp_path / "scene.xml"
+    file.write_text('<scene version="3.0.0"><shape type="obj"/><integrator type="pathh"/></scene>')
+    code = f"""
+import sys
+from djpt.description.overrides import described
+from djpt.errors import SceneError
+try:
+    described({str(file)!r})
+except SceneError as error:
+    print(error)
+print(sorted({{"drjit", "numpy"}} & set(sys.modules)))
+"""
+    message, imported = run_python("-c", code).stdout.splitlines()
+    assert "scene.xml:1: <integrator>: unknown integrator 'pathh'; did you mean 'path'? (possible: aov, " in message
+    assert "diffuse" not in message
+    assert imported == "[]"
+
+
 def test_rendering_does_not_import_mitsuba() -> None:
     code = """
 import sys, djpt

@@ -134,6 +134,33 @@ def test_light_sampling_changes_nothing_but_noise(gap: float) -> None:
     assert abs(means[0] - means[1]) < 4 * np.hypot(*errors)
 
 
+def test_what_hides_the_sky_may_stand_behind_an_invisible_surface() -> None:
+    """A floor below a wide black ceiling is black, with a null surface between them or without."""
+
+    def rectangle(z: float, bsdf: dict[str, Any]) -> dict[str, Any]:
+        return {"type": "rectangle", "to_world": T().translate([0, 0, z]).scale([100, 100, 1]), "bsdf": bsdf}
+
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "volpath", "max_depth": 2},
+        "sky": {"type": "constant"},
+        "floor": rectangle(0, {"type": "diffuse"}),
+        "pane": rectangle(4, NULL),
+        "ceiling": rectangle(6, {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour(0, 0, 0)}}),
+        "sensor": {
+            "type": "perspective",
+            "fov": 20,
+            "to_world": T().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 4, "height": 4},
+        },
+    }
+    hidden = djpt.render(djpt.load_dict(scene), spp=16).numpy()
+    assert hidden.max() < 0.01
+    scene["ceiling"] = rectangle(6, NULL)
+    # The floor reflects half of a sky of radiance 1.
+    assert djpt.render(djpt.load_dict(scene), spp=256).numpy().mean() == pytest.approx(0.5, abs=0.03)
+
+
 def test_other_integrators_see_no_fog() -> None:
     """As in Mitsuba; and they pay nothing."""
     clear = foggy_room(fog(), "path")

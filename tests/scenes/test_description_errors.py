@@ -70,7 +70,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     ),
     "of Mitsuba": (
         scene(a={"type": "measured_polarized"}),
-        r"^scene\.a: Mitsuba's bsdf 'measured_polarized' isn't supported yet; supported: .*diffuse.*twosided",
+        r"^scene\.a: Mitsuba's bsdf 'measured_polarized' isn't supported: .* no polarisation; take a 'rough",
     ),
     "unknown key": (
         white(reflectence=0.5),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import djpt
 from djpt.description import registry
+from djpt.description.mitsuba_plugins import LACKING, MITSUBA
 from djpt.transforms import ScalarTransform4f as T
 from tests.kit.processes import run_python
 
@@ -177,6 +179,26 @@ def test_classes_of_a_package_are_what_scenes_are_made_of(package: Any) -> None:
     assert type(scene.shapes()[0].bsdf().pigment) is package.Halves
 
 
+def test_names_and_kinds_of_plugins_are_known_without_imports() -> None:
+    code = """
+import sys
+from djpt.description.registry import _plugins, kind_of, names, registered
+known = {name: kind_of(name) for name in names()}
+assert kind_of("nothing") is None
+assert not {"drjit", "numpy"} & set(sys.modules), "imported"
+registered()
+assert known == {name: kind for name, (kind, _) in _plugins.items()}
+assert all(set(names(kind)) == set(registered(kind)) for kind in known.values())
+print(len(known))
+"""
+    assert int(run_python("-c", code).stdout) > 100
+
+
+def test_plugins_of_mitsuba_that_are_missing_have_a_reason() -> None:
+    theirs = {name for names in MITSUBA.values() for name in names.split()}
+    assert theirs - set(registry.names()) == set(LACKING)
+
+
 def test_no_plugin_of_djpt_is_forgotten_by_its_package() -> None:
     """A file that registers plugins has its line in the `__init__`."""
     code = """
@@ -200,4 +222,7 @@ def test_each_registered_class_is_public_in_its_package(name: str) -> None:
     package = importlib.import_module(name)
     own = {factory for factory in registry.registered().values() if factory.__module__.startswith(f"{name}.")}
     assert own
-    assert own <= {getattr(package, public) for public in package.__all__}
+    public = [getattr(package, name) for name in package.__all__]
+    # The package of differentiable integrators has modules in it, as Mitsuba's has.
+    inside = [getattr(module, name) for module in public if isinstance(module, ModuleType) for name in module.__all__]
+    assert own <= {*public, *inside}

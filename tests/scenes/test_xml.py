@@ -123,7 +123,7 @@ VALUES = {
     '<rgb name="a" value="0.5"/>': {"type": "rgb", "value": [0.5, 0.5, 0.5]},
     '<spectrum name="a" value="0.5"/>': {"type": "spectrum", "value": 0.5},
     '<spectrum name="a" value="400:.1, 700:.2"/>': {"type": "spectrum", "value": [(400, 0.1), (700, 0.2)]},
-    '<spectrum name="a" type="x"><float name="b" value="1"/></spectrum>': {"type": "x", "b": 1.0},
+    '<spectrum name="a" type="regular"><float name="b" value="1"/></spectrum>': {"type": "regular", "b": 1.0},
     '<transform name="a"><scale x="2"/></transform>': T().scale([2, 1, 1]),
 }
 
@@ -305,7 +305,8 @@ def test_names_with_capitals(old: str, new: str) -> None:
 
 def test_old_texture_offsets_become_a_transform() -> None:
     text = (
-        '<texture type="x" version="0.5.0"><float name="uoffset" value=".5"/><float name="vscale" value="3"/></texture>'
+        '<texture type="bitmap" version="0.5.0">'
+        '<float name="uoffset" value=".5"/><float name="vscale" value="3"/></texture>'
     )
     expected = T().scale([1, 3, 1]).translate([0.5, 0, 0])
     assert read_string(text)["to_uv"] == expected

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from djpt.description.registry import home_of, kind_of
 from djpt.description.xml.nodes import Entry, Node, Reference
-from djpt.description.xml.reader import OBJECTS
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["Naming"]
@@ -31,7 +29,6 @@ class Naming:
 
     def dict_of(self, node: Node, path: str = "") -> dict[str, Any]:
         """Convert a node, with all that is nested in it, to a dict. Raises `SceneError`."""
-        self._check_kind(node)
         self.places[path] = node.place
         result: dict[str, Any] = {"type": node.type}
         keys = self._keys(node, at_top=not path)
@@ -81,15 +78,6 @@ class Naming:
         if not isinstance(entry.value, Node):
             return entry.name
         return entry.value.id.replace(".", "_") if in_scene and entry.value.id else entry.value.tag
-
-    @staticmethod
-    def _check_kind(node: Node) -> None:
-        """Raise `SceneError` if the tag doesn't fit the plugin."""
-        expected = OBJECTS.get(node.tag, "texture")
-        kind = kind_of(node.type) or home_of(node.type)
-        if kind not in (None, expected):
-            tag = next((tag for tag, of in OBJECTS.items() if of == kind), kind)
-            raise SceneError(f"{node.place}: <{node.tag}>: '{node.type}' is a {kind}; write <{tag} type=...>")
 
 
 def _unused(key: str, used: Collection[str], counts: dict[str, int]) -> str:

@@ -7,9 +7,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from djpt.description.numeric import as_array, describe
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["LONGEST", "Parameters"]
@@ -97,6 +94,11 @@ def _text(name: str, value: Any) -> str:
         raise SceneError("a parameter needs a name")
     if isinstance(value, str):
         return value
+    # Here: only Python callers have other values, and NumPy takes long to import.
+    import numpy as np
+
+    from djpt.description.numeric import as_array, describe
+
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, os.PathLike):

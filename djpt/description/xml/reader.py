@@ -12,32 +12,17 @@ from djpt.description.files import FileResolver, file_resolver
 from djpt.description.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.xml import source
 from djpt.description.xml.nodes import Node, Reference
+from djpt.description.xml.objects import OBJECTS, check_type, check_types, is_object
 from djpt.description.xml.parameters import Parameters
 from djpt.description.xml.source import Element
-from djpt.description.xml.transforms import OPERATIONS, transform
 from djpt.description.xml.upgrade import Version, is_old, parse_version, upgrade_name, upgrade_node, upgrade_tag
 from djpt.description.xml.values import VALUES, check_attributes, spectrum_file
 from djpt.errors import FileError, SceneError, near_miss
 
-__all__ = ["OBJECTS", "Reader"]
+__all__ = ["Reader"]
 
-OBJECTS = {
-    "scene": "scene",
-    "bsdf": "bsdf",
-    "emitter": "emitter",
-    "film": "film",
-    "integrator": "integrator",
-    "medium": "medium",
-    "phase": "phase",
-    "rfilter": "rfilter",
-    "sampler": "sampler",
-    "sensor": "sensor",
-    "shape": "shape",
-    "texture": "texture",
-    "volume": "volume",
-}
-"""The tags of objects, and the kind of plugin that each holds."""
-
+_OPERATIONS = ("translate", "scale", "rotate", "lookat", "matrix")
+"""The tags within a ``<transform>``."""
 _OTHERS = ("transform", "ref", "include", "alias", "default", "path")
 
 
@@ -100,6 +85,7 @@ class Reader:
         version = parse_version(text)
         if version is None:
             raise root.error(f"the version must be three numbers such as 3.0.0, found '{text}'")
+        check_types(root)
         file = _File(name, version, resolver, stack)
         self._substitute(root)
         node = self._object(root, file, None)
@@ -125,6 +111,7 @@ class Reader:
             check_attributes(element, optional="type id name")
         else:
             check_attributes(element, "type", "id name")
+            check_type(element)
         self._objects += 1
         if self._objects > MAX_NODES:
             raise element.error(f"more than {MAX_NODES} objects")
@@ -146,7 +133,7 @@ class Reader:
     def _child(self, element: Element, parent: Node, file: _File, is_root: bool) -> None:
         """Add the entry of an element to the object around it."""
         tag = element.tag
-        if tag in OPERATIONS or (is_old(file.version) and upgrade_tag(tag) in OPERATIONS):
+        if tag in _OPERATIONS or (is_old(file.version) and upgrade_tag(tag) in _OPERATIONS):
             raise element.error("can only stand in a <transform>")
         if not is_object(element) and tag not in VALUES and tag not in _OTHERS:
             raise element.error(f"unknown tag{near_miss(tag, [*OBJECTS, *VALUES, *_OTHERS])}")
@@ -184,6 +171,9 @@ class Reader:
             if is_old(file.version):
                 for child in element.children:
                     child.tag = upgrade_tag(child.tag)
+            # Here, and not above: a misspelt plugin is found out before NumPy is imported.
+            from djpt.description.xml.transforms import transform
+
             return transform(element, self._substitute)
         if element.tag == "spectrum" and "filename" in element.attributes:
             check_attributes(element, "name filename")
@@ -239,8 +229,3 @@ class Reader:
             raise element.error("can only stand directly in the file's outermost object")
         folder = file.resolve(element.attributes["value"], element)
         file.resolver = FileResolver((folder, *file.resolver), self.root)
-
-
-def is_object(element: Element) -> bool:
-    """Whether an element stands for a plugin."""
-    return element.tag in OBJECTS or (element.tag == "spectrum" and "type" in element.attributes)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 
 from djpt.description.xml.nodes import Entry, Node
-from djpt.transforms import ScalarTransform4f
 
 __all__ = ["Version", "is_old", "parse_version", "upgrade_name", "upgrade_node", "upgrade_tag"]
 
@@ -49,6 +48,8 @@ def upgrade_node(node: Node) -> None:
     found = {entry.name: entry for entry in node.entries if entry.name in _UV}
     if not found or not all(isinstance(entry.value, (int, float)) for entry in found.values()):
         return  # the loader reports what is wrong with other values
+    from djpt.transforms import ScalarTransform4f  # here: NumPy takes long to import
+
     offset = [found[name].value if name in found else 0.0 for name in ("uoffset", "voffset")]
     scale = [found[name].value if name in found else 1.0 for name in ("uscale", "vscale")]
     to_uv = ScalarTransform4f.scale([*scale, 1.0]).translate([*offset, 0.0])

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from djpt.description.numeric import LARGEST
+from djpt.description.limits import LARGEST
 from djpt.description.xml.source import Element
 from djpt.errors import FileError, near_miss
 from djpt.files import read_bytes

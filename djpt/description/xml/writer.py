@@ -17,9 +17,9 @@ import numpy as np
 from djpt.description.loader import Loader
 from djpt.description.numeric import as_array, as_number, describe
 from djpt.description.plugin import Plugin
-from djpt.description.registry import home_of, kind_of, registered
-from djpt.description.xml.reader import OBJECTS
-from djpt.errors import FileError, SceneError, near_miss
+from djpt.description.registry import home_of, kind_of, unknown
+from djpt.description.xml.objects import OBJECTS
+from djpt.errors import FileError, SceneError
 from djpt.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 
 __all__ = ["to_xml", "write_dict"]
@@ -126,7 +126,7 @@ class _Writer:
         where = self.loader.name(path)
         kind = kind_of(node["type"]) or home_of(node["type"])
         if kind is None:
-            raise SceneError(f"{where}: unknown plugin '{node['type']}'{near_miss(node['type'], registered())}")
+            raise SceneError(f"{where}: {unknown(None, node['type'])}")
         at_top = self.in_scene and path == key
         attributes: dict[str, str | None] = {
             "version": None if path else VERSION,
