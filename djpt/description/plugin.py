@@ -13,7 +13,6 @@ import drjit as dr
 
 from djpt.backends import variant
 from djpt.description.frozen import Holder
-from djpt.errors import ParameterError
 from djpt.types import Float
 
 if TYPE_CHECKING:
