@@ -47,7 +47,7 @@ VARIABLES: dict[str, tuple[str, Variable]] = {
     "position": ("XYZ", lambda si, ray: vector(si.p)),
     "uv": ("UV", lambda si, ray: pair(si.uv)),
     "geo_normal": ("XYZ", lambda si, ray: vector(si.n)),
-    "sh_normal": ("XYZ", lambda si, ray: vector(si.sh_frame.n)),
+    "sh_normal": ("XYZ", lambda si, ray: vector(si.bsdf().sh_frame(si).n)),
     "dp_du": ("XYZ", lambda si, ray: vector(si.dp_du)),
     "dp_dv": ("XYZ", lambda si, ray: vector(si.dp_dv)),
     "prim_index": ("I", lambda si, ray: [Float(si.scene.primitive_index(si))]),

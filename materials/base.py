@@ -14,6 +14,7 @@ import drjit as dr
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError, near_miss
+from djpt.frame import Frame3f
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
@@ -112,6 +113,10 @@ class BSDF(Plugin):
             self.traverse(listing)
             raise RenderError(f"{self.id()}: there is no attribute '{name}'{near_miss(name, listing.found)}")
         return found
+
+    def sh_frame(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Frame3f:
+        """The shading frame that the BSDF works in, in world space: that of `si` unless the BSDF tilts it."""
+        return si.sh_frame
 
     def needs_differentials(self) -> bool:
         """False: no BSDF looks at the rays of neighbouring pixels."""

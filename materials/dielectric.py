@@ -11,7 +11,7 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
-from djpt.materials.delta import DeltaBSDF
+from djpt.materials.delta import DeltaBSDF, derivative_of_choice
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
@@ -93,6 +93,7 @@ class Dielectric(DeltaBSDF):
         # Not <=: what reflects nothing mustn't be chosen even if the sample is 0.
         chosen = sample1 < share
         bs_r.pdf, bs_t.pdf = share, 1 - share
+        weight_r, weight_t = weight_r * derivative_of_choice(share), weight_t * derivative_of_choice(1 - share)
         return dr.select(chosen, bs_r, bs_t), dr.select(chosen, weight_r, weight_t)
 
     def lobes(

@@ -80,6 +80,9 @@ class PerturbedBSDF(BSDF):
         squared_alpha = 0.125 * squared_tangent(frame.n.z, 1 / 9)
         return 2 * dr.rcp(1 + dr.sqrt(dr.fma(squared_alpha, squared_tangent(wo.z, TINY), 1)))
 
+    def sh_frame(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Frame3f:
+        return self._tilted(si, active)[1].sh_frame
+
     # ---- the BSDF ------------------------------------------------------------------------
 
     def components(self) -> tuple[int, ...]:

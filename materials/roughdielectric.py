@@ -11,6 +11,7 @@ from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.kernels import as_float
+from djpt.materials.delta import derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
@@ -169,8 +170,8 @@ class RoughDielectricAtPoint:
             g *= d * self.g1_i * dr.abs(cos_i) * dr.rcp(dr.select(ok, density, 1))
         through = self.tint_t * dr.square(eta_ti) if self.radiance else self.tint_t
         weight = dr.select(reflected, self.tint_r, through) * g
-        if not self.both:
-            weight = weight * dr.select(reflected, f, 1 - f)
+        share = dr.select(reflected, f, 1 - f)
+        weight = weight * (derivative_of_choice(share) if self.both else share)
         sampled_type = dr.select(reflected, UInt32(BSDFFlags.GlossyReflection), UInt32(BSDFFlags.GlossyTransmission))
         eta = dr.select(reflected, 1, eta_it)
         component = dr.select(reflected, UInt32(0), UInt32(1))

@@ -13,7 +13,7 @@ import drjit as dr
 
 from djpt.backends import variant
 from djpt.description.frozen import Holder
-from djpt.errors import ParameterError
+from djpt.types import Float
 
 if TYPE_CHECKING:
     from djpt.description.properties import Properties
@@ -268,7 +268,11 @@ class Collection(TraversalCallback):
 
 
 class Report(TraversalCallback):
-    """The callback that a script's `traverse` reports to; finds the attribute that holds a reported value."""
+    """The callback that a script's `traverse` reports to; finds the attribute that holds a reported value.
+
+    A value that no attribute holds, such as ``callback.put("x", Point3f(1))``, becomes the attribute of that name:
+    `parameters_changed` finds edits there.
+    """
 
     def __init__(self, plugin: Plugin, callback: TraversalCallback) -> None:
         self._plugin, self._callback = plugin, callback
@@ -279,21 +283,22 @@ class Report(TraversalCallback):
         """Report a parameter or a nested plugin, as in Mitsuba."""
         flags = ParamFlags(int(flags))
         if not isinstance(value, Plugin):
-            attribute = attribute or self._attribute(name, value)
+            attribute = attribute or self._attribute(name, value, flags)
+            value = getattr(self._plugin, attribute)
             if not is_uniform(value):  # a constant of the kernel: it would get no gradient
                 flags |= ParamFlags.NonDifferentiable
         self._callback.put(name, value, flags, attribute)
 
-    def _attribute(self, name: str, value: Any) -> str:
+    def _attribute(self, name: str, value: Any, flags: ParamFlags) -> str:
         attributes = vars(self._plugin)
         holders = [name, *attributes]
         for holder in holders:
             if attributes.get(holder) is value and value is not None:
                 return holder
-        if hasattr(self._plugin, name):
-            return name
-        kind = type(self._plugin).__name__
-        raise ParameterError(f"{kind}.traverse reports '{name}', but no attribute of the {kind} holds that value")
+        if not hasattr(self._plugin, name):
+            is_leaf = isinstance(value, float) and flags.differentiable
+            setattr(self._plugin, name, dr.opaque(Float, value) if is_leaf else value)
+        return name
 
 
 def reporting(traverse: Callable[..., None]) -> Callable[..., None]:

@@ -14,6 +14,7 @@ import drjit as dr
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
 from djpt.dispatch.questions import EmitterPtrQuestions, SensorPtrQuestions, ShapePtrQuestions
+from djpt.frame import Frame3f
 from djpt.kernels import mapped
 from djpt.materials.base import BSDF
 from djpt.records import (
@@ -140,6 +141,13 @@ class BSDFPtr(Pointer[BSDF]):
         """The albedo; 0 on inactive lanes."""
         value = self.visit(lambda bsdf: bsdf.eval_diffuse_reflectance(si, active))
         return dr.select(active, value, 0)
+
+    def sh_frame(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Frame3f:
+        """The shading frame that the BSDF works in, in world space: where normals are mapped, not that of `si`."""
+        if all(type(bsdf).sh_frame is BSDF.sh_frame for bsdf in self.plugins):
+            return si.sh_frame
+        frame: Frame3f = self.visit(lambda bsdf: bsdf.sh_frame(si, active))
+        return frame
 
     def visit(self, method: Callable[[BSDF], Any], active: Bool | None = None) -> Any:
         """``method(bsdf)`` per lane: one dispatch for anything that an estimator asks of BSDFs.

@@ -63,8 +63,8 @@ class EnvironmentMap(OrientedEmitter):
     and `scale` (default 1, not negative), `to_world` (a rotation or reflection, default identity),
     `mis_compensation` (default false; true samples only what is brighter than the average: O. Karlik et al., "MIS
     Compensation: Optimizing Sampling Techniques in Multiple Importance Sampling", SIGGRAPH Asia 2019; not for
-    integrators that only sample lights). At least 2 x 3 texels, not negative; a black sky is
-    sampled uniformly.
+    integrators that only sample lights). Not negative; a black sky is sampled uniformly. Of an image that is smaller
+    than 2 x 3 texels the last column and the last row are repeated.
 
     The parameter `data` is a `TensorXf` (H, W + 2, 3), as in Mitsuba 3.9: the first column repeats the last texels,
     and the last column the first ones. These two are never read, so they have no gradients; `update` renews them
@@ -91,7 +91,7 @@ class EnvironmentMap(OrientedEmitter):
         self.mis_compensation = props.boolean("mis_compensation", False)
         self.scale: Any = Float(props.float("scale", 1.0, low=0.0))
         # In kernels a `djpt.dispatch.tables.Table` stands in its place.
-        self.data: Any = with_halo(load_texels(props, raw=False))
+        self.data: Any = with_halo(padded(load_texels(props, raw=False)))
         self.distribution = Hierarchical2D()
         if self.mis_compensation:
             self.ray_distribution = Hierarchical2D()
@@ -318,6 +318,16 @@ def is_attached(table: Any) -> bool:
 
 
 # ---- texels --------------------------------------------------------------------------------
+
+
+def padded(texels: TensorXf) -> TensorXf:
+    """Texels (H, W, C) as at least (3, 2, C): the last row and the last column are repeated."""
+    rows, columns, _ = texels.shape
+    if rows >= 3 and columns >= 2:
+        return texels
+    index = np.arange(math.prod(texels.shape), dtype=np.uint32).reshape(texels.shape)
+    index = np.pad(index, ((0, max(3 - rows, 0)), (0, max(2 - columns, 0)), (0, 0)), mode="edge")
+    return TensorXf(dr.gather(Float, texels.array, UInt32(index.ravel())), index.shape)
 
 
 def with_halo(texels: TensorXf) -> TensorXf:

@@ -53,7 +53,8 @@ class EmitterQuestions(Endpoint):
         """The box about the shape or the point that light comes from; empty for light from infinity."""
         if self.shape is not None:
             return self.shape.bbox()
-        if hasattr(self, "position"):
+        is_infinite = has_flag(self.flags(), EmitterFlags.Infinite)  # type: ignore[attr-defined]
+        if not is_infinite and hasattr(self, "position"):
             at = np.array(dr.detach(self.position), np.float64).ravel()
             return ScalarBoundingBox3f(at, at)
         return ScalarBoundingBox3f(np.full(3, np.inf), np.full(3, -np.inf))

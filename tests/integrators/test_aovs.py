@@ -128,3 +128,33 @@ def test_ray_differentials_are_refused() -> None:
         djpt.load_dict(aov("u:duv_dx"))
     with pytest.raises(djpt.SceneError, match="from lights can't be nested"):
         djpt.load_dict(aov("d:depth", image={"type": "ptracer"}))
+
+
+def test_the_shading_normal_is_the_one_that_a_normal_map_asks_for() -> None:
+    n = np.array([0.0, 0.6, 0.8], np.float32)
+    texels = djpt.TensorXf(np.broadcast_to((n + 1) / 2, (2, 2, 3)))
+    description = box(8, "box", aov("n:sh_normal,g:geo_normal", unfiltered=True))
+    sensor = {
+        "type": "orthographic",
+        "to_world": T().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
+        "film": description["sensor"]["film"],
+    }
+    mapped = {
+        "type": "normalmap",
+        "normalmap": {"type": "bitmap", "data": texels, "raw": True},
+        "b": {"type": "diffuse"},
+    }
+    plain = {"type": "rectangle", "to_world": T().translate([1, 0, 0])}
+    image = ours(
+        {
+            "type": "scene",
+            "integrator": description["integrator"],
+            "sensor": sensor,
+            "mapped": {"type": "rectangle", "to_world": T().translate([-1, 0, 0]), "bsdf": mapped},
+            "plain": plain,
+        },
+        1,
+    )
+    normals = {tuple(np.round(row, 3)) for row in image[..., :3].reshape(-1, 3).tolist()}
+    assert normals == {(0.0, 0.6, 0.8), (0.0, 0.0, 1.0)}
+    assert np.allclose(image[..., 3:6], [0, 0, 1], atol=1e-6)

@@ -340,8 +340,6 @@ NAN[1, 2, 0] = np.nan
 REFUSED: list[tuple[dict[str, Any], str]] = [
     (light(NAN), "'data' must be finite, found nan in row 1, column 2"),
     (light(-texels(4, 4)), "'data' must be at least 0, found -"),
-    (light(texels(2, 4)), "'data' must have at least 2 x 3 texels, found 4 x 2"),
-    (light(texels(3, 1)), "'data' must have at least 2 x 3 texels, found 1 x 3"),
     (light(np.ones((4, 4, 2), np.float32)), r"'data' must have the shape"),
     ({"type": "envmap"}, "'envmap' needs one of filename, bitmap, data; found none"),
     ({"type": "envmap", "filename": "a.exr", "bitmap": texels(4, 4)}, "found 'filename' and 'bitmap'"),
@@ -376,3 +374,14 @@ def test_edits_refused(key: str, value: Any, message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         params[f"light.{key}"] = TensorXf(value) if isinstance(value, np.ndarray) else value
     assert params[f"light.{key}"] is before
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 1), (2, 4), (3, 1)])
+def test_of_a_small_image_the_last_texels_are_repeated(shape):
+    image = texels(*shape)
+    emitter = djpt.load_dict(light(image))
+    data = np.array(djpt.traverse(emitter)["data"])[:, 1:-1]
+    assert data.shape == (3, max(shape[1], 2), 3)
+    assert np.array_equal(data[: shape[0], : shape[1]], image)
+    assert np.array_equal(data[2], data[shape[0] - 1])
+    assert np.array_equal(data[:, -1], data[:, shape[1] - 1])

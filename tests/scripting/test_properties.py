@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -161,3 +161,28 @@ def test_callbacks_of_scripts() -> None:
         params["fixed"] = 2
     with pytest.raises(NotImplementedError):
         djpt.TraversalCallback().put("name", 1)
+
+
+def test_a_plugin_may_report_a_value_that_no_attribute_holds():
+    class Passing(djpt.BSDF):
+        changed: ClassVar[list[str]] = []
+
+        def traverse(self, callback):
+            callback.put("passing", 0.25, djpt.ParamFlags.Differentiable)
+            callback.put("fixed", 2.0, djpt.ParamFlags.NonDifferentiable)
+
+        def parameters_changed(self, keys):
+            self.changed.extend(keys)
+
+    djpt.register_bsdf("passing_test", Passing)
+    bsdf = djpt.load_dict({"type": "passing_test"})
+    params = djpt.traverse(bsdf)
+    assert params["passing"][0] == 0.25 and params["fixed"] == 2.0
+    assert params.flags("passing") == djpt.ParamFlags.Differentiable
+    params["fixed"] = 2.0
+    params.update()
+    assert Passing.changed == []
+    params["passing"] = 0.5
+    params.update()
+    assert Passing.changed == ["passing"] and bsdf.passing[0] == 0.5
+    assert djpt.traverse(bsdf)["passing"][0] == 0.5
