@@ -26,6 +26,7 @@ __all__ = [
     "lane_count",
     "processor",
     "small_blocks",
+    "target",
 ]
 
 INSTRUCTION_SETS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse4.2": "SSE4.2", "neon": "NEON"}
@@ -88,18 +89,29 @@ def small_blocks() -> Iterator[None]:
             set_size(usual)
 
 
-def features() -> list[str]:
+@cache
+def target() -> tuple[str, tuple[str, ...]]:
+    """What kernels are compiled for: LLVM's name of the processor, such as ``znver3``, and of its features.
+
+    Ask for it before functions are compiled in other threads: while Dr.Jit records a frozen function it answers this
+    thread alone, and others would wait for ever.
+    """
+    library = core()
+    questions = library._Z19jit_llvm_target_cpuv, library._Z24jit_llvm_target_featuresv
+    for ask in questions:
+        ask.restype = ctypes.c_char_p
+    name, listed = (str((ask() or b"").decode()) for ask in questions)
+    return name, tuple(listed.split(","))
+
+
+def features() -> tuple[str, ...]:
     """LLVM's description of the processor that kernels are compiled for, such as ``+avx2``, ``-avx512f``."""
-    ask = core()._Z24jit_llvm_target_featuresv
-    ask.restype = ctypes.c_char_p
-    return str((ask() or b"").decode()).split(",")
+    return target()[1]
 
 
 def processor() -> str:
     """LLVM's name of the processor that kernels are compiled for, such as ``znver3``."""
-    ask = core()._Z19jit_llvm_target_cpuv
-    ask.restype = ctypes.c_char_p
-    return str((ask() or b"").decode())
+    return target()[0]
 
 
 def instruction_set() -> str:
@@ -128,5 +140,6 @@ def force_lanes(count: int) -> None:
     set_target = core()._Z19jit_llvm_set_targetPKcS0_j
     set_target.argtypes, set_target.restype = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32], None
     set_target(PROCESSORS[count].encode(), ",".join(kept).encode(), count)
+    target.cache_clear()
     if lane_count() != count:
         raise RuntimeError(f"Dr.Jit has {lane_count()} lanes and not {count}")

@@ -15,7 +15,7 @@ from djpt.geometry.compiled.placed import Features
 from djpt.geometry.compiled.tree import Functions
 from djpt.llvm.calls import Code, reason_against
 from djpt.llvm.compiler import compiled
-from djpt.llvm.lanes import lane_count
+from djpt.llvm.lanes import lane_count, target
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["functions", "why_not"]
@@ -50,6 +50,7 @@ def proved() -> bool:
     # Triangle k lies at x = 2 k, in the plane z = k.
     corners = corner + np.arange(count, dtype=np.float32)[:, None, None] * np.array([2, 0, 1], np.float32)
     # Threads compile the functions that search and those that build.
+    target()  # which other threads may not be able to ask for
     with ThreadPoolExecutor(1) as team:
         searches = team.submit(addresses, Features())
         built = build(corners)

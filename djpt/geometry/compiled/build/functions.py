@@ -17,6 +17,7 @@ from djpt.geometry.compiled.build.fit_functions import add_fit_functions
 from djpt.geometry.compiled.build.row_functions import add_row_functions
 from djpt.llvm.compiler import compiled
 from djpt.llvm.ir import Module
+from djpt.llvm.lanes import target
 
 __all__ = ["Functions", "functions"]
 
@@ -77,6 +78,7 @@ def functions() -> Functions:
         for add in part:
             add(module)
         modules.append(module.text())
+    target()  # which other threads may not be able to ask for
     with ThreadPoolExecutor(len(modules)) as team:
         addresses = {name: at for found in team.map(compiled, modules, NAMES) for name, at in found.items()}
     return Functions(
