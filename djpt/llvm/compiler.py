@@ -20,10 +20,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import drjit as dr
-
 from djpt.errors import DjptError
-from djpt.llvm.lanes import features, processor
+from djpt.llvm.lanes import target
 
 __all__ = ["CompilationError", "cache_folder", "compiled"]
 
@@ -151,13 +149,13 @@ class Llvm:
 
     def machine(self) -> int:
         """A description of this machine."""
-        message, target = TEXT(), POINTER()
+        message, found = TEXT(), POINTER()
         triple = self("LLVMGetDefaultTargetTriple", POINTER)
         try:
-            self.checked(message, "LLVMGetTargetFromTriple", triple, ctypes.byref(target), message)
-            cpu, options = processor().encode(), ",".join(features()).encode()
+            self.checked(message, "LLVMGetTargetFromTriple", triple, ctypes.byref(found), message)
+            cpu, options = target().processor.encode(), ",".join(target().features).encode()
             levels = (AGGRESSIVE, POSITION_INDEPENDENT, SMALL)
-            return int(self("LLVMCreateTargetMachine", POINTER, target, triple, cpu, options, *levels))
+            return int(self("LLVMCreateTargetMachine", POINTER, found, triple, cpu, options, *levels))
         finally:
             self("LLVMDisposeMessage", None, triple)
 
@@ -189,9 +187,10 @@ def compiled(text: str, names: tuple[str, ...]) -> dict[str, int]:
 def loaded(text: str) -> str:
     """Bring a module into memory; return what its functions' names begin with."""
     library = llvm()
-    target = f'"target-cpu"="{processor()}" "target-features"="{",".join(features())}"'
-    source = f"{text}attributes #0 = {{ nounwind {target} }}\n"
-    digest = hashlib.sha256(f"{source}{dr.detail.llvm_version()}{PASSES}".encode()).hexdigest()
+    machine = target()
+    known = f'"target-cpu"="{machine.processor}" "target-features"="{",".join(machine.features)}"'
+    source = f"{text}attributes #0 = {{ nounwind {known} }}\n"
+    digest = hashlib.sha256(f"{source}{machine.version}{PASSES}".encode()).hexdigest()
     prefix = f"djpt_{digest[:16]}_"
     code = found(digest)
     if code is None:

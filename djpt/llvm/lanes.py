@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import drjit as dr
 
@@ -20,11 +21,9 @@ __all__ = [
     "INSTRUCTION_SETS",
     "core",
     "core_path",
-    "features",
     "force_lanes",
     "instruction_set",
     "lane_count",
-    "processor",
     "small_blocks",
     "target",
 ]
@@ -89,9 +88,20 @@ def small_blocks() -> Iterator[None]:
             set_size(usual)
 
 
+class Target(NamedTuple):
+    """What kernels are compiled for, and by what."""
+
+    processor: str
+    """LLVM's name of the processor, such as ``znver3``."""
+    features: tuple[str, ...]
+    """What LLVM knows of it, such as ``+avx2``, ``-avx512f``."""
+    version: str
+    """The version of LLVM."""
+
+
 @cache
-def target() -> tuple[str, tuple[str, ...]]:
-    """What kernels are compiled for: LLVM's name of the processor, such as ``znver3``, and of its features.
+def target() -> Target:
+    """What kernels are compiled for.
 
     Ask for it before functions are compiled in other threads: while Dr.Jit records a frozen function it answers this
     thread alone, and others would wait for ever.
@@ -101,22 +111,12 @@ def target() -> tuple[str, tuple[str, ...]]:
     for ask in questions:
         ask.restype = ctypes.c_char_p
     name, listed = (str((ask() or b"").decode()) for ask in questions)
-    return name, tuple(listed.split(","))
-
-
-def features() -> tuple[str, ...]:
-    """LLVM's description of the processor that kernels are compiled for, such as ``+avx2``, ``-avx512f``."""
-    return target()[1]
-
-
-def processor() -> str:
-    """LLVM's name of the processor that kernels are compiled for, such as ``znver3``."""
-    return target()[0]
+    return Target(name, tuple(listed.split(",")), str(dr.detail.llvm_version()))
 
 
 def instruction_set() -> str:
     """The widest instruction set that kernels may use, one of `INSTRUCTION_SETS`; empty if it is none of them."""
-    there = features()
+    there = target().features
     return next((name for feature, name in INSTRUCTION_SETS.items() if f"+{feature}" in there), "")
 
 
@@ -134,9 +134,9 @@ def force_lanes(count: int) -> None:
     if count not in PROCESSORS:
         raise ValueError(f"the number of lanes must be 8 or 16, found {count}")
     needed = {8: "+avx2", 16: "+avx512f"}[count]
-    if needed not in features():
+    if needed not in target().features:
         raise ValueError(f"{count} lanes: this processor lacks {needed[1:]}")
-    kept = [f"-{name[1:]}" if name[1:].startswith(WIDER[count]) else name for name in features()]
+    kept = [f"-{name[1:]}" if name[1:].startswith(WIDER[count]) else name for name in target().features]
     set_target = core()._Z19jit_llvm_set_targetPKcS0_j
     set_target.argtypes, set_target.restype = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32], None
     set_target(PROCESSORS[count].encode(), ",".join(kept).encode(), count)

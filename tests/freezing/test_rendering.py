@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -303,3 +305,21 @@ def test_garbage_does_not_end_the_process_while_a_function_is_recorded() -> None
     done = run_python("-c", GARBAGE)
     assert done.returncode == 0, done.stderr[-1500:]
     assert done.stdout.strip() == "True", "Python collects garbage again"
+
+
+FIRST_USE = """
+import djpt
+import drjit as dr
+mesh = djpt.Mesh("m", [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+try:
+    dr.freeze(lambda shape, u: shape.sample_position(0, u))(mesh, dr.opaque(djpt.Point2f, 0.5, 2))
+except RuntimeError as error:
+    print(error)
+print("ended")
+"""
+
+
+def test_functions_are_compiled_while_dr_jit_records() -> None:
+    """The first use of a mesh in a process compiles functions in threads, which Dr.Jit doesn't answer then."""
+    done = subprocess.run([sys.executable, "-c", FIRST_USE], capture_output=True, text=True, timeout=120)
+    assert done.stdout.splitlines()[-1] == "ended"
