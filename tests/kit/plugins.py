@@ -49,6 +49,11 @@ EXAMPLES: dict[str, list[dict[str, Any]]] = {
     "bitmap": [{"data": np.random.default_rng(0).random((4, 8), dtype=np.float32)}],
     "mesh_attribute": [],  # only meshes have any: tests/textures/test_lookups.py
     "spectrum": [{"value": 0.4}],
+    "srgb": [{"color": [0.2, 0.4, 0.9]}],
+    "rawconstant": [{"value": 0.4}],
+    "blackbody": [{"temperature": 3000.0}],
+    "regular": [{"wavelength_min": 400.0, "wavelength_max": 700.0, "values": "0.1, 0.5, 0.3"}],
+    "irregular": [{"wavelengths": "400, 500, 700", "values": "0.1, 0.5, 0.3"}],
     "uniform": [{"value": 0.4}],
     "gaussian": [{}, {"stddev": 0.8}],
     "tent": [{}, {"radius": 2.0}],

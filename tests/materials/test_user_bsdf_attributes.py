@@ -145,15 +145,3 @@ def test_arrays_and_nested_textures() -> None:
     dr.enable_grad(params["a.bsdf.palette"])
     with pytest.raises(djpt.ParameterError, match="isn't differentiable"):
         params.update()
-
-
-def test_attributes_that_are_reported_must_be_there() -> None:
-    class Wrong(Base):
-        def traverse(self, callback: Any) -> None:
-            callback.put("gone", Float(1))
-
-    djpt.register_bsdf("script_wrong", Wrong)
-    with pytest.raises(
-        djpt.ParameterError, match=r"Wrong\.traverse reports 'gone', but no attribute of the Wrong holds"
-    ):
-        djpt.traverse(djpt.load_dict({"type": "script_wrong"}))

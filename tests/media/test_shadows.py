@@ -14,8 +14,8 @@ from tests.kit.media_scenes import NULL, fog
 LOW, HIGH = np.array([-1, -1, 0.2]), np.array([1, 1, 2.2])
 """The corners of the box."""
 
-SIZE, HALF = 24, 4.0
-"""The pixels of a row, and half the width of what is seen of the floor."""
+SIZE, HALF, PARTS = 24, 4.0, 8
+"""The pixels of a row, half the width of what is seen of the floor, and the parts of a pixel's side."""
 
 TO_LIGHT = np.array([-0.5, -0.6, 0.6])
 FAR, NEAR = 10 * TO_LIGHT, np.array([-2.0, -2.4, 2.4])
@@ -82,12 +82,14 @@ CASES += [("homogeneous", light, "volpathmis") for light in LIGHTS]
 def test_the_shadow_of_a_box(medium: str, light: str, integrator: str) -> None:
     scene = djpt.load_dict(floor_under(MEDIA[medium], LIGHTS[light], integrator))
     image = djpt.render(scene, spp=256).numpy()[..., 0]
-    centres = (np.arange(SIZE) + 0.5) / SIZE * 2 * HALF - HALF
-    # Seen from above with +y upwards, +x points to the right.
+    # Light is averaged over each pixel. Seen from above with +y upwards, +x points to the right.
+    places = (np.arange(SIZE * PARTS) + 0.5) / (SIZE * PARTS) * 2 * HALF - HALF
+    x, y = np.meshgrid(places, -places)
+    light_at = expected(light, np.stack([x, y, np.zeros_like(x)], axis=-1))
+    found = light_at.reshape(SIZE, PARTS, SIZE, PARTS).mean(axis=(1, 3))
+    centres = places.reshape(SIZE, PARTS).mean(axis=1)
     x, y = np.meshgrid(centres, -centres)
-    points = np.stack([x, y, np.zeros_like(x)], axis=-1)
     clear = (np.abs(x) > 1.2) | (np.abs(y) > 1.2)
-    found = expected(light, points)
     dark = clear & (found < 0.7 * found.max())
     assert np.median(np.abs(image[clear] / found[clear] - 1)) < 0.01
     assert image[clear].mean() == pytest.approx(found[clear].mean(), rel=5e-3)

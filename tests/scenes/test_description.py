@@ -109,6 +109,7 @@ def test_any_plugin_can_be_the_root(kind: str) -> None:
             "ellipsoids",
             "ellipsoidsmesh",
             "merge",
+            "measured",
         ):
             continue  # These need files, see tests/geometry; `merge` is its parts, see tests/scenes/test_merge.py.
         plugin = djpt.load_dict({"type": name, **required.get(name, {})})

@@ -172,6 +172,7 @@ ELSEWHERE: dict[str, str] = {
     "volpath": "`path`, with media that scatter light",
     "volpathmis": "`volpath`, with weights for media of several colours",
     "prbvolpath": "`volpath` with other defaults",
+    "volprim_rf_basic": "the radiance fields of ellipsoids, without scattering",
     "depth": "distances, not light",
     "aov": "properties of surfaces, not light",
     "moment": "another integrator and its squares",
