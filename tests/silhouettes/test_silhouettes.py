@@ -14,7 +14,14 @@ from djpt.transforms import ScalarTransform4f as T
 from tests.kit.axes import unit
 
 mi = pytest.importorskip("mitsuba")
-mi.set_variant("llvm_ad_rgb")
+mi.set_variant("llvm_ad_rgb")  # for names that this file takes while it is imported
+
+
+@pytest.fixture(autouse=True)
+def _variant() -> None:
+    """Other tests may have left Mitsuba in another variant."""
+    mi.set_variant("llvm_ad_rgb")
+
 
 TURNED = T().translate([0.1, 0.2, 0.3]).rotate(unit(1, 1, 0), 30).scale(0.8)
 SQUARE = T().translate([0.1, 0.2, 0.3]).scale(0.8)
