@@ -104,19 +104,12 @@ class PolarizedPlasticAtPoint(RoughCoatAtPoint):
             self.p_specular = Float(shines)
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
-        # The half vector of two directions above the horizon faces both of them.
-        ok = (self.wi.z > 0) & (wo.z > 0)
-        h = self.wi + wo
-        m = h * dr.rsqrt(dr.select(ok, dr.squared_norm(h), 1))
-        cos = dr.dot(self.wi, m)
-        d = self.surface.eval(m)
-        visible = 0.25 * d * self.g1_i
+        ok, cos, visible, pdf = self.facets(wo)
         value = Color3f(0)
         if self.shines:
             value += self.tint * (fresnel(cos, self.eta)[0] * visible * self.surface.smith_g1_over_cos(wo) * wo.z)
         if self.scatters:
             value += self.base * ((1 - fresnel(wo.z, self.eta)[0]) * wo.z)
-        pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
         pdf = dr.lerp(wo.z * INV_PI, pdf, self.p_specular)
         return dr.select(ok, value, 0), dr.select(ok, pdf, 0)
 

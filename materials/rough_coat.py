@@ -7,7 +7,7 @@ import drjit as dr
 from djpt.materials.fresnel import reflect
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.records import BSDFFlags, BSDFSample3f
-from djpt.types import Color3f, Float, Point2f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["RoughCoatAtPoint"]
@@ -18,12 +18,31 @@ class RoughCoatAtPoint:
 
     wi: Vector3f
     surface: MicrofacetDistribution
+    g1_i: Float
+    """G1(wi) over the cosine of `wi`."""
     p_specular: Float
     """The probability of the facets."""
 
     def eval_pdf(self, wo: Vector3f) -> tuple[Color3f, Float]:
         """The value of both lobes, f cos theta_o, and the density of `sample`."""
         raise NotImplementedError
+
+    def facets(self, wo: Vector3f) -> tuple[Bool, Float, Float, Float]:
+        """The facets that reflect `wi` towards `wo`.
+
+        Returns:
+            Whether both directions are above the horizon; the cosine between them and the facets' normal; D G1(wi) / 4
+            over the cosine of `wi`; the density of `wo` if the facets are sampled.
+        """
+        # The half vector of two directions above the horizon faces both of them.
+        ok = (self.wi.z > 0) & (wo.z > 0)
+        h = self.wi + wo
+        m = h * dr.rsqrt(dr.select(ok, dr.squared_norm(h), 1))
+        cos = dr.dot(self.wi, m)
+        d = self.surface.eval(m)
+        visible = 0.25 * d * self.g1_i
+        pdf = visible if self.surface.sample_visible else d * m.z * 0.25 * dr.rcp(dr.select(ok, cos, 1))
+        return ok, cos, visible, pdf
 
     def sample(self, sample1: Float, sample2: Point2f) -> tuple[BSDFSample3f, Color3f]:
         """Sample a lobe and a direction of it; the weight is that of both lobes."""
