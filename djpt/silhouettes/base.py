@@ -20,6 +20,7 @@ __all__ = [
     "Placement",
     "Silhouette",
     "SurfacePoint",
+    "aligned",
     "away_from",
     "edge_normal",
     "with_gradient",
@@ -169,3 +170,8 @@ def edge_normal(d: Vector3f, edge: Vector3f, inward: Vector3f) -> Normal3f:
     """The unit normal of the plane through `edge` and `d`, on the side that `inward` doesn't point to."""
     n = dr.normalize(dr.cross(d, edge))
     return dr.select(dr.dot(inward, n) > 0, -n, n)
+
+
+def aligned(n: Vector3f, reference: Vector3f) -> Vector3f:
+    """The normal on the side of another."""
+    return n * dr.mulsign(Float(1), dr.detach(dr.dot(n, reference)))

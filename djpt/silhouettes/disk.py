@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import PERIMETER, Placement, Silhouette, SurfacePoint, away_from, edge_normal
+from djpt.silhouettes.base import PERIMETER, away_from
+from djpt.silhouettes.flat import FlatSilhouette
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere, uniform_sphere_to_square
@@ -18,7 +18,7 @@ from djpt.warp.disk import turns
 __all__ = ["DiskSilhouette"]
 
 
-class DiskSilhouette(Silhouette):
+class DiskSilhouette(FlatSilhouette):
     """The rim, each point with all directions; uv = (1, phi / 2 pi)."""
 
     def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
@@ -37,21 +37,8 @@ class DiskSilhouette(Silhouette):
         shape = self.shape
         sin, cos = dr.sincos(2 * math.pi * turn)
         outward = shape.edge_u * cos + shape.edge_v * sin
-        p = shape.center + outward
         along = shape.edge_u * sin - shape.edge_v * cos
-        speed = dr.norm(along)
-        d = direction(p)
-        tangent = along / speed
-        ss = self.sample_of(
-            p=p,
-            n=edge_normal(d, tangent, -outward),
-            uv=Point2f(1, turn),
-            discontinuity_type=UInt32(PERIMETER),
-            flags=UInt32(flags),
-            d=d,
-            silhouette_d=tangent,
-        )
-        return ss, speed
+        return self._on_perimeter(outward, along, Point2f(1, turn), direction, flags)
 
     def invert(self, ss: SilhouetteSample3f, active: Bool | bool) -> Point3f:
         square = uniform_sphere_to_square(ss.d)
@@ -71,15 +58,8 @@ class DiskSilhouette(Silhouette):
         ss.pdf = dr.rcp(2 * math.pi * speed)
         return ss
 
-    def place(self) -> Placement:
-        shape = self.shape
-        return Placement(shape.edge_u, shape.edge_v, shape.normal, shape.center)
-
-    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
-        n = place.up()
-        n = n * dr.mulsign(Float(1), dr.detach(dr.dot(n, self.shape.normal)))
-        x, y = place.local(p)
-        return SurfacePoint(n, n, Point2f(dr.norm(Point2f(x, y)), turns(y, x)))
+    def uv_at(self, x: Float, y: Float) -> Point2f:
+        return Point2f(dr.norm(Point2f(x, y)), turns(y, x))
 
     def local(self, uv: Point2f) -> Point3f:
         sin, cos = dr.sincos(2 * math.pi * uv.y)

@@ -9,9 +9,9 @@ import drjit as dr
 
 from djpt.frame import Frame3f
 from djpt.records import Ray3f, RayFlags, SurfaceInteraction3f
-from djpt.silhouettes.base import with_gradient
+from djpt.silhouettes.base import aligned, with_gradient
 from djpt.silhouettes.kinds import silhouette_of
-from djpt.types import Float, Normal3f, Vector3f
+from djpt.types import Float, Normal3f
 
 __all__ = ["attach"]
 
@@ -64,8 +64,3 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
     )
     result.found_at(t, valid)
     return result
-
-
-def aligned(n: Vector3f, reference: Vector3f) -> Vector3f:
-    """The normal on the side of another."""
-    return n * dr.mulsign(Float(1), dr.detach(dr.dot(n, reference)))

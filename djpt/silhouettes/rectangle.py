@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 
 from djpt.records import SurfaceInteraction3f
-from djpt.silhouettes.base import PERIMETER, Placement, Silhouette, SurfacePoint, away_from, edge_normal
+from djpt.silhouettes.base import PERIMETER, away_from
+from djpt.silhouettes.flat import FlatSilhouette
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
 from djpt.warp import square_to_uniform_sphere, uniform_sphere_to_square
@@ -20,7 +20,7 @@ EDGES = (((0, 0), (0, 1)), ((0, 1), (1, 0)), ((1, 1), (0, -1)), ((1, 0), (-1, 0)
 """Start and direction of the edges in uv, in the order in which samples run along them: clockwise."""
 
 
-class RectangleSilhouette(Silhouette):
+class RectangleSilhouette(FlatSilhouette):
     """The edges, each with the same probability and all directions."""
 
     def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
@@ -43,21 +43,8 @@ class RectangleSilhouette(Silhouette):
         """The point at `uv` on the edge along `along_uv`, and the `direction` that belongs to it; half of the edge."""
         shape = self.shape
         outward = shape.edge_u * dr.fma(2, uv.x, -1) + shape.edge_v * dr.fma(2, uv.y, -1)
-        p = shape.center + outward
         along = shape.edge_u * along_uv.x + shape.edge_v * along_uv.y
-        half_length = dr.norm(along)
-        d = direction(p)
-        tangent = along / half_length
-        ss = self.sample_of(
-            p=p,
-            n=edge_normal(d, tangent, -outward),
-            uv=uv,
-            discontinuity_type=UInt32(PERIMETER),
-            flags=UInt32(flags),
-            d=d,
-            silhouette_d=tangent,
-        )
-        return ss, half_length
+        return self._on_perimeter(outward, along, uv, direction, flags)
 
     def invert(self, ss: SilhouetteSample3f, active: Bool | bool) -> Point3f:
         u, v = ss.uv.x, ss.uv.y
@@ -98,15 +85,8 @@ class RectangleSilhouette(Silhouette):
         ss.pdf = dr.rcp(8 * half_length)
         return ss
 
-    def place(self) -> Placement:
-        shape = self.shape
-        return Placement(shape.edge_u, shape.edge_v, shape.normal, shape.center)
-
-    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
-        n = place.up()
-        n = n * dr.mulsign(Float(1), dr.detach(dr.dot(n, self.shape.normal)))
-        x, y = place.local(p)
-        return SurfacePoint(n, n, Point2f(dr.fma(0.5, x, 0.5), dr.fma(0.5, y, 0.5)))
+    def uv_at(self, x: Float, y: Float) -> Point2f:
+        return Point2f(dr.fma(0.5, x, 0.5), dr.fma(0.5, y, 0.5))
 
     def local(self, uv: Point2f) -> Point3f:
         return Point3f(dr.fma(2, uv.x, -1), dr.fma(2, uv.y, -1), 0)
