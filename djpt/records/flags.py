@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import enum
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 __all__ = [
     "ALL_COMPONENTS",
@@ -126,8 +127,35 @@ ALL_PHASE_FUNCTIONS = 0x7
 """The value of `PhaseFunctionContext.type_mask` that leaves out no component."""
 
 
+C = TypeVar("C", bound="ComponentContext")
+
+
+class ComponentContext:
+    """What is asked of plugins with several components: the direction of transport, and components."""
+
+    mode: TransportMode
+    type_mask: int
+    component: int
+
+    def __post_init__(self) -> None:
+        self.mode, self.type_mask = TransportMode(int(self.mode)), int(self.type_mask)
+        self.component = ALL_COMPONENTS if self.component is None else int(self.component) & ALL_COMPONENTS
+
+    def of_part(self: C, first: int) -> C:
+        """The context for a nested plugin whose components are numbered from `first` on in the one around it."""
+        if self.component == ALL_COMPONENTS:
+            return self
+        part = copy.copy(self)
+        part.component = self.component - first & ALL_COMPONENTS
+        return part
+
+    def reverse(self) -> None:
+        """Turn the direction of transport round."""
+        self.mode = TransportMode(1 - self.mode)
+
+
 @dataclass
-class BSDFContext:
+class BSDFContext(ComponentContext):
     """What BSDFs are asked for: the direction of transport, and lobes.
 
     It is structure: kernels are traced for it.
@@ -140,10 +168,6 @@ class BSDFContext:
     component: int = ALL_COMPONENTS
     """The number of the only lobe that is asked for; by default all are."""
 
-    def __post_init__(self) -> None:
-        self.mode, self.type_mask = TransportMode(int(self.mode)), int(self.type_mask)
-        self.component = ALL_COMPONENTS if self.component is None else int(self.component) & ALL_COMPONENTS
-
     @property
     def asks_for_all(self) -> bool:
         """Whether no lobe is left out."""
@@ -153,17 +177,9 @@ class BSDFContext:
         """Whether the lobe number `component`, of the type `type`, is asked for."""
         return not int(type) & ~self.type_mask and self.component in (ALL_COMPONENTS, component)
 
-    def of_part(self, first: int) -> BSDFContext:
-        """The context for a nested BSDF whose lobes are numbered from `first` on in the BSDF around it."""
-        return self if self.component == ALL_COMPONENTS else replace(self, component=self.component - first)
-
-    def reverse(self) -> None:
-        """Turn the direction of transport round."""
-        self.mode = TransportMode(1 - self.mode)
-
 
 @dataclass
-class PhaseFunctionContext:
+class PhaseFunctionContext(ComponentContext):
     """What phase functions are asked for: the direction of transport, and components.
 
     It is structure: kernels are traced for it.
@@ -177,15 +193,3 @@ class PhaseFunctionContext:
     """The `PhaseFunctionFlags` of the components that are asked for."""
     component: int = ALL_COMPONENTS
     """The number of the only component that is asked for; by default all are."""
-
-    def __post_init__(self) -> None:
-        self.mode, self.type_mask = TransportMode(int(self.mode)), int(self.type_mask)
-        self.component = ALL_COMPONENTS if self.component is None else int(self.component) & ALL_COMPONENTS
-
-    def of_part(self, first: int) -> PhaseFunctionContext:
-        """The context for a nested phase function whose components are numbered from `first` on in the one around."""
-        return self if self.component == ALL_COMPONENTS else replace(self, component=self.component - first)
-
-    def reverse(self) -> None:
-        """Turn the direction of transport round."""
-        self.mode = TransportMode(1 - self.mode)
