@@ -247,7 +247,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         return SensorPtr.into(Family(Ensemble(self._sensors), self.lookup), dr.arange(UInt32, len(self._sensors)))
 
     def shape_types(self) -> int:
-        """The kinds of the shapes: their `ShapeType`s, combined."""
+        """The kinds of all shapes, values of `ShapeType`, combined."""
         kinds = 0
         for shape in self._shapes:
             kinds |= int(shape.shape_type())
