@@ -97,7 +97,7 @@ class TimedSunSky(Daylight):
         try:
             self._measure()
         except ParameterError as error:
-            raise props.error("end_year", str(error)) from None
+            raise props.error("end_year", f"is too early: {error}") from None
 
     # ---- parameters --------------------------------------------------------------------
 

@@ -123,9 +123,7 @@ class Job:
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
         return self._camera_ray(pixel, position, offset, aperture, moment), offset
 
-    def _camera_ray(
-        self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f, moment: Float
-    ) -> Ray3f:
+    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f, moment: Float) -> Ray3f:
         """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel.
 
         `moment` says when, in shares of the time for which the shutter is open.

@@ -60,7 +60,7 @@ class Daylight(OrientedEmitter):
         **OrientedEmitter.values,
         **dict.fromkeys(("center", "radius", "sky_scale", "sun_scale"), HIDDEN),
     }
-    children = ("disc",)
+    children: ClassVar[tuple[str, ...]] = ("disc",)
 
     irradiance: Any
     """On the host: the luminance of the light that a horizontal square metre gets."""

@@ -67,7 +67,8 @@ def sun_direction(days: Any, universal_hours: Any, latitude: Any, longitude: Any
     Args:
         days: the days since noon on 1 January 2000, universal time; floats, or Dr.Jit arrays, like all arguments.
         universal_hours: the universal time of day in hours.
-        latitude, longitude: in degrees.
+        latitude: in degrees.
+        longitude: in degrees.
     """
     ecliptic_longitude, obliquity = ecliptic(days)
     along = dr.sin(ecliptic_longitude)
