@@ -81,6 +81,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
         self._environment = infinite[0] if infinite else None
+        self.in_time = any(emitter.in_time for emitter in self._emitters)
+        """Whether rays need a time, because some light depends on it."""
         with may_wait():
             self._compile()
 

@@ -68,6 +68,8 @@ class Job:
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size()]
         self._inverse_crop = Point2f(*inverse)
         self.camera = camera(self.sensor)
+        self._shutter_open = dr.opaque(Float, self.sensor.shutter_open())
+        self._shutter_open_time = dr.opaque(Float, self.sensor.shutter_open_time())
         self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
 
     def with_scene(self, scene: Scene) -> Job:
@@ -93,7 +95,7 @@ class Job:
         pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
-        return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5))
+        return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5), Float(0.5))
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
@@ -116,16 +118,23 @@ class Job:
         """A camera ray by the next numbers of a stream, and its film offset."""
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
+        # Mitsuba's order of numbers. What nothing asks for isn't computed.
+        moment = stream.next_1d() if self.sensor.shutter_open_time() > 0 else Float(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return self._camera_ray(pixel, position, offset, aperture), offset
+        return self._camera_ray(pixel, position, offset, aperture, moment), offset
 
-    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f) -> Ray3f:
-        """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel."""
+    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f, moment: Float) -> Ray3f:
+        """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel.
+
+        `moment` says when, in shares of the time for which the shutter is open.
+        """
         if self.sensor.by_pixel:
             ray = self.camera.ray_of_pixel(pixel, offset, aperture)
         else:
             ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
+        if self.scene.in_time:
+            ray.time = dr.fma(moment, self._shutter_open_time, self._shutter_open)
         return ray
 
     def on_film(self, column: Float, row: Float) -> Point2f:
