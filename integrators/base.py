@@ -265,8 +265,8 @@ class Vertex:
     valid: Bool
     """True where the sample counts as covered, if the path ends here."""
     lit: Bool | None = None
-    """True where the sampled emitter would shine if it and the material weren't black; None: where `reflected` is light.
-    Asked for derivatives only."""
+    """True where the sampled emitter would shine if it and the material weren't black; None: where `reflected` isn't
+    black. Asked for derivatives only."""
 
 
 class PathIntegrator(Integrator):

@@ -222,10 +222,8 @@ def may_vanish(value: Any) -> bool:
     """
     if recording():
         return True
-    with dr.suspend_grad():
-        numbers = dr.ravel(dr.detach(value)) if dr.depth_v(value) > 1 and not dr.is_tensor_v(value) else value
-        numbers = numbers.array if dr.is_tensor_v(numbers) else numbers
-        distance = np.abs(np.array(dr.detach(numbers)))
+    # A literal becomes memory first: read from it, it would be a part of a kernel.
+    distance = np.abs(np.array(opaque(value)))
     return bool(np.any((distance < NEARLY) | (np.abs(distance - 1) < NEARLY)))
 
 
@@ -314,10 +312,7 @@ class Ensemble(Generic[P]):
     def vanishing(self, lookup: Lookup) -> list[int]:
         """The numbers of the plugins that compute with AD leaves which may make a factor of paths vanish."""
         found = {
-            group.indices[k]
-            for group in self.groups
-            for leaf in group.leaves()
-            for k in lookup.vanishing_members(leaf)
+            group.indices[k] for group in self.groups for leaf in group.leaves() for k in lookup.vanishing_members(leaf)
         }
         return sorted(found)
 

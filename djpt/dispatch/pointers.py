@@ -170,7 +170,8 @@ class BSDFPtr(Pointer[BSDF]):
         """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
 
         What `sample` computes may have cancelled terms of value and density, and differentiates as if the
-        direction moved along. Where the value is 0, there is no ratio to see the density in. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
+        direction moved along. Where the value is 0, no ratio shows the density: that of the sample is taken. Delta
+        lobes, which `eval` doesn't know, keep the derivative of their weight.
         """
         if isinstance(self.lookup, Detached):
             return weight

@@ -23,7 +23,7 @@ import drjit as dr
 
 from djpt.integrators.base import PathState, Vertex
 from djpt.scene import Scene
-from djpt.types import Bool, Color3f
+from djpt.types import Color3f
 
 __all__ = ["begun", "blank", "collected", "outgoing_radiance", "sets_aside"]
 
@@ -48,9 +48,7 @@ def blank(scene: Scene, lanes: int) -> Color3f | None:
     return dr.zeros(Color3f, lanes) if sets_aside(scene) else None
 
 
-def collected(
-    aside: Color3f | None, behind: Color3f | None, light: Color3f
-) -> tuple[Color3f, Color3f | None]:
+def collected(aside: Color3f | None, behind: Color3f | None, light: Color3f) -> tuple[Color3f, Color3f | None]:
     """What `light` adds to the radiance of the first walk, and the light `behind` with it."""
     if aside is None or behind is None:
         return light, None

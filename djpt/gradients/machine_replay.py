@@ -108,7 +108,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         # A shadow ray has ended: its vertex was processed before, and `path.depth` counts it already.
         arrived = shadow & ~hit.is_valid()
         lane.radiance = dr.select(shadow, lane.radiance + dr.select(arrived, lane.pending, 0), radiance)
-        if lane.behind is not None:
+        if lane.behind is not None and lane.pending_behind is not None:
             late = lane.behind + dr.select(arrived, lane.pending_behind, 0)
             lane.behind = dr.select(shadow, late, behind)
         lane.delta, lane.sums = delta, sums

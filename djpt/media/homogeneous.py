@@ -94,7 +94,7 @@ class Homogeneous(Medium):
         differentiated = dr.grad_enabled(sigma_t)
         if differentiated:
             # Derivatives by a thin medium are those of scattering that is hardly ever sampled, or never.
-            fixed = maximum(fixed, dr.rcp(minimum(maximum(length, Float(1 / FAR)), FAR)))
+            fixed = dr.maximum(fixed, dr.rcp(minimum(maximum(length, 1 / FAR), FAR)))
         coloured = self.has_spectral_extinction()
         t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
         scattered = active & (t < length)
