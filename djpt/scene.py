@@ -292,14 +292,16 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         """True where a point is within an odd number of closed surfaces; open shapes don't count."""
         return is_inside(self.geometry, p, active)
 
-    def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
+    def light_through(self, ray: Ray3f, light: Color3f | None = None, lit: Bool | None = None) -> Color3f:
         """The part of `light` (default 1) that arrives along the segment of a `shadow_ray`.
 
         It is 0 behind a surface, else the share that media leave. Faster than `ray_test`: shapes that can't shadow
-        anything are left out.
+        anything are left out. Only where there is light surfaces are looked for, and where `lit`: black light may have
+        derivatives.
         """
         left = self.left_by_media(ray, Color3f(1) if light is None else light)
-        return dr.select(self.geometry.blocked(ray, dr.max(left) > 0), 0, left)
+        shines = dr.max(left) > 0
+        return dr.select(self.geometry.blocked(ray, shines if lit is None else shines | lit), 0, left)
 
     def light_between(self, ray: Ray3f, light: Color3f, through_lights: bool = False) -> Color3f:
         """The part of `light` that arrives along the segment of a ray between any two points.

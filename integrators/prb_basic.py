@@ -45,10 +45,9 @@ class PRBBasic(UnidirectionalPath):
 
         # -------------------- BSDF sampling -------------------
         # All of the weight's derivative is in `eval`: ask for both at once.
-        _, _, bs, weight = si.bsdf().eval_pdf_sample(
-            BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed
-        )
-        throughput = state.throughput * dr.detach(weight)
+        bsdf = si.bsdf()
+        _, _, bs, weight = bsdf.eval_pdf_sample(BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed)
+        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
 
         # ---------------------- Next vertex -------------------
         return Vertex(
@@ -57,8 +56,8 @@ class PRBBasic(UnidirectionalPath):
             shadow_ray=si.spawn_ray(ray.d),
             weight=weight,
             ray=si.spawn_ray(si.to_world(bs.wo)),
-            state=self.next_state(scene, state, si, bs, throughput),
-            active=proceed & (dr.max(throughput) > 0),
+            state=self.next_state(scene, onward, si, bs, onward.throughput),
+            active=proceed & (dr.max(onward.throughput) > 0),
             valid=self.counts(scene, state, si, bs),
         )
 

@@ -32,13 +32,17 @@ class Shadow:
     active: Bool
 
 
-def light_through_null(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f) -> Color3f:
+def light_through_null(
+    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None
+) -> Color3f:
     """The part of `light` that arrives along a shadow ray, through null surfaces and whatever media lie between.
 
     Unlike `Scene.light_through` it leaves out no shape: a point in a medium may lie behind a wall that stands around
-    everything else. It has derivatives by the media and by `light`; those of null surfaces are left out.
+    everything else. It has derivatives by the media and by `light`; those of null surfaces are left out. Where `lit`,
+    the way is followed although `light` is black.
     """
-    lit = dr.max(light) > 0
+    shines = dr.max(light) > 0
+    lit = shines if lit is None else shines | lit
     if not scene.has_null:
         # What stands in the way needs no light in the medium.
         free = ~scene.geometry.any_hit(ray, lit)

@@ -129,7 +129,11 @@ class VolumetricPath(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         depth = dr.select(crosses, state.depth, state.depth + 1)
         eta = None if state.eta is None else state.eta * eta
-        next_throughput, survives = roulette(sampler, throughput * dr.detach(weight), eta, depth > self.rr_depth)
+        flown_weight, matter = flown * weight, scene.media.are_attached(scene.lookup)
+        onward = state.carrying(
+            flown_weight, lambda: dr.select(surface, bsdf.vanishes() & (bs.pdf > 0), inside & matter)
+        )
+        next_throughput, survives = roulette(sampler, onward.throughput, eta, depth > self.rr_depth)
 
         # ---------------------- Next vertex -------------------
         shadow_ray, next_ray = scene.shadow_ray(at, ds), at.spawn_ray(wo)
@@ -142,10 +146,10 @@ class VolumetricPath(UnidirectionalPath):
             emitted=emitted,
             reflected=reflected,
             shadow_ray=shadow_ray,
-            weight=flown * weight,
+            weight=flown_weight,
             ray=next_ray,
             state=replace(
-                state,
+                onward,
                 p=dr.select(crosses, state.p, at.p),
                 throughput=next_throughput,
                 bsdf_pdf=dr.select(crosses, state.bsdf_pdf, next_pdf),
@@ -157,6 +161,7 @@ class VolumetricPath(UnidirectionalPath):
             ),
             active=(inside | surface) & survives & (depth < most),
             valid=(covered | sky) & Bool(self.max_depth != 0),
+            lit=lit & (pdf > 0) & (ds.pdf > 0),
         )
 
     def weighed(self, state: VolumetricPathState, flight: Flight) -> tuple[Color3f, Color3f | None]:
@@ -173,7 +178,8 @@ class VolumetricPath(UnidirectionalPath):
         return Color3f(0) if self.max_depth == 0 else emitted
 
     def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
-        return light_through_null(scene, sampler, v.shadow_ray, v.reflected)
+        lit = v.lit if dr.grad_enabled(v.reflected) else None
+        return light_through_null(scene, sampler, v.shadow_ray, v.reflected, lit)
 
 
 def vertex_of(ray: Ray3f, si: SurfaceInteraction3f, flight: Flight) -> SurfaceInteraction3f:

@@ -12,7 +12,7 @@ from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.errors import SceneError
-from djpt.kernels import as_float, minimum
+from djpt.kernels import as_float, maximum, minimum
 from djpt.media.base import Medium
 from djpt.media.flight import FAR, Flight, of_channel
 from djpt.records import Ray3f
@@ -91,6 +91,10 @@ class Homogeneous(Medium):
     def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
         fixed = dr.detach(sigma_t)
+        differentiated = dr.grad_enabled(sigma_t)
+        if differentiated:
+            # Derivatives by a thin medium are those of scattering that is hardly ever sampled, or never.
+            fixed = dr.maximum(fixed, dr.rcp(minimum(maximum(length, 1 / FAR), FAR)))
         coloured = self.has_spectral_extinction()
         t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
         scattered = active & (t < length)
@@ -98,12 +102,12 @@ class Homogeneous(Medium):
         stream.next_1d(scattered)
         albedo = self.albedo.eval(MediumInteraction3f.on(ray, t), scattered)
         value, pdf = dr.select(scattered, albedo, 1), Color3f(1)
-        if coloured or dr.grad_enabled(sigma_t):
+        if coloured or differentiated:
             flown = minimum(dr.select(scattered, t, length), FAR)
-            density = dr.exp(-flown * sigma_t) * dr.select(scattered, sigma_t, 1)
-            pdf = dr.detach(density)
-            value = value * density if coloured else value * density * dr.rcp(pdf)
-            pdf = pdf if coloured else Color3f(1)
+            value = value * (dr.exp(-flown * sigma_t) * dr.select(scattered, sigma_t, 1))
+            pdf = dr.exp(-flown * fixed) * dr.select(scattered, fixed, 1)
+        if not coloured:
+            value, pdf = value * dr.rcp(pdf), Color3f(1)
         return Flight(t, scattered, value, pdf)
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:

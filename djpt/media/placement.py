@@ -105,6 +105,10 @@ class Media:
         """True if the extinction of some of them may differ between channels."""
         return any(medium.has_spectral_extinction() for medium in self.plugins)
 
+    def are_attached(self, lookup: Lookup) -> bool:
+        """Whether some of them, or of their phase functions, compute with AD leaves."""
+        return any(lookup.attaches(leaf) for ensemble in self.ensembles for leaf in ensemble.leaves())
+
     def number_of(self, medium: Any) -> UInt32:
         """The numbers of media as scripts give them: a medium or None for all lanes, or a `MediumPtr`."""
         if not isinstance(medium, Pointer):
