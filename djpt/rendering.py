@@ -261,7 +261,8 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
 def find_integrator(scene: Scene, integrator: Any) -> Integrator:
     """The integrator that was asked for, or the scene's, or else `path`."""
     require_scene(scene)
-    integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
+    if integrator is None:
+        integrator = scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
         hint = "; load it with djpt.load_dict first" if isinstance(integrator, dict) else ""
         raise RenderError(f"'integrator' must be an integrator plugin, found {type(integrator).__name__}{hint}")

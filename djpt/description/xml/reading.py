@@ -16,7 +16,7 @@ from djpt.description.xml.naming import Naming
 from djpt.description.xml.nodes import Node
 from djpt.description.xml.reader import Reader
 from djpt.errors import FileError, SceneError
-from djpt.files import require_regular
+from djpt.files import as_path, require_regular
 
 __all__ = ["read_file", "read_string"]
 
@@ -75,7 +75,7 @@ def confinement(trusted: bool, root: str | os.PathLike[str] | None, default: Pat
         if root is not None:
             raise SceneError("'root' confines scenes that aren't trusted; set trusted=False, too")
         return None
-    folder = Path(os.path.realpath(default if root is None else root))
+    folder = Path(os.path.realpath(default if root is None else as_path(root)))
     if not folder.is_dir():
         raise FileError(f"'root' must be a folder, found '{folder}'")
     return folder
