@@ -69,6 +69,8 @@ def render(
     Raises:
         RenderError: Nothing to render, or arguments out of range.
     """
+    if dr.flag(dr.JitFlag.SymbolicScope):
+        raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)

@@ -142,7 +142,7 @@ class VolumeGrid:
         z, y, x, channels = self._data.shape
         corners = [float(c) for corner in self._box for c in corner]
         data = HEADER.pack(b"VOL", VERSION, FLOAT32, x, y, z, channels, *corners) + self._data.astype("<f4").tobytes()
-        if not isinstance(path, (str, os.PathLike)):
+        if hasattr(path, "write"):
             path.write(data)
             return
         with writing(as_path(path)) as temporary:

@@ -31,7 +31,9 @@ def used_files(text: str) -> dict[str, bytes]:
 def loads(node: Any) -> Case:
     """Load a description."""
     code = f"djpt.load_dict({node!r})"
-    return Case(code, used_files(code), ("scene", "load_dict", *([] if isinstance(node, Code) else [label(node)])))
+    # An expression may be anything, also a description that names itself otherwise.
+    names = ("",) if isinstance(node, Code) else (label(node), "scene", "load_dict")
+    return Case(code, used_files(code), names)
 
 
 @st.composite

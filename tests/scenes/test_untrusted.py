@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.limits import MAX_FILES, MAX_NAME, MAX_NODES
+from djpt.description.limits import MAX_FILES, MAX_NAME, MAX_NODES, MAX_PARTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="has no pipes and devices among its files")
 
@@ -158,6 +158,22 @@ def test_nodes_are_counted_wherever_they_stand() -> None:
         node = {"type": "twosided", "a": node, "b": node}
     with pytest.raises(djpt.SceneError, match=f"more than {MAX_NODES} nodes"):
         djpt.load_dict({"type": "scene", "m": node})
+
+
+def test_levels_of_two_references_each_dont_grow_exponentially() -> None:
+    chain: dict[str, Any] = {"type": "scene", "m28": {"type": "diffuse"}}
+    for i in range(28):
+        below = {"type": "ref", "id": f"m{i + 1}"}
+        chain[f"m{i}"] = {"type": "blendbsdf", "a": below, "b": below}
+    with pytest.raises(djpt.SceneError, match=rf"more than {MAX_PARTS} plugins in one"):
+        djpt.load_dict(chain)
+
+
+def test_a_material_of_many_parts_can_be_used() -> None:
+    below: dict[str, Any] = {"type": "diffuse"}
+    for _ in range(6):
+        below = {"type": "blendbsdf", "weight": 0.5, "a": below, "b": below}
+    assert djpt.load_dict(below).class_name() == "BlendBSDF"
 
 
 def test_objects_of_included_files_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

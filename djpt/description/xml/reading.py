@@ -71,6 +71,8 @@ def _document(reader: Reader, root: Node, where: str, name: str) -> Document:
 
 def confinement(trusted: bool, root: str | os.PathLike[str] | None, default: Path) -> Path | None:
     """The directory that a scene may not leave, without links, or None for a scene that is trusted."""
+    if not isinstance(trusted, bool):
+        raise SceneError(f"'trusted' must be True or False, found {_describe(trusted)}")
     if trusted:
         if root is not None:
             raise SceneError("'root' confines scenes that aren't trusted; set trusted=False, too")
