@@ -203,6 +203,7 @@ def make_job(
     integrator.check_scene(scene, sensor)
     integrator.resume()
     spp = sampler.round_count(spp or sampler.sample_count())
+    require_countable(*sensor.film().crop_size(), spp)
     if integrator.follows_media:
         scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)

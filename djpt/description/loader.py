@@ -198,11 +198,12 @@ class Loader:
                 nested.append(value)
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
-                values |= parts_of(value, key, {*node, *values} - {key})
+                parts = value.expand()
+                values |= {key: value} if parts == [value] else named_parts(parts, key, {*node, *values} - {key})
                 continue
             values[key] = value
 
-        parts = self._count_parts(name, where, nested)
+        count = self._count_parts(name, where, nested)
 
         def place(key: str) -> str:
             return self.name(path, key) if self.places and key in node else where
@@ -212,7 +213,7 @@ class Loader:
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
         props.check_all_used()
-        self.parts[id(plugin)] = parts
+        self.parts[id(plugin)] = count
         return plugin
 
     def _count_parts(self, name: str, where: str, nested: list[Plugin]) -> int:
@@ -252,9 +253,6 @@ def node_count(node: Mapping[str, Any], known: dict[int, int], depth: int) -> in
     return known[id(node)]
 
 
-def parts_of(plugin: Plugin, key: str, taken: set[str]) -> dict[str, Plugin]:
-    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`; usually itself, as `key`."""
-    parts = plugin.expand()
-    if parts == [plugin]:
-        return {key: plugin}
+def named_parts(parts: list[Plugin], key: str, taken: set[str]) -> dict[str, Plugin]:
+    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`."""
     return {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}

@@ -32,7 +32,8 @@ def loads(node: Any) -> Case:
     """Load a description."""
     code = f"djpt.load_dict({node!r})"
     # An expression may be anything, also a description that names itself otherwise.
-    names = ("",) if isinstance(node, Code) else (label(node), "scene", "load_dict")
+    keys = [f"{key}:" for key in node] if isinstance(node, dict) else []  # messages of scenes may begin with ids
+    names = ("",) if isinstance(node, Code) else (label(node), "scene", "load_dict", *keys)
     return Case(code, used_files(code), names)
 
 
@@ -71,7 +72,7 @@ def files(draw: st.DrawFn) -> Case:
     """A damaged file, read."""
     name = draw(st.sampled_from(sorted(READERS)))
     reader = draw(st.sampled_from(READERS[name]))
-    return Case(reader, {name: draw(damaged(seed_files()[name]))}, (name, "scene", "'filename'"))
+    return Case(reader, {name: draw(damaged(seed_files()[name]))}, (name, "scene", "'filename'", "ellipsoids."))
 
 
 @st.composite

@@ -204,6 +204,26 @@ def test_names_are_bounded(name: str) -> None:
     assert len(str(caught.value)) < 500
 
 
+def test_suggestions_take_no_time_where_names_are_many_and_long() -> None:
+    description: dict[str, Any] = {f"{i:05}{'x' * 900}": {"type": "diffuse"} for i in range(3000)}
+    with pytest.raises(djpt.SceneError, match="nothing has the id 'yxxx") as caught:
+        djpt.load_dict({"type": "scene", **description, "r": {"type": "ref", "id": "y" + "x" * 900}})
+    assert "(3000)" in str(caught.value) or "3001" in str(caught.value)
+    assert len(str(caught.value)) < 100_000
+
+
+def test_surface_properties_are_counted() -> None:
+    aovs = ",".join(f"a{i}:depth" for i in range(100_000))
+    with pytest.raises(djpt.SceneError, match="'aovs' can have up to 256 variables, found 100000"):
+        djpt.load_dict({"type": "aov", "aovs": aovs})
+
+
+@pytest.mark.parametrize("value", ["true", 1, None, djpt.Float(1)], ids=str)
+def test_trust_is_given_or_not(house: Path, value: Any) -> None:
+    with pytest.raises(djpt.SceneError, match="'trusted' must be True or False"):
+        djpt.load_file(scene(house, ""), trusted=value)
+
+
 # ---- files that claim too much -------------------------------------------------------------
 
 HEADER = "ply\nformat {form} 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n"
