@@ -21,7 +21,7 @@ from djpt.errors import FileError
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["check_target", "open_regular", "read_bytes", "reason", "require_regular", "shortened", "writing"]
+__all__ = ["as_path", "check_target", "open_regular", "read_bytes", "reason", "require_regular", "shortened", "writing"]
 
 KINDS = {
     stat.S_IFDIR: "a folder",
@@ -36,6 +36,14 @@ LONGEST = 200
 """The characters of a name that messages show."""
 
 
+def as_path(name: str | os.PathLike[str]) -> Path:
+    """The path that `name` stands for; raises `FileError` unless it is a text or a path."""
+    try:
+        return Path(name)
+    except TypeError:
+        raise FileError(f"a file's name must be a text or a path, found {type(name).__name__}") from None
+
+
 # ---- reading -------------------------------------------------------------------------------
 
 
@@ -46,6 +54,7 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 
 def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
     """Open a file for reading; raises `FileError` unless it is a regular one, or a link to one."""
+    path = as_path(path)
     try:
         # Without waiting: opening a pipe to read would wait until somebody writes to it.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))

@@ -69,6 +69,8 @@ def render(
     Raises:
         RenderError: Nothing to render, or arguments out of range.
     """
+    if dr.flag(dr.JitFlag.SymbolicScope):
+        raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)
@@ -201,6 +203,7 @@ def make_job(
     integrator.check_scene(scene, sensor)
     integrator.resume()
     spp = sampler.round_count(spp or sampler.sample_count())
+    require_countable(*sensor.film().crop_size(), spp)
     if integrator.follows_media:
         scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
@@ -261,7 +264,8 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
 def find_integrator(scene: Scene, integrator: Any) -> Integrator:
     """The integrator that was asked for, or the scene's, or else `path`."""
     require_scene(scene)
-    integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
+    if integrator is None:
+        integrator = scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
         hint = "; load it with djpt.load_dict first" if isinstance(integrator, dict) else ""
         raise RenderError(f"'integrator' must be an integrator plugin, found {type(integrator).__name__}{hint}")

@@ -10,6 +10,7 @@ The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The disp
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -260,13 +261,23 @@ def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
 
 def encode_jpg(file: Path | IO[bytes], pixels: Bytes, quality: int, full_chroma: bool) -> None:
     """Write 8-bit pixels of 1 or 3 channels as JPEG. `quality`: 0 to 100; `full_chroma`: colour of all pixels."""
-    _picture(pixels).save(file, format="JPEG", quality=quality, subsampling=0 if full_chroma else 2)
+    _save(file, pixels, format="JPEG", quality=quality, subsampling=0 if full_chroma else 2)
 
 
 def _write_plain(path: Path, image: Pixels, labels: Labels) -> None:
     """Write the format that the extension names, without compression."""
     name = path.suffix[1:].upper()
-    _picture(_as_bytes(image)).save(path, format="TIFF" if name == "TIF" else name)
+    _save(path, _as_bytes(image), format="TIFF" if name == "TIF" else name)
+
+
+def _save(file: Path | IO[bytes], pixels: Bytes, **options: Any) -> None:
+    """Encode a picture in memory, then write it: Pillow's own writing to files misses that a disk is full."""
+    encoded = io.BytesIO()
+    _picture(pixels).save(encoded, **options)
+    if isinstance(file, Path):
+        file.write_bytes(encoded.getbuffer())
+    else:
+        file.write(encoded.getbuffer())
 
 
 def _as_bytes(image: npt.NDArray[Any]) -> Bytes:

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError, near_miss
-from djpt.files import check_target, reason, require_regular, writing
+from djpt.files import as_path, check_target, reason, require_regular, writing
 from djpt.images.exr import RESERVED
 from djpt.images.formats import (
     DISPLAY_FORMATS,
@@ -111,7 +111,7 @@ def write(
     The file appears whole or not at all: a failed write leaves an old file as it was.
     Raises `FileError` for an unknown extension, a wrong shape, a path that can't be written.
     """
-    target = Path(path)
+    target = as_path(path)
     form = check_writable(target)
     pixels = _pixels(image, f"'{target}'")
     suffix = target.suffix.lower()
@@ -153,7 +153,7 @@ def read_pixels(path: str | os.PathLike[str], raw: bool = False) -> npt.NDArray[
 
     `raw`: leave the numbers of png and jpg encoded, in [0, 1].
     """
-    source = Path(path)
+    source = as_path(path)
     form = _format(source, "read")
     with reading(source):
         pixels: npt.NDArray[Any] = form.decode(source)
@@ -168,7 +168,7 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     From files of other programs, the attributes of type string or the text chunks are read. Raises `FileError`
     as `read` does, and for formats without metadata.
     """
-    source = Path(path)
+    source = as_path(path)
     _format(source, "read")
     decode = METADATA.get(source.suffix.lower())
     if decode is None:
@@ -189,7 +189,7 @@ def reading(source: Path) -> Iterator[None]:
 
 def check_writable(path: str | os.PathLike[str]) -> Format:
     """Raise `FileError` if `path` can't be written, before a long render rather than after it."""
-    target = Path(path)
+    target = as_path(path)
     form = _format(target, "write")
     check_target(target)
     return form

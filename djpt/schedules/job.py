@@ -183,7 +183,7 @@ def camera(sensor: Sensor) -> Sensor:
 
 def require_countable(width: int, height: int, spp: int) -> None:
     """Raise `RenderError` if there are too many samples."""
-    if width * height * spp > MAX_SAMPLES:
+    if spp >= MAX_SAMPLES or width * height * spp > MAX_SAMPLES:
         raise RenderError(
             f"{width} x {height} pixels at {spp} spp are more than 2^32 samples; "
             "render fewer spp under several seeds and average the images"
