@@ -106,6 +106,8 @@ class VolumetricPath(UnidirectionalPath):
         met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
+        if scene.media.emit and self.max_depth != 0:
+            emitted = emitted + state.throughput * flight.emitted
 
         # ------------ Light sampling, and the next direction ---
         ds = light.ds

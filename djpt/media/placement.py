@@ -101,6 +101,11 @@ class Media:
         return any(medium.phase is not None for medium in self.plugins)
 
     @property
+    def emit(self) -> bool:
+        """True if some of them glow."""
+        return any(medium.emits() for medium in self.plugins)
+
+    @property
     def are_coloured(self) -> bool:
         """True if the extinction of some of them may differ between channels."""
         return any(medium.has_spectral_extinction() for medium in self.plugins)
