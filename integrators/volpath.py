@@ -92,7 +92,7 @@ class VolumetricPath(UnidirectionalPath):
         flight = Flight.none()
         if ray.medium is not None:
             length = dr.select(si.is_valid(), si.t, ray.maxt)
-            flight = scene.media.fly(ray, length, state.channel, sampler, scene.lookup)
+            flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
         flown, ratios = self.weighed(state, flight)
         samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
         inside, surface = flight.scattered, si.is_valid() & ~flight.scattered

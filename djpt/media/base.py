@@ -148,13 +148,22 @@ class Medium(Plugin):
 
     # ---- in kernels: flights, as integrators ask for them ----------------------------------
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        active: Bool,
+    ) -> Flight:
         """Sample how far light gets on a segment of a ray with a unit direction; by default by delta tracking.
 
         Where `active`, numbers are drawn from `stream`. `channel` is the one that samples distances in closed form;
-        None if the extinction of no medium differs between channels.
+        None if the extinction of no medium differs between channels. `throughput` is the path's so far: how much the
+        channels matter.
         """
-        return tracking.fly(self, ray, length, stream, active)
+        return tracking.fly(self, ray, length, throughput, stream, active)
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         """The share of light that is left after a segment of a ray with a unit direction; by default by ratio tracking.

@@ -93,7 +93,15 @@ class Homogeneous(Medium):
 
     # ---- flights -------------------------------------------------------------------------
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        active: Bool,
+    ) -> Flight:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
         fixed = dr.detach(sigma_t)
         coloured = self.has_spectral_extinction()

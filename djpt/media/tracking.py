@@ -53,18 +53,22 @@ class Track:
     """The weight at that place."""
 
 
-def fly(medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> Flight:
+def fly(medium: Medium, ray: Ray3f, length: Float, throughput: Color3f, stream: SampleStream, active: Bool) -> Flight:
     """Sample how far light gets on a segment of a ray with a unit direction, by delta tracking.
 
-    If sigma_t differs between channels, a collision is real with the mean of their probabilities. The light of a medium
+    If sigma_t differs between channels, a collision is real with the mean of their probabilities, each counted as much
+    as light is left in its channel: so the mean of the path's throughput stays as it is, and no channel outgrows it.
+    (P. Kutz et al., "Spectral and Decomposition Tracking for Rendering Heterogeneous Volumes", SIGGRAPH 2017, call
+    such probabilities history-aware.) The light of a medium
     that glows is read at one place of the flight, uniformly distributed: flights reach a place as light comes from it.
     """
     start, end = span(medium, ray, length, active)
     majorants, coloured = medium.majorants(ray), medium.has_spectral_extinction()
+    importance = dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
 
     def step(track: Track) -> tuple[Track]:
         t, meets, share = collision(medium, majorants, ray, end, track)
-        probability = dr.mean(share) if coloured else share.x
+        probability = dr.mean(importance * track.weight * share) if coloured else share.x
         real = meets & (track.stream.next_1d(meets) < probability)
         weight = track.weight
         if coloured:
