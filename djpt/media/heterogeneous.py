@@ -41,8 +41,8 @@ class Heterogeneous(Medium):
 
     Parameters: `sigma_t` (extinction per unit length: a volume, usually a `gridvolume`, >= 0, default 1), `scale` (a
     factor of it, default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
-    `has_spectral_extinction` (default true; false: `sigma_t` is grey), a phase function, `sample_emitters` and `emission`. What lies outside of the
-    box of `sigma_t` doesn't glow.
+    `has_spectral_extinction` (default true; false: `sigma_t` is grey), a phase function, `sample_emitters` and
+    `emission`. Nothing glows outside of the box of `sigma_t`.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
