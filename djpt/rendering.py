@@ -198,7 +198,8 @@ def make_job(
     sensor, integrator = find_sensor(scene, sensor), find_integrator(scene, integrator)
     sampler = sensor.sampler()
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
-    if not scene.emitters() and integrator.needs_light:
+    shines = scene.emitters() or (integrator.follows_media and scene.every_medium.emit)
+    if integrator.needs_light and not shines:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
     integrator.resume()

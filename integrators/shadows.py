@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.kernels import wide
-from djpt.records import SHADOW_EPSILON, BSDFFlags, Ray3f, has_flag
+from djpt.geometry.passable import PassableSurfaces
+from djpt.kernels import if_stmt, wide
+from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.samplers.base import SampleStream, go_on_with
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
@@ -25,6 +26,10 @@ class Shadow:
 
     o: Point3f
     medium: UInt32 | None
+    t: Float
+    """The distance of the next surface; infinite if there is none."""
+    face: UInt32
+    near: Any
     light: Color3f
     lengths: list[Float]
     """The length of the way so far through each medium; empty unless there are derivatives."""
@@ -54,7 +59,7 @@ def light_through_null(
     with dr.suspend_grad():
         # Leaves that are made in a loop can't be used behind it.
         plain = scene.with_lookup(scene.lookup.plain())
-        end = walked(plain, sampler, dr.detach(ray), Color3f(1), dr.detach(lit), differentiable)
+        end = Way(plain, dr.detach(ray)).walked(sampler, dr.detach(lit), differentiable)
     go_on_with(sampler, end.sampler)
     arrives = dr.select(lit, end.light, 0)
     if differentiable:
@@ -62,40 +67,85 @@ def light_through_null(
     return light * arrives
 
 
-def walked(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool, measured: bool) -> Shadow:
-    """The end of a shadow ray that starts with `light`; with the lengths in each medium if `measured`."""
-    lanes = dr.width(ray, lit, sampler)
-    start = Shadow(
-        o=wide(ray.o, lanes),
-        medium=wide(ray.medium, lanes),
-        light=wide(light, lanes),
-        lengths=[dr.zeros(Float, lanes) for _ in scene.media.plugins] if measured else [],
-        sampler=sampler,
-        active=lit & dr.full(Bool, True, lanes),
-    )
+class Way:
+    """The way of a shadow ray through null surfaces.
 
-    def step(shadow: Shadow) -> tuple[Shadow]:
-        segment = aimed(ray, shadow.o, shadow.medium)
-        si = scene.surface_interaction(segment, scene.closest_hit(segment), full=scene.needs_uv)
-        hit = si.is_valid()
-        bsdf = si.bsdf()
-        opaque = hit & ~has_flag(bsdf.flags(), BSDFFlags.Null)
-        through = dr.select(hit, bsdf.eval_null_transmission(si, ~opaque), 1)
-        segment.maxt = dr.select(hit, si.t, segment.maxt)
-        left = shadow.light * through * left_over(scene, shadow.sampler, segment, shadow.active & ~opaque)
-        light = dr.select(opaque, 0, left)
+    If they can be told apart from all others, whether anything opaque stands in the way is known before.
+    """
+
+    def __init__(self, scene: Scene, ray: Ray3f) -> None:
+        self._scene, self._ray = scene, ray
+        null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
+        self._surfaces = PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+
+    def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
+        """The end of the ray, whose `light` is the share that arrives; with the lengths in each medium if `measured`.
+
+        Where not `lit`, the result means nothing.
+        """
+        ray, lanes = self._ray, dr.width(self._ray, lit, sampler)
+        free = ~self._surfaces.blocked(ray, lit) if self._surfaces.are_apart else Bool(True)
+        t, face, near = self._next(aimed(ray, ray.o, ray.medium))
+        start = Shadow(
+            o=wide(ray.o, lanes),
+            medium=wide(ray.medium, lanes),
+            t=wide(t, lanes),
+            face=wide(face, lanes),
+            near=wide(near, lanes),
+            light=wide(dr.select(free, Color3f(1), 0), lanes),
+            lengths=[dr.zeros(Float, lanes) for _ in self._scene.media.plugins] if measured else [],
+            sampler=sampler,
+            active=(lit & free) & dr.full(Bool, True, lanes),
+        )
+        (end,) = dr.while_loop((start,), lambda shadow: shadow.active, self._pass_medium, label="shadow")
+        return end
+
+    def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any]:
+        """The distance of the next surface, its face, and what else is known of the hit."""
+        hit = self._surfaces.closest(ray) if self._surfaces.are_apart else self._scene.closest_hit(ray)
+        return hit.t, hit.face, hit.near
+
+    def _pass_medium(self, shadow: Shadow) -> tuple[Shadow]:
+        """Go on to the next surface, and through it."""
+        scene, segment = self._scene, aimed(self._ray, shadow.o, shadow.medium)
+        hit, stopped = shadow.t < dr.inf, Bool(False)
+        segment.maxt = dr.select(hit, shadow.t, segment.maxt)
+        if not self._surfaces.are_apart:
+            # A BSDF is found by the face alone.
+            stopped = hit & ~has_flag(scene.bsdf_at(shadow).flags(), BSDFFlags.Null)
+        sampler = shadow.sampler
+        left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
+        light = dr.select(stopped, 0, left)
         lengths = [
             total + dr.select(shadow.active & (shadow.medium == number), segment.maxt, 0)
             for number, total in enumerate(shadow.lengths)
         ]
+        goes_on = shadow.active & hit & (dr.max(light) > 0)
+        after = replace(shadow, light=light, lengths=lengths, sampler=sampler, active=goes_on)
+        # Most shadow rays end within their medium.
+        (after,) = if_stmt((after,), goes_on, lambda shadow: (self._pass_surface(shadow),), lambda shadow: (shadow,))
+        return (after,)
+
+    def _pass_surface(self, shadow: Shadow) -> Shadow:
+        """Go through a surface, and find the next one."""
+        scene, ray = self._scene, self._ray
+        segment = aimed(ray, shadow.o, shadow.medium)
+        hit = PreliminaryIntersection3f.found(shadow.t, shadow.face, scene.geometry.shape_of(shadow.face), shadow.near)
+        si = scene.surface_interaction(segment, hit, full=scene.needs_uv)
         on = si.spawn_ray(segment.d)
         # Where the light lies on the surface, the ray has been moved past it.
         ahead = (ray.maxt == dr.inf) | (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)
-        goes_on = shadow.active & hit & (dr.max(light) > 0) & ahead
-        return (Shadow(on.o, on.medium, light, lengths, shadow.sampler, goes_on),)
-
-    (end,) = dr.while_loop((start,), lambda shadow: shadow.active, step, label="shadow")
-    return end
+        t, face, near = self._next(aimed(ray, on.o, on.medium))
+        return replace(
+            shadow,
+            o=on.o,
+            medium=on.medium,
+            t=t,
+            face=face,
+            near=near,
+            light=shadow.light * si.bsdf().eval_null_transmission(si),
+            active=shadow.active & ahead,
+        )
 
 
 def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, lengths: Sequence[Float]) -> Color3f:

@@ -92,7 +92,7 @@ class VolumetricPath(UnidirectionalPath):
         flight = Flight.none()
         if ray.medium is not None:
             length = dr.select(si.is_valid(), si.t, ray.maxt)
-            flight = scene.media.fly(ray, length, state.channel, sampler, scene.lookup)
+            flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
         flown, ratios = self.weighed(state, flight)
         samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
         inside, surface = flight.scattered, si.is_valid() & ~flight.scattered
@@ -106,6 +106,8 @@ class VolumetricPath(UnidirectionalPath):
         met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
+        if scene.media.emit and self.max_depth != 0:
+            emitted = emitted + state.throughput * flight.emitted
 
         # ------------ Light sampling, and the next direction ---
         ds = light.ds

@@ -101,6 +101,11 @@ class Media:
         return any(medium.phase is not None for medium in self.plugins)
 
     @property
+    def emit(self) -> bool:
+        """True if some of them glow."""
+        return any(medium.emits() for medium in self.plugins)
+
+    @property
     def are_coloured(self) -> bool:
         """True if the extinction of some of them may differ between channels."""
         return any(medium.has_spectral_extinction() for medium in self.plugins)
@@ -182,7 +187,15 @@ class Media:
         """True where a ray's medium isn't the vacuum."""
         return medium < self.vacuum
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, lookup: Lookup) -> Flight:
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        lookup: Lookup,
+    ) -> Flight:
         """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
         from djpt.media.flight import Flight
 
@@ -191,7 +204,7 @@ class Media:
         for group in self.ensemble.groups:
             mine = self.ensemble.members(group, ray.medium)
             medium = group.at(self.ensemble.slots(group, ray.medium), lookup)
-            flight = dr.select(mine, medium.fly(ray, length, channel, stream, mine), flight)
+            flight = dr.select(mine, medium.fly(ray, length, channel, throughput, stream, mine), flight)
         return flight
 
     def transmittance(
