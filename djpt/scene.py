@@ -362,7 +362,11 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
-        return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(si.face))
+        return self.bsdf_of(si.face)
+
+    def bsdf_of(self, face: UInt32) -> BSDFPtr:
+        """The BSDF of a face."""
+        return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(face))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""

@@ -111,8 +111,7 @@ class Way:
         hit, stopped = shadow.t < dr.inf, Bool(False)
         segment.maxt = dr.select(hit, shadow.t, segment.maxt)
         if not self._surfaces.are_apart:
-            # A BSDF is found by the face alone.
-            stopped = hit & ~has_flag(scene.bsdf_at(shadow).flags(), BSDFFlags.Null)
+            stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
         sampler = shadow.sampler
         left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
         light = dr.select(stopped, 0, left)

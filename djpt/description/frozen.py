@@ -221,7 +221,7 @@ def members(value: Any) -> tuple[Any, ...]:
         return value.__self__, value.__func__
     if isinstance(value, partial):
         return value.func, value.args, value.keywords
-    return tuple(getattr(value, name) for name in slots_of(type(value)) if hasattr(value, name))
+    return tuple(getattr(value, name) for name in slots_of(value.__class__) if hasattr(value, name))
 
 
 @cache
