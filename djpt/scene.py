@@ -89,6 +89,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
 
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
+        self.twin: Any = ()
+        """The scene that is rendered in the place of this one, see `djpt.working_frame.twin`; (): not known yet."""
         self._from_infinity = [i for i, e in enumerate(self._emitters) if e.from_infinity]
         self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
 
@@ -116,6 +118,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         self._use_bsdfs(bsdfs)
         self._families.clear()
         self._prepare()
+        self.twin = ()
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
@@ -180,6 +183,11 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self.forget_choices()
         self._prepare()
+        # A twin shares materials and textures, and has copies of all else.
+        if self.twin and all(plugin.kind in ("bsdf", "texture") for plugin in changed):
+            self.twin[1].refresh(changed)
+        else:
+            self.twin = ()
 
     def prepare_to_record(self) -> None:
         if not recording():
