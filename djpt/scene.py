@@ -183,10 +183,13 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self.forget_choices()
         self._prepare()
-        # A twin shares materials and textures, and has copies of all else.
+        self._refresh_twin(changed)
+
+    def _refresh_twin(self, changed: Sequence[Plugin]) -> None:
+        """Let the twin follow an edit; it shares materials and textures, and has copies of all else."""
         if self.twin and all(plugin.kind in ("bsdf", "texture") for plugin in changed):
             self.twin[1].refresh(changed)
-        else:
+        elif self.twin or any(isinstance(plugin, Shape) for plugin in changed):
             self.twin = ()
 
     def prepare_to_record(self) -> None:

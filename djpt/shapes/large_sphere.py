@@ -24,7 +24,7 @@ ROUNDING = 2.0**-21
 
 
 def is_large(distance: float, radius: float) -> bool:
-    """Whether hits computed relative to the centre, at a `distance` from the origin, aren't good enough near the origin.
+    """Whether hits computed relative to the centre, at a `distance` from the origin, are too rough near the origin.
 
     That is so if their error exceeds a quarter of a spawned ray's offset where the surface is nearest to the origin.
     """
@@ -37,7 +37,7 @@ def intersect_large(ray: Ray3f, center: Point3f, radius: Float, power: Float) ->
     inv = dr.rcp(dr.squared_norm(d))
     # Rays from far away begin at two radii from the point closest to the centre.
     closest = (dr.dot(center, d) - dr.dot(ray.o, d)) * inv
-    start = dr.maximum(dr.fma(radius * dr.sqrt(inv), -2, closest), 0)
+    start = dr.maximum(closest - 2 * radius * dr.sqrt(inv), 0)
     o = dr.fma(d, start, ray.o)
     slope = dr.dot(o, d) - dr.dot(center, d)
     value = dr.dot(o, o - 2 * center) + power

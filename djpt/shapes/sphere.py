@@ -94,8 +94,8 @@ class Sphere(Shape):
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
         if self.large:
-            hit, t = intersect_large(ray.ray, self.center, self.radius, self.power)
-            return Hit(hit & (t < maxt), t, UInt32(numbers[0]))
+            met, distance = intersect_large(ray.ray, self.center, self.radius, self.power)
+            return Hit(met & (distance < maxt), distance, UInt32(numbers[0]))
         # The quadratic is solved from the point of the ray closest to the centre: the
         # discriminant then doesn't cancel for spheres that are small or far away.
         # E. Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, ch. 7, 2019.

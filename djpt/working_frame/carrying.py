@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 import drjit as dr
@@ -11,19 +12,14 @@ import numpy as np
 
 from djpt.description.plugin import Plugin
 from djpt.description.registry import lookup
-from djpt.errors import DjptError
 from djpt.kernels import as_float
 from djpt.shapes.mesh import Mesh
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point3f
-from djpt.working_frame.frame import WorkingFrame
+from djpt.working_frame.frame import Rooted, WorkingFrame
 from djpt.working_frame.rescaled import Rescaled
 
-__all__ = ["Carrier", "Rooted"]
-
-
-class Rooted(DjptError):
-    """A plugin that can't be carried: what it does in other coordinates isn't known."""
+__all__ = ["Carrier"]
 
 
 class Carrier:
@@ -49,10 +45,22 @@ class Carrier:
             if not type(plugin).__module__.startswith("djpt."):
                 raise Rooted(f"{plugin.id()} is a script's")
             copied = copy.copy(plugin)
-            # The original is kept, so that its id stays taken.
+            # The original is kept, so that its id stays taken. (Shapes and their emitters refer to each other.)
             self._copies[id(plugin)] = plugin, copied
-            getattr(self, f"_{plugin.kind}")(copied)
+            try:
+                getattr(self, f"_{plugin.kind}")(copied)
+            except Rooted:
+                del self._copies[id(plugin)]
+                raise
         return self._copies[id(plugin)][1]
+
+    def possible(self, plugins: Iterable[Any]) -> list[Any]:
+        """The copies of those plugins that can be carried."""
+        copies = []
+        for plugin in plugins:
+            with suppress(Rooted):
+                copies.append(self.plugin(plugin))
+        return copies
 
     def again(self, sensor: Any) -> Any:
         """A new copy of a sensor.
@@ -82,7 +90,7 @@ class Carrier:
         if isinstance(shape, ShapeGroup):
             shape.named = [(key, apart(member)) for key, member in shape.named]
             for _, member in shape.named:
-                require_placeless(member.bsdf())
+                self._require_carried(member)
             return
         if hasattr(shape, "group"):
             shape.group = self.plugin(shape.group)
@@ -102,8 +110,8 @@ class Carrier:
     def _require_carried(self, shape: Any) -> None:
         """Raise `Rooted` if a shape's material looks at places or lengths."""
         require_placeless(shape.bsdf())
-        if self.frame.scale != 1 and shape.bsdf().absorbs:
-            raise Rooted(f"{shape.id()} absorbs per unit of length")
+        if self.frame.scale != 1 and (shape.bsdf().absorbs or has_heights(shape.bsdf())):
+            raise Rooted(f"the material of {shape.id()} has a length")
 
     def _emitter(self, emitter: Any) -> None:
         if emitter.shape is not None:
@@ -130,11 +138,9 @@ class Carrier:
 
     def projector(self, light: Any) -> None:
         """Move a projector."""
-        if dr.grad_enabled(light.scale):
-            raise Rooted(f"{light.id()}.scale has gradients")
         light.to_world = self._turned(light.to_world)
         light.parameters_changed(("to_world",))
-        light.scale = Float(light.scale * self.frame.scale**2)
+        light.irradiance = Rescaled.of(light.irradiance, self.frame.scale**2)
 
     def _sensor(self, sensor: Any) -> None:
         sensor._medium = self.plugin(sensor._medium)
@@ -143,6 +149,8 @@ class Carrier:
         if sensor.shape is not None:
             sensor.shape = self.plugin(sensor.shape)
             return
+        if hasattr(sensor, "target"):
+            self._target(sensor)
         scale = self.frame.scale
         sensor.to_world = self._turned(sensor.to_world)
         for name in LENGTHS:
@@ -152,6 +160,12 @@ class Carrier:
         if type(sensor).__name__ == "Orthographic":
             sensor.to_world = sensor.to_world.scale([scale, scale, 1])
         sensor.parameters_changed(())
+
+    def _target(self, sensor: Any) -> None:
+        """Move what a distant sensor looks at."""
+        sensor._shape = self.plugin(sensor._shape)
+        if sensor._point is not None:
+            sensor._point = self.frame.point(sensor._point)
 
     def _medium(self, medium: Any) -> None:
         if type(medium).__name__ not in MEDIA:
@@ -174,7 +188,7 @@ class Carrier:
 
 LENGTHS = ("_near_clip", "_far_clip", "_focus_distance", "aperture_radius")
 """The lengths that sensors have."""
-SENSORS = ("Perspective", "ThinLens", "Orthographic", "RadianceMeter", "IrradianceMeter")
+SENSORS = ("Perspective", "ThinLens", "Orthographic", "RadianceMeter", "IrradianceMeter", "Distant")
 MEDIA = ("Homogeneous", "Heterogeneous")
 """The classes of sensors and media that can be carried."""
 
@@ -217,3 +231,10 @@ def require_placeless(plugin: Any) -> None:
         raise Rooted(f"{plugin.id()} varies in space")
     for name in plugin.children:
         require_placeless(getattr(plugin, name))
+
+
+def has_heights(plugin: Any) -> bool:
+    """Whether a plugin, or one nested in it, is a bump map, whose heights are lengths."""
+    if not isinstance(plugin, Plugin):
+        return False
+    return type(plugin).__name__ == "BumpMap" or any(has_heights(getattr(plugin, name)) for name in plugin.children)

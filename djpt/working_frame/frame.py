@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.errors import DjptError
 from djpt.geometry.contents import unseen
 from djpt.shapes.instance import Instance
 from djpt.transforms import ScalarTransform4f
@@ -18,18 +19,21 @@ from djpt.transforms import ScalarTransform4f
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["WorkingFrame", "working_frame"]
+__all__ = ["Rooted", "WorkingFrame", "working_frame"]
 
 SMALLEST, LARGEST = 0.25, 2.0**17
 """Scenes whose bounding box has a diagonal within these bounds are rendered at their own scale."""
 SMALLEST_DETAIL = 2.0**-6
 """The least diagonal of the smaller half of the shapes in such a scene."""
 FAR = 8
-"""A scene is far away if it is further from the origin than so many of its diagonals ..."""
-FAR_DETAIL = 32
-"""... or its smaller half than so many of that half's diagonals."""
+"""A scene is far away if its smaller half is further from the origin than so many of that half's diagonals: rays then
+start 2^-10 of its size off surfaces, which hides a thousandth of the light."""
 MANY = 1024
 """Of more shapes only the box about all is looked at."""
+
+
+class Rooted(DjptError):
+    """A plugin that can't be carried into a frame: what it does in other coordinates isn't known."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,8 @@ def working_frame(scene: Scene) -> WorkingFrame | None:
         detail = around(smaller_half(dark))
     size, unit = (float(np.linalg.norm(box[1] - box[0])) for box in (whole, detail))
     center = 0.5 * (detail[0] + detail[1])
-    distance = float(np.abs(center).max())
-    far = distance > FAR * size or distance > FAR_DETAIL * unit
-    usual = SMALLEST <= size and SMALLEST_DETAIL <= unit <= LARGEST
+    far = float(np.abs(center).max()) > FAR * unit
+    usual = size >= SMALLEST and SMALLEST_DETAIL <= unit <= LARGEST
     if not unit > 0 or not (far or not usual):
         return None
     scale = 1.0 if usual else math.ldexp(1.0, -round(math.log2(unit)))
@@ -76,7 +79,7 @@ def working_frame(scene: Scene) -> WorkingFrame | None:
 
 
 def bounded(shapes: Sequence[Any]) -> NDArray[np.float64]:
-    """The boxes (N, 2, 3) about the shapes that rays hit and that don't reach to infinity; about all if they are many."""
+    """The boxes (N, 2, 3) about the shapes that rays hit, without endless ones; the box about all if they are many."""
     boxes = [box(shape) for shape in shapes if isinstance(shape, Instance) or not unseen(shape)]
     finite = [b for b in boxes if np.isfinite(b).all()]
     if not finite:

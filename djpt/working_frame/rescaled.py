@@ -8,24 +8,24 @@ from typing import Any, ClassVar
 from djpt.description.plugin import ParamFlags
 from djpt.kernels import as_float
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float
+from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Rescaled"]
 
 
 class Rescaled(Texture):
-    """A texture times a number: an intensity whose lamp has been moved to another scale."""
+    """A constant texture times a number: an intensity whose lamp has been moved to another scale."""
 
     is_constant = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"factor": ParamFlags.NonDifferentiable}
     children = ("texture",)
 
-    @classmethod
-    def of(cls, texture: Texture, factor: float) -> Texture:
-        """`factor` times a constant texture; the texture itself for 1."""
+    @staticmethod
+    def of(texture: Texture, factor: float) -> Texture:
+        """`factor` times a texture; the texture itself for 1."""
         if factor == 1:
             return texture
-        made = cls(texture.id())
+        made = (Rescaled if texture.is_constant else RescaledPicture)(texture.id())
         made.texture, made.factor = texture, as_float(factor)
         return made
 
@@ -46,3 +46,15 @@ class Rescaled(Texture):
 
     def max(self) -> float:
         return self.texture.max() * float(self.factor[0])
+
+
+class RescaledPicture(Rescaled):
+    """A texture that varies times a number."""
+
+    is_constant = False
+
+    def sample_position(self, sample: Point2f, active: Bool | bool = True) -> tuple[Point2f, Float]:
+        return self.texture.sample_position(sample, active)
+
+    def pdf_position(self, p: Point2f, active: Bool | bool = True) -> Float:
+        return self.texture.pdf_position(p, active)

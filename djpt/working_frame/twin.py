@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 from djpt.description.frozen import recording
 from djpt.description.numeric import may_wait
-from djpt.working_frame.carrying import Carrier, Rooted
-from djpt.working_frame.frame import working_frame
+from djpt.working_frame.frame import Rooted, working_frame
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
     from djpt.sensors import Sensor
+    from djpt.working_frame.carrying import Carrier
 
 __all__ = ["carried", "twin"]
+
+CARRIED = ("shape", "emitter")
+"""The kinds of plugins of which a twin has copies of its own from the beginning."""
 
 
 def carried(scene: Scene, sensor: Sensor) -> tuple[Scene, Sensor]:
@@ -47,16 +50,17 @@ def made(scene: Scene) -> tuple[Carrier, Scene] | None:
     frame = working_frame(scene)
     if frame is None:
         return None
+    from djpt.working_frame.carrying import Carrier  # which most scenes don't need
+
     carrier = Carrier(frame)
     view = copy.copy(scene)
     view.is_view = True
     try:
         view._shapes = [carrier.plugin(shape) for shape in scene._shapes]
-        view._sensors = [carrier.plugin(sensor) for sensor in scene._sensors]
         view._emitters = [carrier.plugin(emitter) for emitter in scene._emitters]
+        view._sensors = carrier.possible(scene._sensors)
         view.named = [
-            (key, plugin if plugin.kind in ("medium", "volume") else carrier.plugin(plugin))
-            for key, plugin in scene.named
+            (key, carrier.plugin(plugin) if plugin.kind in CARRIED else plugin) for key, plugin in scene.named
         ]
     except Rooted:
         return None
