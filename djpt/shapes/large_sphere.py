@@ -26,9 +26,9 @@ ROUNDING = 2.0**-21
 def is_large(distance: float, radius: float) -> bool:
     """Whether hits computed relative to the centre, at a `distance` from the origin, are too rough near the origin.
 
-    That is so if their error exceeds a quarter of a spawned ray's offset where the surface is nearest to the origin.
+    That is so if their error may exceed a spawned ray's offset where the surface is nearest to the origin.
     """
-    return ROUNDING * (distance + radius) > 0.25 * RAY_EPSILON * (1 + abs(distance - radius))
+    return ROUNDING * (distance + radius) > RAY_EPSILON * (1 + abs(distance - radius))
 
 
 def intersect_large(ray: Ray3f, center: Point3f, radius: Float, power: Float) -> tuple[Bool, Float]:

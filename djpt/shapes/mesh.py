@@ -23,7 +23,7 @@ from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
 from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
-from djpt.shapes.meshes.measures import Measures
+from djpt.shapes.meshes.measures import Measures, is_remote
 from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
@@ -126,7 +126,8 @@ class Mesh(MeshQueries, Shape):
             data.compute_normals()
         self.positions, self.indices = data.positions, data.indices
         # From far away their digits are lost: float32 keeps seven, of which the distance takes some.
-        self._own_positions = (own, self.positions) if is_remote(self.positions) else None
+        placed = own is not data.positions and is_remote(self.positions)
+        self._own_positions = (own, self.positions) if placed else None
         self.normals, self.texcoords = data.normals, data.texcoords
         self.set: MeshSet | None = None
         """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
@@ -413,12 +414,3 @@ class Mesh(MeshQueries, Shape):
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
         return PositionSample3f.of(p, n, uv, dr.rcp(self.area))
-
-
-REMOTE = 16
-
-
-def is_remote(positions: NDArray[np.float32]) -> bool:
-    """Whether vertices lie further from the origin than REMOTE times their extent."""
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    return bool(np.abs(0.5 * (low + high)).max() > REMOTE * (high - low).max())

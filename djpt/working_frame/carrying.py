@@ -85,7 +85,7 @@ class Carrier:
     def _shape(self, shape: Any) -> None:
         from djpt.shapes.shapegroup import ShapeGroup
 
-        for derived in ("_alone", "_axes"):
+        for derived in ("_alone", "_axes", "large"):
             shape.__dict__.pop(derived, None)
         if isinstance(shape, ShapeGroup):
             shape.named = [(key, apart(member)) for key, member in shape.named]

@@ -1,4 +1,4 @@
-"""The working frame: coordinates in which a scene has the size of 1 and lies about the origin."""
+"""The working frame: coordinates in which a scene has about the size of 4 and lies about the origin."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ SMALLEST_DETAIL = 2.0**-6
 FAR = 8
 """A scene is far away if its smaller half is further from the origin than so many of that half's diagonals: rays then
 start 2^-10 of its size off surfaces, which hides a thousandth of the light."""
+UNIT = 4.0
+"""The diagonal of the smaller half of a scaled scene, up to a factor of sqrt(2): that of a ball of radius 1, nearly."""
 MANY = 1024
 """Of more shapes only the box about all is looked at."""
 
@@ -59,7 +61,7 @@ def working_frame(scene: Scene) -> WorkingFrame | None:
 
     Two numbers decide: the diagonal of the box about all shapes, and where the smaller half of them is (by number;
     those that don't shine, if there are such). The detail is there, so the frame has its origin there and its unit is
-    the size of that half. An endless plane says nothing of either.
+    about a quarter of the size of that half. An endless plane says nothing of either.
     """
     boxes = bounded(scene.shapes())
     if not len(boxes):
@@ -74,7 +76,7 @@ def working_frame(scene: Scene) -> WorkingFrame | None:
     usual = size >= SMALLEST and SMALLEST_DETAIL <= unit <= LARGEST
     if not unit > 0 or not (far or not usual):
         return None
-    scale = 1.0 if usual else math.ldexp(1.0, -round(math.log2(unit)))
+    scale = 1.0 if usual else math.ldexp(1.0, -round(math.log2(unit / UNIT)))
     return WorkingFrame(scale, tuple(center.tolist()) if far else (0.0, 0.0, 0.0))
 
 

@@ -73,8 +73,9 @@ def test_usual_scenes_are_rendered_as_they_are() -> None:
 @pytest.mark.parametrize("name", PLACED)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """The frame scales by powers of two, exactly, whatever has a length or an intensity."""
-    small, smaller = (image(PLACED[name](Place(2.0**-k))) for k in (20, 30))
+    small, smaller, large = (image(PLACED[name](Place(2.0**-k))) for k in (20, 30, -30))
     np.testing.assert_array_equal(small, smaller)
+    np.testing.assert_array_equal(small, large)
 
 
 def test_edits_reach_the_frame() -> None:
