@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -30,7 +29,7 @@ FAR = 8
 start 2^-10 of its size off surfaces, which hides a thousandth of the light."""
 UNIT = 4.0
 """The diagonal of the smaller half of a scaled scene, up to a factor of sqrt(2): that of a ball of radius 1, nearly."""
-MANY = 1024
+MANY = 256
 """Of more shapes only the box about all is looked at."""
 
 
@@ -63,13 +62,10 @@ def working_frame(scene: Scene) -> WorkingFrame | None:
     those that don't shine, if there are such). The detail is there, so the frame has its origin there and its unit is
     about a quarter of the size of that half. An endless plane says nothing of either.
     """
-    boxes = bounded(scene.shapes())
+    boxes, shining = bounded(scene)
     if not len(boxes):
         return None
-    whole, detail = around(boxes), around(smaller_half(boxes))
-    dark = bounded([shape for shape in scene.shapes() if shape.emitter() is None])
-    if len(dark):
-        detail = around(smaller_half(dark))
+    whole, detail = around(boxes), around(smaller_half(boxes if shining.all() else boxes[~shining]))
     size, unit = (float(np.linalg.norm(box[1] - box[0])) for box in (whole, detail))
     center = 0.5 * (detail[0] + detail[1])
     far = float(np.abs(center).max()) > FAR * unit
@@ -80,13 +76,19 @@ def working_frame(scene: Scene) -> WorkingFrame | None:
     return WorkingFrame(scale, tuple(center.tolist()) if far else (0.0, 0.0, 0.0))
 
 
-def bounded(shapes: Sequence[Any]) -> NDArray[np.float64]:
-    """The boxes (N, 2, 3) about the shapes that rays hit, without endless ones; the box about all if they are many."""
-    boxes = [box(shape) for shape in shapes if isinstance(shape, Instance) or not unseen(shape)]
-    finite = [b for b in boxes if np.isfinite(b).all()]
-    if not finite:
-        return np.empty((0, 2, 3))
-    return around(np.array(finite))[None] if len(finite) > MANY else np.array(finite)
+def bounded(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The boxes (N, 2, 3) about the shapes that rays hit, without endless ones, and which shine.
+
+    Of many shapes there is one box, about all.
+    """
+    shapes = [shape for shape in scene.shapes() if isinstance(shape, Instance) or not unseen(shape)]
+    if len(shapes) > MANY:
+        boxes, shining = np.array([scene.geometry.bounding_box()]), np.array([False])
+    else:
+        boxes = np.array([box(shape) for shape in shapes]).reshape(-1, 2, 3)
+        shining = np.array([shape.emitter() is not None for shape in shapes], bool)
+    finite = np.isfinite(boxes).all(axis=(1, 2))
+    return boxes[finite], shining[finite]
 
 
 def box(shape: Any) -> NDArray[np.float64]:

@@ -131,6 +131,6 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
         pass
 
     djpt.register_bsdf("test_scale_lamp", lambda props: Lamp(props))
-    own = {"type": "sphere", "bsdf": {"type": "test_scale_lamp"}}
+    own: dict[str, Any] = {"type": "sphere", "bsdf": {"type": "test_scale_lamp"}}
     own["to_world"] = T().scale(1e-6)
     assert twin(djpt.load_dict(PLACED["balls"](Place(1e-6)) | {"ball": own})) is None
