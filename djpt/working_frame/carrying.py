@@ -68,8 +68,12 @@ class Carrier:
         Raises:
             Rooted: it can't be carried.
         """
-        self._copies.pop(id(sensor), None)
-        return self.plugin(sensor)
+        for stale in (sensor, *getattr(sensor, "sensors", ())):
+            if stale.shape is None:
+                self._copies.pop(id(stale), None)
+        copied = self.plugin(sensor)
+        copied._film = sensor._film
+        return copied
 
     def _moved(self, to_world: ScalarTransform4f) -> ScalarTransform4f:
         return self.frame.transform @ to_world
@@ -149,6 +153,11 @@ class Carrier:
         if sensor.shape is not None:
             sensor.shape = self.plugin(sensor.shape)
             return
+        if hasattr(sensor, "sensors"):
+            sensor._carriers = [self.plugin(carrier) for carrier in sensor._carriers]
+            sensor.sensors = [self.plugin(nested) for nested in sensor.sensors]
+            sensor.forget()
+            return
         if hasattr(sensor, "target"):
             self._target(sensor)
         scale = self.frame.scale
@@ -188,7 +197,7 @@ class Carrier:
 
 LENGTHS = ("_near_clip", "_far_clip", "_focus_distance", "aperture_radius")
 """The lengths that sensors have."""
-SENSORS = ("Perspective", "ThinLens", "Orthographic", "RadianceMeter", "IrradianceMeter", "Distant")
+SENSORS = ("Perspective", "ThinLens", "Orthographic", "RadianceMeter", "IrradianceMeter", "Distant", "Batch")
 MEDIA = ("Homogeneous", "Heterogeneous")
 """The classes of sensors and media that can be carried."""
 

@@ -78,6 +78,43 @@ def test_powers_of_two_change_no_bit(name: str) -> None:
     np.testing.assert_array_equal(small, large)
 
 
+PIXEL = {"film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}}
+
+
+def sensors(place: Place) -> dict[str, Any]:
+    """One of each kind that isn't in other scenes."""
+    camera = place.camera((0, -6, 2), (0, 0, 0.5), 16)
+    wide = [3 * place.scale, 3 * place.scale, 1]
+    orthographic = camera | {"type": "orthographic", "to_world": camera["to_world"].scale(wide)}
+    del orthographic["fov"]
+    nested = {"film": {**camera["film"], "width": 32}, "a": camera, "b": dict(camera)}
+    return {
+        "orthographic": orthographic,
+        "batch": {"type": "batch", **nested},
+        "distant": {"type": "distant", "direction": [0.1, 0.2, -1], "target": place.point((0, -1.5, 0)), **PIXEL},
+        "radiancemeter": {"type": "radiancemeter", "origin": place.point((0, -3, 2)), "direction": [0, 0.8, -0.6]},
+    }
+
+
+@pytest.mark.parametrize("name", sensors(Place()))
+def test_sensors_see_what_they_see_at_unit_size(name: str) -> None:
+    at_unit, small = (
+        image(PLACED["balls"](place) | {"sensor": sensors(place)[name]}) for place in (Place(), Place(2.0**-20))
+    )
+    assert at_unit.mean() > 0.01
+    np.testing.assert_array_equal(small, at_unit)
+
+
+def test_a_meter_on_a_shape_is_carried_with_it() -> None:
+    images = []
+    for place in (Place(), Place(2.0**-20)):
+        scene = PLACED["balls"](place)
+        del scene["sensor"]
+        scene["floor"]["sensor"] = {"type": "irradiancemeter", **PIXEL}
+        images.append(image(scene, spp=64))
+    np.testing.assert_array_equal(*images)
+
+
 def test_edits_reach_the_frame() -> None:
     """An edited scene gives the image of one that is loaded like this."""
     description = PLACED["lamps"](Place(1e-6))
