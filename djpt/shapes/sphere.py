@@ -15,10 +15,10 @@ from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
+from djpt.geometry.large_sphere import intersect_large, is_large
 from djpt.kernels import as_float, as_vector
 from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
 from djpt.shapes.base import Hit, Shape
-from djpt.shapes.large_sphere import intersect_large, is_large
 from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
@@ -44,7 +44,7 @@ class Sphere(Shape):
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
     large = False
-    """Whether the sphere is much larger than its distance from the origin: see `djpt.shapes.large_sphere`."""
+    """Whether the sphere is much larger than its distance from the origin: see `djpt.geometry.large_sphere`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
