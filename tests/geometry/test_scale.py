@@ -171,3 +171,16 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
     own: dict[str, Any] = {"type": "sphere", "bsdf": {"type": "test_scale_lamp"}}
     own["to_world"] = T().scale(1e-6)
     assert twin(djpt.load_dict(PLACED["balls"](Place(1e-6)) | {"ball": own})) is None
+
+
+def test_materials_with_lengths_are_moved_and_not_scaled() -> None:
+    """Absorption per unit of length, and the heights of bump maps."""
+    height = {"type": "checkerboard"}
+    materials = (
+        {"type": "dielectric", "absorption": 0.5},
+        {"type": "bumpmap", "height": height, "b": {"type": "diffuse"}},
+    )
+    for bsdf in materials:
+        for place, is_carried in ((Place(1e-6), False), (Place(1.0, 1e4 * DIRECTION), True)):
+            scene = PLACED["balls"](place) | {"ball": place.ball((-1.1, 0, 1), bsdf=bsdf)}
+            assert (twin(djpt.load_dict(scene)) is not None) == is_carried
