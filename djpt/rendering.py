@@ -25,6 +25,7 @@ from djpt.schedules.job import MAX_SAMPLES, Job, image_channels, require_countab
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.types import TensorXf, UInt32
+from djpt.working_frame.twin import carried, twin
 
 __all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "render"]
 
@@ -185,7 +186,9 @@ def prepare_to_record(scene: Scene) -> None:
         sensor.film().reserve(channel_names(scene, sensor))
     for shape in scene.shapes():
         shape.make_parameters()
-    integrator.prepare_scene(scene.choosing_emitters(integrator.emitter_choice))
+    found = twin(scene)
+    for prepared in (scene,) if found is None else (scene, found[1]):
+        integrator.prepare_scene(prepared.choosing_emitters(integrator.emitter_choice))
 
 
 # ---- what is rendered -------------------------------------------------------------------------
@@ -203,6 +206,8 @@ def make_job(
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
     integrator.resume()
+    if integrator.shows_no_lengths():
+        scene, sensor = carried(scene, sensor)
     spp = sampler.round_count(spp or sampler.sample_count())
     width, height = sensor.film().crop_size()
     require_countable(width, height, spp)

@@ -91,6 +91,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
 
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
+        self.twin: Any = ()
+        """The scene that is rendered in the place of this one, see `djpt.working_frame.twin`; (): not known yet."""
         self._from_infinity = [i for i, e in enumerate(self._emitters) if e.from_infinity]
         self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
 
@@ -118,6 +120,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         self._use_bsdfs(bsdfs)
         self._families.clear()
         self._prepare()
+        self.twin = ()
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
@@ -182,6 +185,14 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self.forget_choices()
         self._prepare()
+        self._refresh_twin(changed)
+
+    def _refresh_twin(self, changed: Sequence[Plugin]) -> None:
+        """Let the twin follow an edit; it shares materials and textures, and has copies of all else."""
+        if self.twin and all(plugin.kind in ("bsdf", "texture") for plugin in changed):
+            self.twin[1].refresh(changed)
+        elif self.twin or any(isinstance(plugin, Shape) for plugin in changed):
+            self.twin = ()
 
     def prepare_to_record(self) -> None:
         if not recording():

@@ -37,6 +37,8 @@ class Path(UnidirectionalPath):
     Mitsuba's `path`, number by number.
     """
 
+    lengthless = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.rr_depth = first_roulette(props, self.max_depth)

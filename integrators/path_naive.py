@@ -45,6 +45,8 @@ class PathNaive(UnidirectionalPath):
     J. Kajiya, "The Rendering Equation", SIGGRAPH 1986.
     """
 
+    lengthless = True
+
     samples_lights = False
 
     def __init__(self, props: Properties) -> None:

@@ -38,6 +38,8 @@ class PathNEE(UnidirectionalPath):
     Application", 1967.
     """
 
+    lengthless = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.russian_roulette = props.float("russian_roulette", 0.8, low=0.0, high=1.0, low_open=True)

@@ -32,6 +32,8 @@ class PRBBasic(UnidirectionalPath):
     D. Vicini, S. Speierer and W. Jakob, "Path Replay Backpropagation", SIGGRAPH 2021.
     """
 
+    lengthless = True
+
     default_max_depth = 6
     covers_sky = False
     samples_lights = False

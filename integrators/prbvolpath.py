@@ -15,6 +15,8 @@ class PRBVolumetricPath(VolumetricPath):
     the extinction of homogeneous media.
     """
 
+    lengthless = True
+
     default_max_depth = 6
 
 

@@ -49,6 +49,8 @@ class VolumetricPath(UnidirectionalPath):
     rays through homogeneous media is computed, where Mitsuba estimates it by random numbers.
     """
 
+    lengthless = True
+
     schedules = ("flat", "wave")
     follows_media = True
     spectral_mis = False
