@@ -253,3 +253,11 @@ def test_images_without_pixels(tmp_path: Path, shape: tuple[int, ...]) -> None:
     np.save(path, np.zeros(shape, np.float32))
     with pytest.raises(djpt.SceneError, match="must have at least one pixel"):
         djpt.load_dict({"type": "bitmap", "filename": str(path)})
+
+
+@pytest.mark.parametrize("kind", ["ply", "ellipsoids", "ellipsoidsmesh"])
+def test_a_header_without_elements(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text("ply\nformat ascii 1.0\nend_header\n")
+    with pytest.raises(djpt.SceneError, match=rf"{kind}: a\.ply: (the file has no elements|a mesh needs the elements)"):
+        djpt.load_dict({"type": kind, "filename": str(path)})
