@@ -203,7 +203,8 @@ def make_job(
     integrator.check_scene(scene, sensor)
     integrator.resume()
     spp = sampler.round_count(spp or sampler.sample_count())
-    require_countable(*sensor.film().crop_size(), spp)
+    width, height = sensor.film().crop_size()
+    require_countable(width, height, spp)
     if integrator.follows_media:
         scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
