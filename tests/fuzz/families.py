@@ -64,7 +64,7 @@ def xml(draw: st.DrawFn) -> Case:
         text = draw(damaged(text))
     files = {**used_files(text.decode("utf-8", "replace")), "scene.xml": text}
     trusted = draw(st.booleans())
-    return Case(f"djpt.load_file('scene.xml', trusted={trusted})", files, ("scene.xml",))
+    return Case(f"djpt.load_file('scene.xml', trusted={trusted})", files, ("scene.xml", "shape0", "shape1", "fog"))
 
 
 @st.composite
