@@ -26,7 +26,7 @@ class RadianceMeter(Sensor):
     """
 
     one_pixel = True
-    has_neighbours = False
+    has_neighbours: ClassVar[bool] = False
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("origin", "direction"), ParamFlags.NonDifferentiable)
 
     def __init__(self, props: Properties) -> None:

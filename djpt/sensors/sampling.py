@@ -40,7 +40,7 @@ class SampledRays:
     if TYPE_CHECKING:
         weight: float
         uses_aperture: bool
-        has_neighbours: bool
+        has_neighbours: ClassVar[bool]
 
         def film(self) -> Film:
             """See `Sensor`."""
