@@ -221,11 +221,12 @@ def members(value: Any) -> tuple[Any, ...]:
         return value.__self__, value.__func__
     if isinstance(value, partial):
         return value.func, value.args, value.keywords
-    return tuple(getattr(value, name) for name in slots_of(value.__class__) if hasattr(value, name))
+    kind: Any = type(value)
+    return tuple(getattr(value, name) for name in slots_of(kind) if hasattr(value, name))
 
 
 @cache
-def slots_of(kind: type) -> tuple[str, ...]:
+def slots_of(kind: Any) -> tuple[str, ...]:
     """The names of the slots that say something of a type's objects."""
     slots = [name for base in kind.__mro__ for name in getattr(base, "__slots__", ())]
     return tuple(name for name in slots if name not in UNSEEN)

@@ -46,6 +46,8 @@ class Sensor(SampledRays, Endpoint):
     """The factor from radiance to what the sensor measures; the same for all its rays."""
     by_pixel: ClassVar[bool] = False
     """Whether neighbouring pixels look elsewhere: `ray_of_pixel` then is asked in place of `ray_through`."""
+    has_neighbours: ClassVar[bool] = True
+    """Whether rays have neighbours on the film, to compute footprints from."""
     one_pixel: ClassVar[bool] = False
     """Whether it measures one number: its film then must have one pixel, and has by default."""
 
