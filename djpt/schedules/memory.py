@@ -15,9 +15,11 @@ import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.schedules.job import Job
+from djpt.schedules.lanes import lanes_per_pixel
+from djpt.schedules.reconstruction import by_pixels
 from djpt.types import Float
 
-__all__ = ["check_memory", "free_memory", "needed_memory"]
+__all__ = ["check_memory", "free_memory", "holds_all_sums", "needed_memory"]
 
 MAX_NUMBERS = 2**32 - 1
 """The entries of the largest array of Dr.Jit."""
@@ -31,19 +33,31 @@ RESERVE = 2**29
 SMALL = RESERVE + 2**26
 """Bytes that are there without asking."""
 
+WITHOUT_LIMIT = 2**32
+"""The bytes that are taken for free where nothing is known of them."""
+
 IMAGES_OF_DERIVATIVES = 3
 """Images that a derivative holds besides the image itself: that of the pixels, of the sums, and of the weights."""
 
 
-def check_memory(job: Job, attached: bool) -> None:
-    """Raise `RenderError` if the image of a job is larger than what is free; `attached`: with derivatives."""
+def check_memory(job: Job, attached: bool = False, in_bands: bool = False) -> None:
+    """Raise `RenderError` if what a job takes is more than is free.
+
+    Args:
+        job: The render.
+        attached: with derivatives.
+        in_bands: the image itself isn't held.
+    """
     width, height = job.film.crop_size()
-    channels = job.channel_count()
+    channels = job.channel_count() + len(job.integrator.unfiltered_names())
     what = f"{job.film.id()}: an image of {width} x {height} pixels with {channels} channels"
-    remedy = "render it in parts ('crop_offset_x', 'crop_width', ..) or with fewer channels"
-    if width * height * channels > MAX_NUMBERS:
+    remedy = "write it row by row (djpt.render_to_file), render it in parts ('crop_offset_x', 'crop_width', ..)"
+    if attached or in_bands:
+        remedy = "render it in parts ('crop_offset_x', 'crop_width', ..)"
+    remedy += " or with fewer channels"
+    if not in_bands and width * height * channels > MAX_NUMBERS:
         raise RenderError(f"{what} has more than 2^32 numbers; {remedy}")
-    needed = needed_memory(job, attached)
+    needed = needed_memory(job, attached, in_bands)
     if needed <= SMALL:
         return
     free = free_memory()
@@ -51,13 +65,30 @@ def check_memory(job: Job, attached: bool) -> None:
         raise RenderError(f"{what} takes about {gibibytes(needed)}; {gibibytes(free)} are free; {remedy}")
 
 
-def needed_memory(job: Job, attached: bool) -> int:
-    """An estimate of the memory of a render in bytes, with derivatives if it is `attached` to parameters."""
+def needed_memory(job: Job, attached: bool = False, in_bands: bool = False) -> int:
+    """An estimate of the memory of a render in bytes; the arguments are those of `check_memory`."""
     width, height = job.film.crop_size()
-    pixels, channels = width * height, job.channel_count()
+    pixels, channels = width * height, job.channel_count() + len(job.integrator.unfiltered_names())
     most, numbers = WORKING
-    images = 1 + IMAGES_OF_DERIVATIVES * attached
-    return 4 * channels * (images * pixels + numbers * min(pixels, most)) + RESERVE
+    images = 0 if in_bands else 1 + IMAGES_OF_DERIVATIVES * attached
+    # A band has at least one row.
+    return 4 * channels * (images * pixels + numbers * max(width, min(pixels, most))) + RESERVE
+
+
+def holds_all_sums(job: Job) -> bool:
+    """Whether the sums of all of an image's lanes may be held at once, in a quarter of what is free."""
+    free = free_memory()
+    return 4 * held_sums(job) < (WITHOUT_LIMIT if free is None else free)
+
+
+def held_sums(job: Job) -> int:
+    """The bytes of the sums of all lanes of an image."""
+    channels = job.channel_count()
+    if job.film.filters:
+        sums = (channels + 1) * job.film.taps ** (2 if by_pixels(job, channels + 1) else 1)
+    else:
+        sums = channels
+    return 4 * job.width * job.height * lanes_per_pixel(job.width * job.height, job.spp) * sums
 
 
 def gibibytes(count: int) -> str:
