@@ -14,8 +14,8 @@ from djpt.display.progress import Progress, watched
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
-from djpt.interruption import Interruption, interruptible
 from djpt.kernels import begin_trace
+from djpt.process.interruption import Interruption, interruptible
 from djpt.samplers import Sampler
 from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
@@ -28,19 +28,7 @@ from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.types import TensorXf, UInt32
 
-__all__ = [
-    "centres",
-    "channel_names",
-    "check_count",
-    "check_seed",
-    "film_image",
-    "find_integrator",
-    "find_sensor",
-    "image_derivative",
-    "make_job",
-    "render",
-    "require_still",
-]
+__all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "render"]
 
 
 def render(

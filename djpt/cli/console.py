@@ -13,7 +13,7 @@ import click
 
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 from djpt.files import reason
-from djpt.interruption import Terminated
+from djpt.process.interruption import Terminated
 
 if TYPE_CHECKING:
     from rich.progress import Task

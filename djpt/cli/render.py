@@ -11,7 +11,7 @@ import click
 import djpt
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, progress_bar, require_positive, short
-from djpt.interruption import ending_at_once
+from djpt.process.interruption import ending_at_once
 
 __all__ = ["command"]
 

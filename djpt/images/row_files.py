@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -101,17 +101,23 @@ class Opened:
         self._file.close()
 
 
-class Exr(ExrRows):
+class Exr:
     """OpenEXR, with the attributes that `djpt.write` gives it."""
 
     def __init__(self, path: Path, shape: Shape, labels: Labels) -> None:
         height, width, channels = shape
         names = tuple(labels.channels) if labels.channels is not None else usual_names(channels)
-        self._names_attribute = {ORDER: ",".join(names)}
-        super().__init__(path, width, height, names, {**labels.metadata, **self._names_attribute})
+        self._order = {ORDER: ",".join(names)}
+        self._file = ExrRows(path, width, height, names, {**labels.metadata, **self._order})
 
-    def close(self, labels: Labels) -> None:  # type: ignore[override]
-        self.finish({**labels.metadata, **self._names_attribute})
+    def add(self, rows: Pixels) -> None:
+        self._file.add(rows)
+
+    def close(self, labels: Labels) -> None:
+        self._file.finish({**labels.metadata, **self._order})
+
+    def release(self) -> None:
+        self._file.release()
 
 
 class Png(Opened):
@@ -198,5 +204,11 @@ class Whole:
         pass
 
 
-STREAMED = {".exr": Exr, ".png": Png, ".hdr": Hdr, ".pfm": Pfm, ".npy": Npy}
+STREAMED: dict[str, Callable[[Path, Shape, Labels], RowFile]] = {
+    ".exr": Exr,
+    ".png": Png,
+    ".hdr": Hdr,
+    ".pfm": Pfm,
+    ".npy": Npy,
+}
 """The formats that are written from top to bottom."""

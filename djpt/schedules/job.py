@@ -13,7 +13,7 @@ from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.films import Film
 from djpt.integrators.base import Integrator
-from djpt.interruption import Interruption
+from djpt.process.interruption import Interruption
 from djpt.records import Ray3f
 from djpt.samplers import SampleIndex, Sampler, SampleStream
 from djpt.samplers.seeds import Seed, opaque_seed

@@ -248,7 +248,7 @@ def report(job: Job, done: int) -> None:
 
     Raises:
         RenderError: The integrator was asked to stop.
-        KeyboardInterrupt: A signal has come, and nothing is to be kept; `djpt.interruption.Terminated` for SIGTERM.
+        KeyboardInterrupt: A signal has come, and nothing is to be kept; `djpt.Terminated` for SIGTERM.
     """
     if job.integrator.should_stop():
         raise RenderError(f"{job.integrator.id()}: the rendering was cancelled")

@@ -48,7 +48,9 @@ class Progressive(Schedule):
         image = picture(channels, width, height)
         if integrator.from_camera is None:
             return image
-        return Wave().image(replace(job, integrator=integrator.from_camera, progress=None)) + image
+        spp = job.sampler.round_count(walks.spp)
+        seen = replace(job, integrator=integrator.from_camera, spp=spp, progress=None, interruption=None)
+        return Wave().image(seen) + image
 
 
 class JobWalks:

@@ -87,9 +87,9 @@ def interruptible(keeps: bool) -> Iterator[Interruption]:
 
     before: dict[int, Any] = {}
     try:
-        for number, default in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
-            if signal.getsignal(number) is default:
-                before[number] = signal.signal(number, handle)
+        for caught, default in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+            if signal.getsignal(caught) is default:
+                before[caught] = signal.signal(caught, handle)
         yield interruption
     finally:
         for number, handler in before.items():

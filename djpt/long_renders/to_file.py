@@ -19,8 +19,8 @@ from djpt.images.image import check_writable, checked_labels
 from djpt.images.row_files import is_streamed, writing_rows
 from djpt.images.srgb import strips
 from djpt.integrators.base import Integrator
-from djpt.interruption import Interruption, interruptible
 from djpt.kernels import begin_trace
+from djpt.process.interruption import Interruption, interruptible
 from djpt.rendering import (
     centres,
     channel_names,
