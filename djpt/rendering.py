@@ -69,7 +69,8 @@ def render(
             and in terminals.
         pass_spp: Samples per pixel of one pass; 0 chooses. Changes time and memory, never the image.
         keep_partial: What a signal leaves, SIGINT (Ctrl-C) or SIGTERM: with True the film keeps the image of the
-            samples that have been computed until the pass at hand has ended, ``sensor.film().develop()``.
+            samples that have been computed until the pass at hand has ended, ``sensor.film().develop()``. Integrators
+            of scripts that render by themselves keep nothing.
 
     Raises:
         RenderError: Nothing to render, or arguments out of range.

@@ -74,7 +74,7 @@ def differentiable(
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
     seed = job.seed if seed_grad is None else gradient_seed(job.seed, seed_grad)
-    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0)
+    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0, interruption=None)
     derivative = derivative_of(samples, schedule, parameters)
 
     def primal() -> TensorXf:

@@ -7,6 +7,7 @@ from djpt.process.memory import RESERVE, free_memory, shortage
 from djpt.schedules.job import Job
 from djpt.schedules.lanes import lanes_per_pixel
 from djpt.schedules.reconstruction import by_pixels
+from djpt.schedules.tap_function import CHANNELS
 
 __all__ = ["check_memory", "holds_all_sums", "needed_memory"]
 
@@ -70,7 +71,8 @@ def held_sums(job: Job) -> int:
     """The bytes of the sums of all lanes of an image."""
     channels = job.channel_count()
     if job.film.filters:
-        sums = (channels + 1) * job.film.taps ** (2 if by_pixels(job, channels + 1) else 1)
+        of_pixels = channels <= len(CHANNELS) or by_pixels(job, channels + 1)
+        sums = (channels + 1) * job.film.taps ** (2 if of_pixels else 1)
     else:
         sums = channels
     return 4 * job.width * job.height * lanes_per_pixel(job.width * job.height, job.spp) * sums

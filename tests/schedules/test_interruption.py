@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -125,6 +126,24 @@ def test_light_paths_are_kept() -> None:
         djpt.render(scene, spp=400, pass_spp=100, progress=sends(signal.SIGINT), keep_partial=True)
     part = scene.sensors()[0].film().develop().numpy().copy()
     np.testing.assert_array_equal(part, djpt.render(scene, spp=100).numpy())
+
+
+def test_an_undisturbed_render_is_as_ever_and_has_derivatives() -> None:
+    description = djpt.cornell_box()
+    description["sensor"]["film"].update(width=12, height=12)
+    scene = djpt.load_dict(description)
+    params = djpt.traverse(scene)
+    dr.enable_grad(params["red.reflectance.value"])
+    params.update()
+    images = [djpt.render(scene, params, spp=8, keep_partial=keeps) for keeps in (False, True)]
+    gradients = []
+    for image in images:
+        dr.clear_grad(params["red.reflectance.value"])
+        dr.backward(dr.mean(image.array))
+        gradients.append(np.array(dr.grad(params["red.reflectance.value"])))
+    np.testing.assert_array_equal(images[0].numpy(), images[1].numpy())
+    np.testing.assert_array_equal(gradients[0], gradients[1])
+    assert np.any(gradients[0] > 0)
 
 
 @SIGNALS
