@@ -16,15 +16,28 @@ import numpy.typing as npt
 
 from djpt.images.resampling import lanczos, resampled, taps_between
 
-__all__ = ["ORDER", "RESERVED", "Layers", "read_attributes", "read_layers", "usual_names", "write_layers"]
+__all__ = [
+    "FILLER",
+    "OF_XYZ",
+    "ORDER",
+    "RESERVED",
+    "Layers",
+    "read_attributes",
+    "read_layers",
+    "usual_names",
+    "write_layers",
+]
 
 Pixels = npt.NDArray[Any]
 
 ORDER = "channelOrder"
 """The attribute in which `djpt.write` stores the order of channels; the format sorts them by name."""
 
+FILLER = "filler"
+"""The attribute by which a header keeps its size when the others change: see `djpt.images.exr_rows`."""
+
 RESERVED = frozenset(
-    f"{ORDER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
+    f"{ORDER} {FILLER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
     "maxSamplesPerPixel multiView name pixelAspectRatio preview screenWindowCenter screenWindowWidth tiles type "
     "version view zipCompressionLevel".split()
 )

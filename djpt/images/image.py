@@ -37,7 +37,7 @@ from djpt.images.srgb import from_srgb, shares, to_srgb8
 if TYPE_CHECKING:
     from djpt.types import TensorXf
 
-__all__ = ["Image", "check_writable", "read", "read_metadata", "read_pixels", "reading", "write"]
+__all__ = ["Image", "check_writable", "checked_labels", "read", "read_metadata", "read_pixels", "reading", "write"]
 
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
@@ -114,25 +114,29 @@ def write(
     target = as_path(path)
     form = check_writable(target)
     pixels = _pixels(image, f"'{target}'")
+    if pixels.dtype == np.uint8 and target.suffix.lower() not in DISPLAY_FORMATS:
+        suffix = target.suffix.lower()[1:]
+        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix} holds linear values")
+    labels = checked_labels(target, pixels.shape[2], channels, metadata or {})
+    with writing(target) as temporary:
+        form.encode(temporary, pixels, labels)
+
+
+def checked_labels(target: Path, count: int, channels: Sequence[str] | None, metadata: Mapping[str, Any]) -> Labels:
+    """What a file of `count` channels stores beside its pixels; raises `FileError` if its format can't."""
     suffix = target.suffix.lower()
-    count = pixels.shape[2]
-    if form.channels and count not in form.channels:
+    possible = FORMATS[suffix].channels
+    if possible and count not in possible:
         raise FileError(
-            f"can't write '{target}': {suffix[1:]} holds {_either(form.channels)} channels, found {count}; "
+            f"can't write '{target}': {suffix[1:]} holds {_either(possible)} channels, found {count}; "
             "exr and npy hold any number"
         )
-    if pixels.dtype == np.uint8 and suffix not in DISPLAY_FORMATS:
-        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix[1:]} holds linear values")
     if channels is not None:
         if suffix != ".exr":
             raise FileError(f"can't write '{target}': only exr names its channels")
         if len(set(channels)) != count or len(channels) != count or any(not c or "," in c for c in channels):
             raise FileError(f"can't write '{target}': {count} different channel names needed, found {list(channels)}")
-
-    labels = Labels(channels, _texts(target, metadata or {}))
-
-    with writing(target) as temporary:
-        form.encode(temporary, pixels, labels)
+    return Labels(channels, _texts(target, metadata))
 
 
 def read(path: str | os.PathLike[str]) -> TensorXf:

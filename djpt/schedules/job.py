@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 
@@ -13,6 +13,7 @@ from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.films import Film
 from djpt.integrators.base import Integrator
+from djpt.process.interruption import Interruption
 from djpt.records import Ray3f
 from djpt.samplers import SampleIndex, Sampler, SampleStream
 from djpt.samplers.seeds import Seed, opaque_seed
@@ -53,6 +54,11 @@ class Job:
     progress: Progress | None = None
     pass_spp: int = 0
     """Samples per pixel of one pass; 0: as many as suit the schedule. It changes time and memory, never the image."""
+    interruption: Interruption | None = None
+    """The signals that end the render; None: whatever Python makes of them."""
+
+    splits_freely: ClassVar[bool] = True
+    """Whether passes of any size make the same image."""
 
     width: int = field(init=False)
     height: int = field(init=False)
@@ -77,6 +83,11 @@ class Job:
         return replace(self, scene=scene)
 
     @property
+    def is_watched(self) -> bool:
+        """Whether somebody waits for the ends of passes."""
+        return self.progress is not None or self.interruption is not None
+
+    @property
     def samples(self) -> int:
         """The number of samples of the image."""
         return self.width * self.height * self.spp
@@ -89,10 +100,11 @@ class Job:
         """Names of the channels of the developed image, without those that aren't filtered."""
         return image_channels(self.film, self.integrator)
 
-    def centre_rays(self) -> Ray3f:
-        """The rays through the centre of the lens and the centres of the crop's pixels, row by row."""
-        width, height = self.film.crop_size()
-        pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
+    def centre_rays(self, first_row: int, rows: int) -> Ray3f:
+        """The rays through the centre of the lens and the centres of some rows of the crop's pixels, row by row."""
+        width, _ = self.film.crop_size()
+        columns = dr.opaque(UInt32, width)
+        pixel = dr.arange(UInt32, width * rows) + dr.opaque(UInt32, width * first_row)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
         return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5), Float(0.5))
