@@ -38,7 +38,6 @@ WITHOUT = {
     "mesh_attribute": "its values are those of a mesh",
     "measured": "has no derivatives",
     "glass": "has no derivatives",
-    "retarder": "has derivatives by angles only",
     "sggx": "an ellipsoid of facets whose numbers are all the same is singular",
 }
 """Plugins that aren't taken to the ends of ranges, and why."""
