@@ -31,7 +31,9 @@ class Grid:
         `position` has width 1, or one entry for each number of what is left.
         """
         count, rest = self.shape[0], math.prod(self.shape[1:])
-        position = minimum(maximum(position, Float(0)), Float(count - 1))
+        # The ends have the slope of their side.
+        inside = (position >= 0) & (position <= count - 1)
+        position = dr.select(inside, position, minimum(maximum(position, Float(0)), Float(count - 1)))
         first = UInt32(minimum(dr.floor(dr.detach(position)), Float(count - 2)))
         at = dr.fma(first, rest, dr.arange(UInt32, rest))
         low, high = dr.gather(Float, self.numbers, at), dr.gather(Float, self.numbers, at + rest)
