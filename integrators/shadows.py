@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.geometry.passable import PassableSurfaces
 from djpt.kernels import if_stmt, wide
-from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
+from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream, go_on_with
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
@@ -108,7 +108,8 @@ class Way:
         segment.maxt = dr.select(hit, shadow.t, segment.maxt)
         if not self._surfaces.are_apart:
             # A BSDF is found by the face alone.
-            stopped = hit & ~has_flag(scene.bsdf_at(shadow).flags(), BSDFFlags.Null)
+            at: SurfaceInteraction3f = SurfaceInteraction3f.holding(face=shadow.face)
+            stopped = hit & ~has_flag(scene.bsdf_at(at).flags(), BSDFFlags.Null)
         sampler = shadow.sampler
         left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
         light = dr.select(stopped, 0, left)
