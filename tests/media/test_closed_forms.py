@@ -73,7 +73,9 @@ def test_furnace(name: str, boundary: str, spp: int) -> None:
     scene = lit_ball(FURNACES[name], BOUNDARIES[boundary], "volpathmis", rr_depth=1000, size=SIZE)
     # The ball covers the picture.
     scene["sensor"]["fov"] = 20
-    mean = ours(scene, spp=spp, seed=3).mean(axis=(0, 1))
+    # Channels that share collisions are noisier than 0.2 % after a million.
+    samples = 4 * spp if name == "coloured grid" and spp == MANY else spp
+    mean = ours(scene, spp=samples, seed=3).mean(axis=(0, 1))
     assert np.abs(mean - 1).max() < WITHIN[spp]
 
 
