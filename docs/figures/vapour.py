@@ -23,7 +23,7 @@ def smoke() -> None:
 
 def milk() -> None:
     """A glass of milk."""
-    draw("milk", milk_scene(), 192)
+    draw("milk", milk_scene(), 64)
 
 
 def sunbeams() -> None:
@@ -33,7 +33,7 @@ def sunbeams() -> None:
 
 def candles() -> None:
     """Wax of three colours, and flames."""
-    draw("candles", candles_scene(), 192)
+    draw("candles", candles_scene(), 64)
 
 
 def draw(name: str, scene: dict[str, Any], spp: int) -> None:
