@@ -23,7 +23,7 @@ def smoke() -> None:
 
 def milk() -> None:
     """A glass of milk."""
-    draw("milk", milk_scene(), 384)
+    draw("milk", milk_scene(), 64)
 
 
 def sunbeams() -> None:
@@ -33,7 +33,7 @@ def sunbeams() -> None:
 
 def candles() -> None:
     """Wax of three colours, and flames."""
-    draw("candles", candles_scene(), 256)
+    draw("candles", candles_scene(), 64)
 
 
 def draw(name: str, scene: dict[str, Any], spp: int) -> None:
@@ -45,7 +45,7 @@ def seen(origin: list[float], target: list[float], fov: float, max_depth: int, s
     """An empty scene with a camera."""
     return {
         "type": "scene",
-        "integrator": {"type": "volpathmis", "max_depth": max_depth, "rr_depth": 64},
+        "integrator": {"type": "volpathmis", "max_depth": max_depth, "rr_depth": max_depth},
         "sensor": {
             "type": "perspective",
             "fov": fov,
