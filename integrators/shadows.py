@@ -10,7 +10,7 @@ import drjit as dr
 
 from djpt.geometry.passable import PassableSurfaces
 from djpt.kernels import if_stmt, wide
-from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.samplers.base import SampleStream, go_on_with
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
