@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from typing import Any
 
 import pytest
@@ -20,6 +21,22 @@ lanes_from_environment()
 # for the second when it reads an EXR file.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     dr.set_thread_count(max(2, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark all but every n-th case of sparse tests as slow.
+
+    An n without common factors with the numbers of values of each parameter meets each value.
+    """
+    cases: Counter[str] = Counter()
+    for item in items:
+        sparse = item.get_closest_marker("sparse")
+        if sparse is not None:
+            test = item.nodeid.partition("[")[0]
+            if cases[test] % sparse.args[0]:
+                item.add_marker(pytest.mark.slow)
+            cases[test] += 1
 
 
 @pytest.fixture(scope="module")

@@ -235,6 +235,7 @@ def test_names_are_escaped(ladder: Ladder) -> None:
     assert Page(text).open == []
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.skipif(BROWSER is None, reason="no chromium, chromium-browser or google-chrome on PATH")
 def test_the_page_in_a_browser(text: str, scheme: str, tmp_path: Path) -> None:

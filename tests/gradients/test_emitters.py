@@ -65,6 +65,7 @@ def test_schedules_agree(name: str) -> None:
         assert wave[key] == pytest.approx(slope, rel=1e-3, abs=1e-4 * largest), key
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(
     ("name", "key"),
     [

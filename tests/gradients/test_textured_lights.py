@@ -84,6 +84,7 @@ class Lit:
         return (ends[0] - ends[1]) / (2 * STEP)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("kind", FILTERS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_by_differences(shape: str, kind: str) -> None:

@@ -60,6 +60,7 @@ NEAR = 3e-4
 is moved off the wall counts. Half of a radiance of 1 + a comes from MIS weights, which look at the distance."""
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize(("furnace", "integrator"), FURNACES, ids=lambda x: getattr(x, "__name__", str(x)))
 @pytest.mark.parametrize("depth", [pytest.param(1, marks=pytest.mark.slow), 2, 5])
 def test_furnace(furnace: Callable[..., Keys], integrator: Keys, depth: int) -> None:
@@ -154,6 +155,7 @@ def lamp_in_a_sphere(albedo: float) -> Keys:
     return {**scene, "lamp": {"type": "point", "position": [0, 0, 0], "intensity": 3.0}}
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("integrator", [*BY_LIGHT_SAMPLES, *FROM_LIGHTS], ids=str)
 @pytest.mark.parametrize("depth", [1, 2, 3, 6])
 def test_integrating_sphere(integrator: Keys, depth: int) -> None:

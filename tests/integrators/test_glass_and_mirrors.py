@@ -50,6 +50,7 @@ def pane(angle: float, **shape: Any) -> Keys:
     }
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("integrator", ALONG, ids=str)
 @pytest.mark.parametrize("depth", [1, 2, 3, 6, 9, 16])
 def test_slab_of_glass(depth: int, integrator: Keys) -> None:

@@ -35,6 +35,7 @@ def test_box_filter(spp: int, rr_depth: int) -> None:
     assert share(box(128, "box", path), spp, 1e-3, seeds=2) >= 0.999
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("rr_depth", [5, 1000])
 @pytest.mark.parametrize("spp", [4, 16])
 @pytest.mark.parametrize("rfilter", ["gaussian", "tent"])

@@ -71,6 +71,7 @@ def test_each_emitter_can_be_chosen_where_it_shines() -> None:
     assert lit == len(scene.emitters())
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", ["path", "prb", "direct"])
 def test_means_do_not_depend_on_the_choice(integrator: str) -> None:
     lights = everything() if integrator == "path" else lamps()

@@ -115,6 +115,7 @@ def test_an_image_has_mitsubas_pixels() -> None:
 # ---------------------------------------------------------------- sampling
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("values", [pytest.param(v, id=name) for name, v in {**OPAQUE, **CLEAR}.items()])
 def test_samples_follow_the_density(values: dict[str, Any], wi: Any) -> None:

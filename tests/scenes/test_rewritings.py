@@ -196,6 +196,7 @@ def small(name: str) -> Any:
     return djpt.load_dict(scene)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_light_that_is_sampled_is_light_that_is_met(name: str) -> None:
     """A light that counts twice where lights are sampled would not count twice where a path meets it."""

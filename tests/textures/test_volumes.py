@@ -99,6 +99,7 @@ class Paint(Slopes):
         self.params.update()
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradients_of_numbers(channels: int, schedule: str) -> None:

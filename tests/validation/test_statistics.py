@@ -52,6 +52,7 @@ FAMILIES = families()
 # ---------------------------------------------------------------- false alarms
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("equal_variance", [True, False])
 @pytest.mark.parametrize("counts", [(3, 3), (4, 9)])
 def test_noise_is_accepted_at_the_stated_rate(equal_variance: bool, counts: tuple[int, int]) -> None:
