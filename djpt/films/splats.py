@@ -68,16 +68,16 @@ class Splats:
         whole = [Int64(dr.round(c)) for c in color]
         dr.scatter_add(self.memory, Array4i64(*whole, Int64(0)), pixel, active)
 
-    def sums(self, layer: int = 0) -> list[Float]:
+    def sums(self, layer: int = 0, continued: bool = False) -> list[Float]:
         """The three channels of a layer, pixel by pixel.
 
-        Where a film has no samples outside of the crop, pixels near the border are divided by the share of the filter
-        that lies inside: like those of camera samples, their weights sum up to 1.
+        Pixels near the border are divided by the share of the filter that lies inside, so that the weights of what
+        they receive sum up to 1; unless it is `continued` outside, by other samples that count there.
         """
         pixels = dr.width(self.memory) // (4 * self._layers)
         pixel = dr.arange(UInt32, pixels)
         inverse = Float64(1) / Float64(self._scale)
-        if self._film.filters and not self._film.border:
+        if self._film.filters and not continued:
             row = pixel // self._columns
             inside = self._inside(pixel - row * self._columns, self._columns) * self._inside(row, self._rows)
             inverse = inverse / Float64(inside)

@@ -96,6 +96,7 @@ def test_sensors_and_filters(rfilter: str, sensor: dict[str, Any]) -> None:
         "crop_offset_x": 3,
         "crop_width": 16,
         "rfilter": {"type": rfilter},
+        "sample_border": rfilter == "mitchell",
     }
     scene = floor_scene(sensor={**sensor, "film": film})
     if sensor["type"] == "orthographic":
