@@ -11,6 +11,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
+from djpt.frame import Frame3f
 from djpt.integrators.both_ends import End, Scattering, balance, evaluate, meeting, mis_weight, power, scatter
 from djpt.integrators.splatting import Sink, SplattingIntegrator
 from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
@@ -29,7 +30,7 @@ from djpt.records import (
 from djpt.records.record import Record
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -41,15 +42,42 @@ JOINED = 32
 
 
 class LightVertex(Record):
-    """A vertex of a light path, as local memory keeps it: see `End`, and `Scene.revisit`."""
+    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there.
+
+    What nobody reads costs nothing: LLVM leaves it out.
+    """
 
     p: Point3f
-    d: Vector3f
+    n: Normal3f
+    sh_frame: Frame3f
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    prim_uv: Point2f
+    wi: Vector3f
+    face: UInt32
+    shape_index: UInt32
     flux: Color3f
     vcm: Float
     vc: Float
-    face: UInt32
     depth: UInt32
+
+    @staticmethod
+    def at(si: SurfaceInteraction3f, end: End, flux: Color3f) -> LightVertex:
+        """The vertex `si`, where the `end` of a light path has arrived with a flux."""
+        kept = {name: getattr(si, name) for name in SURFACE}
+        vertex: LightVertex = LightVertex.holding(**kept, flux=flux, vcm=end.vcm, vc=end.vc, depth=end.depth)
+        return vertex
+
+    def surface(self, scene: Scene) -> SurfaceInteraction3f:
+        """The surface point."""
+        kept = {name: getattr(self, name) for name in SURFACE}
+        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=(), home={scene: ()})
+        return si
+
+
+SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
+"""The fields of a surface point that BSDFs look at."""
 
 
 @dataclass
@@ -121,12 +149,6 @@ class BidirectionalPath(SplattingIntegrator):
             raise RenderError(
                 f"'bdpt' doesn't follow light through scattering media, found {', '.join(scattering)}; "
                 "possible: the integrator 'volpath'"
-            )
-        if scene.geometry.contents.placed:
-            found = scene.geometry.contents.placed[0].id()
-            raise RenderError(
-                f"'bdpt' can't join paths at instances of meshes, found {found}; "
-                "possible: 'path', or a mesh for each instance"
             )
         super().check_scene(scene, sensor)
 
@@ -202,10 +224,7 @@ class BidirectionalPath(SplattingIntegrator):
         on = lane.active & si.is_valid()
         joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
         flux = end.throughput * power
-        vertex = LightVertex.holding(
-            p=si.p, d=lane.end.ray.d, flux=flux, vcm=end.vcm, vc=end.vc, face=si.face, depth=end.depth
-        )
-        lane.vertices.write(vertex, lane.count, joins)
+        lane.vertices.write(LightVertex.at(si, end, flux), lane.count, joins)
 
         to_camera = si.wi
         if camera.can_be_reached:
@@ -305,7 +324,7 @@ class BidirectionalPath(SplattingIntegrator):
 
     def connection(self, scene: Scene, end: End, si: SurfaceInteraction3f, v: LightVertex) -> tuple[Color3f, Float]:
         """What the vertex `v` of the light path sends back along a camera path that has reached `si`; its weight."""
-        lit = scene.revisit(v.p, v.d, v.face)
+        lit = v.surface(scene)
         to_light = v.p - si.p
         falloff = dr.rcp(dr.squared_norm(to_light))
         d = to_light * dr.sqrt(falloff)
@@ -316,10 +335,9 @@ class BidirectionalPath(SplattingIntegrator):
         value = scene.light_between(si.spawn_ray_to(lit.offset_p(-d)), value)
         at_light = pdf * dr.abs(dr.dot(lit.n, d)) * falloff
         at_camera = sent_pdf * dr.abs(dr.dot(si.n, d)) * falloff
-        others = meeting(v.vcm, v.vc, at_light, sent_back, self.h) + meeting(
-            end.vcm, end.vc, at_camera, pdf_back, self.h
-        )
-        return value, mis_weight(others)
+        by_light = meeting(v.vcm, v.vc, at_light, sent_back, self.h)
+        by_camera = meeting(end.vcm, end.vc, at_camera, pdf_back, self.h)
+        return value, mis_weight(by_light + by_camera)
 
     # ---- either way --------------------------------------------------------------------
 

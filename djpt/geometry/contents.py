@@ -59,8 +59,7 @@ class Contents:
         self.analytic = [i for i in analytic if i not in set(self._solids)]
         """Indices of the shapes to be unrolled."""
         self._meshes = [i for i, s in enumerate(self.shapes) if s.of_triangles]
-        self.placed = [i for i in self._instances if i.group in self._groups]
-        """The instances that the trees place, whose points can't be met again: see `Scene.revisit`."""
+        self._placed = [i for i in self._instances if i.group in self._groups]
         solids = [self.shapes[i] for i in self._solids]
         self.bounding = [*(s for s in shapes if s.of_triangles or isinstance(s, Instance)), *solids]
         """The shapes beside the unrolled ones that make up the scene's extent."""
@@ -79,7 +78,7 @@ class Contents:
         mesh_set = MeshSet(meshes)
         world = sum(s.of_triangles for s in self._own)
         parts = [world, *(sum(s.of_triangles for s in group.shapes) for group in self._groups)]
-        placements = [Placement(self._groups.index(i.group) + 1, i.to_world.matrix) for i in self.placed]
+        placements = [Placement(self._groups.index(i.group) + 1, i.to_world.matrix) for i in self._placed]
         self._forest = Forest(mesh_set, parts, solids, placements)
         return Triangles(mesh_set, [*self._meshes, *self._solids], self._forest)
 
@@ -94,7 +93,7 @@ class Contents:
         place = {id(shape): i for i, shape in enumerate(self._own)}
         of_copy = {id(copied): place[id(instance)] for instance, _, copied in self._copied}
         by_shape = Numbers([of_copy.get(id(shape), NO_INSTANCE) for shape in self.shapes])
-        return by_shape, Numbers([place[id(instance)] for instance in self.placed])
+        return by_shape, Numbers([place[id(instance)] for instance in self._placed])
 
     def _for_tree(self, analytic: Sequence[int]) -> list[int]:
         """The analytic shapes that stand in the BVH, by index: none of a few, most of many.
@@ -118,9 +117,9 @@ class Contents:
 
     def moved_instances(self, changed: Sequence[Shape]) -> bool:
         """Tell the trees where the changed instances are; true if one of them has changed."""
-        moved = [s for s in changed if isinstance(s, Instance) and s in self.placed]
+        moved = [s for s in changed if isinstance(s, Instance) and s in self._placed]
         for instance in moved:
-            self._forest.place(self.placed.index(instance), instance.to_world.matrix)
+            self._forest.place(self._placed.index(instance), instance.to_world.matrix)
         return bool(moved)
 
     def moved_solids(self, changed: Sequence[Shape]) -> bool:

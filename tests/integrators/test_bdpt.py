@@ -135,6 +135,14 @@ def test_materials(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_meshes_and_instances(tmp_path: Path) -> None:
+    """Smooth normals, vertex colours, copies of a ball."""
+    scene = instances(tmp_path)
+    scene["sensor"]["film"].update(width=16, height=16)
+    check(scene, 4, 128)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(djpt.scenes.SCENES))
 def test_built_in_scenes(name: str) -> None:
     """16 million samples of `bdpt`; pixels at the edge of a lamp are too noisy to tell anything."""
@@ -252,7 +260,7 @@ def test_coverage_is_that_of_path() -> None:
         np.testing.assert_allclose(a[..., 3], b[..., 3], atol=1e-6)
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_what_is_refused() -> None:
     fog = {"type": "homogeneous", "albedo": 0.8, "sigma_t": 1.0}
     scene = floor_scene(size=4)
     scene["ball"].update(bsdf={"type": "null"}, interior={**fog, "id": "fog"})
@@ -260,7 +268,5 @@ def test_what_is_refused(tmp_path: Path) -> None:
         RenderError, match=r"'bdpt' doesn't follow light through scattering media, found .*fog.*volpath"
     ):
         djpt.render(djpt.load_dict(scene), integrator=djpt.load_dict({"type": "bdpt"}), spp=1)
-    with pytest.raises(RenderError, match="'bdpt' can't join paths at instances of meshes, found"):
-        djpt.render(djpt.load_dict(instances(tmp_path)), integrator=djpt.load_dict({"type": "bdpt"}), spp=1)
     with pytest.raises(SceneError, match="heuristic"):
         djpt.load_dict({"type": "bdpt", "heuristic": "maximum"})
