@@ -195,7 +195,7 @@ def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tupl
     """
     film = find_sensor(scene, sensor).film()
     estimator = find_integrator(scene, integrator)
-    return image_channels(film, estimator) + tuple(estimator.unfiltered_names())
+    return (*image_channels(film, estimator), *estimator.unfiltered_names(), *estimator.layer_names())
 
 
 def prepare_to_record(scene: Scene) -> None:

@@ -323,7 +323,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if through_lights:
             free = ~self.closest_hit(ray, through_lights=Bool(True)).is_valid()
         else:
-            free = ~self.geometry.any_hit(ray)
+            free = ~self.geometry.any_hit(ray, dr.max(light) > 0)
         return dr.select(free, self.left_by_media(ray, light), 0)
 
     def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:

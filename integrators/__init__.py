@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from djpt.integrators.base import PathIntegrator as PathIntegrator
     from djpt.integrators.base import PathState as PathState
     from djpt.integrators.base import Vertex as Vertex
+    from djpt.integrators.bdpt import BidirectionalPath as BidirectionalPath
     from djpt.integrators.depth import Depth as Depth
     from djpt.integrators.direct import Direct as Direct
     from djpt.integrators.distributed import Distributed as Distributed
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from djpt.integrators.prbvolpath import PRBVolumetricPath as PRBVolumetricPath
     from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
     from djpt.integrators.raycast import Raycast as Raycast
+    from djpt.integrators.splatting import SplattingIntegrator as SplattingIntegrator
     from djpt.integrators.unidirectional import UnidirectionalPath as UnidirectionalPath
     from djpt.integrators.volpath import VolumetricPath as VolumetricPath
     from djpt.integrators.volpathmis import VolumetricPathMIS as VolumetricPathMIS

@@ -176,6 +176,10 @@ class Integrator(Plugin):
         """Names of channels, after all others, that come from one ray through the centre of each pixel."""
         return ()
 
+    def layer_names(self) -> Sequence[str]:
+        """Names of the channels of further images, after all others: see `SplattingIntegrator`."""
+        return ()
+
     def unfiltered_channels(self, scene: Scene, ray: Ray3f) -> list[Float]:
         """The values of the channels `unfiltered_names` along `ray`."""
         return []

@@ -15,8 +15,9 @@ from djpt.integrators.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.path import Path
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
 from djpt.kernels import maximum
-from djpt.materials.adjoint import side_correction
-from djpt.records import RAY_EPSILON, BSDFContext, Ray3f, SurfaceInteraction3f, TransportMode
+from djpt.materials.adjoint import eval_pdf_light, sample_light
+from djpt.materials.base import BSDF
+from djpt.records import RAY_EPSILON, BSDFSample3f, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
@@ -61,7 +62,8 @@ class ParticleTracer(PassIntegrator):
     or `power`). `spp` light paths are traced per pixel of the image.
 
     J. Arvo, "Backward Ray Tracing", 1986; P. Dutré, E. Lafortune and Y. Willems, "Monte Carlo Light Tracing with Direct
-    Computation of Pixel Intensities", 1993; the correction for shading normals is that of E. Veach, 1997, 5.3.2.
+    Computation of Pixel Intensities", 1993; at shading normals light is scattered as in
+    `djpt.materials.adjoint`.
     """
 
     lengthless = True
@@ -138,22 +140,25 @@ class ParticleTracer(PassIntegrator):
     ) -> LightVertex:
         """Process the hit (or miss) `si` of a path's ray; `camera` is the sensor with opaque values."""
         max_depth = UNBOUNDED if self.max_depth < 0 else self.max_depth
-        ctx = BSDFContext(TransportMode.Importance)
         proceed = si.is_valid() & (path.depth < max_depth)
 
         # ------------------ To the camera ---------------------
         ds, importance = camera.look_from(si.p, sampler.next_2d())
         to_camera = si.to_local(ds.d)
-        value, _, bs, weight = si.bsdf().eval_pdf_sample(
-            ctx, si, to_camera, sampler.next_1d(), sampler.next_2d(), proceed
-        )
-        splat = path.flux * value * (importance * side_correction(si, path.ray.d, ds.d, to_camera))
+        sample1, sample2 = sampler.next_1d(), sampler.next_2d()
+
+        def method(bsdf: BSDF) -> tuple[Color3f, BSDFSample3f, Color3f]:
+            value, _, _ = eval_pdf_light(bsdf, si, to_camera, proceed)
+            return value, *sample_light(bsdf, si, sample1, sample2, proceed)
+
+        value, bs, weight = si.bsdf().visit(method, proceed)
+        splat = path.flux * value * importance
         if self.hide_emitters:
             splat = dr.select(si.emitter().is_valid(), 0, splat)
 
         # -------------------- BSDF sampling -------------------
         d = si.to_world(bs.wo)
-        flux = path.flux * weight * side_correction(si, path.ray.d, d, bs.wo)
+        flux = path.flux * weight
         eta = None if path.eta is None else path.eta * bs.eta
 
         # ------------------ Russian roulette ------------------

@@ -43,6 +43,9 @@ class BSDF(Plugin):
     absorbs: bool = False
     """Whether light is attenuated within the body that the surface encloses: see `transmittance`."""
 
+    symmetric: ClassVar[bool] = True
+    """Whether f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`."""
+
     m_flags: int = int(BSDFFlags.Empty)
     """Flags beside those of the lobes; scripts written for Mitsuba set them all."""
     m_components: Sequence[int] = ()
@@ -51,6 +54,16 @@ class BSDF(Plugin):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         accept_scripts(cls, CONVERSIONS)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """True if light can be followed from lamps by `sample`: the BSDF and those nested in it are symmetric.
+
+        Those of scripts, which may be anything, are taken not to be: see `djpt.materials.adjoint`.
+        """
+        nested = (getattr(self, name, None) for name in self.children)
+        own = self.symmetric and type(self).__module__.startswith("djpt.")
+        return own and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
 
     def components(self) -> tuple[int, ...]:
         """The `BSDFFlags` of each lobe, numbered as in `BSDFSample3f.sampled_component`."""

@@ -76,6 +76,7 @@ class Hair(SharedWorkBSDF):
     }
     children = ("sigma_a",)
     statics: ClassVar[Sequence[str]] = ("use_pigmentation",)
+    symmetric = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

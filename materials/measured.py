@@ -42,6 +42,8 @@ class Measured(SharedWorkBSDF):
     and `sigma` (rows, columns). There are no parameters to edit.
     """
 
+    symmetric = False
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         try:

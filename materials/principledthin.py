@@ -84,6 +84,7 @@ class PrincipledThin(PrincipledBase):
         "diffuse_transmittance_sampling_rate": ParamFlags.NonDifferentiable,
     }
     children = ("base_color", "roughness", "eta", *optional)
+    symmetric = False
 
     specular_reflectance_sampling_rate: Float
     specular_transmittance_sampling_rate: Float

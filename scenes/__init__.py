@@ -9,7 +9,10 @@ from djpt.lazy import lazily
 if __name__ != "djpt.scenes":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.scenes instead")
 
-NAMES = ("cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "furnace", "shader_ball", "stage")
+NAMES = (
+    *("cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "door_ajar", "fixture", "furnace", "glass_ball"),
+    *("lamp_in_glass", "shader_ball", "stage"),
+)
 """The keys of `SCENES`, for commands that need one of them only."""
 
 if TYPE_CHECKING:
@@ -19,6 +22,10 @@ if TYPE_CHECKING:
     from djpt.scenes.cornell import cornell_box_boxfilter as cornell_box_boxfilter
     from djpt.scenes.cornell import cornell_box_spheres as cornell_box_spheres
     from djpt.scenes.gallery import shader_ball as shader_ball
+    from djpt.scenes.light_paths import door_ajar as door_ajar
+    from djpt.scenes.light_paths import fixture as fixture
+    from djpt.scenes.light_paths import glass_ball as glass_ball
+    from djpt.scenes.light_paths import lamp_in_glass as lamp_in_glass
     from djpt.scenes.stages import sky as sky
     from djpt.scenes.stages import stage as stage
 else:

@@ -19,7 +19,10 @@ from djpt.files import reason
 
 __all__ = ["COMMANDS", "app", "main", "run"]
 
-COMMANDS = ("render", "tonemap", "compare", "info", "scenes", "gallery", "doctor", "ladder", "bounces", "spp")
+COMMANDS = (
+    *("render", "tonemap", "compare", "info", "scenes", "gallery", "doctor", "ladder", "bounces", "spp"),
+    "strategies",
+)
 """The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``."""
 
 

@@ -10,12 +10,12 @@ import djpt
 from djpt.errors import RenderError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import check_writable
-from djpt.images.sheets import captioned_sheet
+from djpt.images.sheets import captioned_rows, captioned_sheet
 
 if TYPE_CHECKING:
     from djpt.images.sheets import Tile
 
-__all__ = ["checked", "write"]
+__all__ = ["checked", "write", "write_rows"]
 
 
 def checked(target: Path) -> Path:
@@ -34,6 +34,17 @@ def checked(target: Path) -> Path:
 def write(target: Path, tiles: list[Tile], columns: int | None, start: float, quiet: bool) -> None:
     """Write the strip, and print its size and the time since `start`, of `time.perf_counter`."""
     djpt.write(target, captioned_sheet(tiles, columns))
+    report(target, tiles, start, quiet)
+
+
+def write_rows(target: Path, rows: list[list[Tile]], start: float, quiet: bool) -> None:
+    """The same for rows of different lengths, which stand in the middle."""
+    djpt.write(target, captioned_rows(rows))
+    report(target, [tile for row in rows for tile in row], start, quiet)
+
+
+def report(target: Path, tiles: list[Tile], start: float, quiet: bool) -> None:
+    """Print the size of a strip and the time since `start`, unless all is to be `quiet`."""
     if not quiet:
         height, width, _ = tiles[0].picture.shape
         print(f"{target}: {len(tiles)} pictures of {width} x {height}, {time.perf_counter() - start:.2f} s")

@@ -18,23 +18,27 @@ __all__ = ["Splats"]
 DIGITS = 32
 """Binary digits behind the point, in units of `unit`: as many are left before it, less one."""
 
+STEPS = 64
+"""Places on a pixel at which filters are looked at to find the share of them that lies inside of the film."""
+
 
 class Splats:
-    """The sums of three channels per pixel of the crop window, as whole numbers."""
+    """The sums of three channels per pixel of the crop window, as whole numbers; in one or more layers."""
 
-    def __init__(self, film: Film, unit: float) -> None:
+    def __init__(self, film: Film, unit: float, layers: int = 1) -> None:
         """`unit`: a colour of usual size, which decides on the digits; a power of two."""
         self._film = film
         width, height = film.crop_size()
         self._size = Point2f(as_float(width), as_float(height))
         self._columns, self._rows = dr.opaque(UInt32, width), dr.opaque(UInt32, height)
         self._scale = as_float(2.0**DIGITS / unit)
+        self._layers, self._pixels = layers, dr.opaque(UInt32, width * height)
         # One number in four is only there to make a packet.
-        self.memory = dr.zeros(Int64, 4 * width * height)
+        self.memory = dr.zeros(Int64, 4 * width * height * layers)
         dr.eval(self.memory)
 
-    def add(self, position: Point2f, color: Color3f, active: Bool) -> None:
-        """Add a colour at a position in [0, 1)^2 of the crop window.
+    def add(self, position: Point2f, color: Color3f, active: Bool, layer: UInt32 | int = 0) -> None:
+        """Add a colour at a position in [0, 1)^2 of the crop window, to the first layer or to another one.
 
         It is weighted with the film's filter, whose weights are made to sum up to 1.
         """
@@ -42,25 +46,33 @@ class Splats:
         column, row = UInt32(x), UInt32(y)
         color = color * self._scale
         film = self._film
+        first = UInt32(0) if self._layers == 1 else layer * self._pixels
         if not film.filters:
-            self._add(row * self._columns + column, color, active)
+            self._add(first + row * self._columns + column, color, active)
             return
         if is_wide(film.taps):
-            self._add_widely(x, y, color, active)
+            self._add_widely(first, x, y, color, active)
             return
-        reach, weight = film.taps // 2, film.rfilter().eval
+        reach, steps = film.taps // 2, range(film.taps)
         # Before the first column and row the numbers wrap around to large ones.
-        column, row, steps = column - reach, row - reach, range(2 * reach + 1)
-        in_x = [weight(x - dr.floor(x) + (reach - i - 0.5)) for i in steps]
-        in_y = [weight(y - dr.floor(y) + (reach - j - 0.5)) for j in steps]
+        column, row = column - reach, row - reach
+        in_x, in_y = self._weights(x), self._weights(y)
         color = color * dr.rcp(sum(in_x[1:], in_x[0]) * sum(in_y[1:], in_y[0]))
         for j, wy in zip(steps, in_y, strict=True):
             for i, wx in zip(steps, in_x, strict=True):
                 inside = (column + i < self._columns) & (row + j < self._rows)
-                self._add((row + j) * self._columns + (column + i), color * (wx * wy), active & inside)
+                self._add(first + (row + j) * self._columns + (column + i), color * (wx * wy), active & inside)
 
-    def _add_widely(self, x: Float, y: Float, color: Color3f, active: Bool) -> None:
-        """Add a colour at a place in pixels by loops over the pixels in reach, too many to be unrolled."""
+    def _weights(self, place: Float) -> list[Float]:
+        """The filter's weights at the pixels about a column or row, the farthest before it first."""
+        weight, reach = self._film.rfilter().eval, self._film.taps // 2
+        return [weight(place - dr.floor(place) + (reach - i - 0.5)) for i in range(self._film.taps)]
+
+    def _add_widely(self, first: UInt32, x: Float, y: Float, color: Color3f, active: Bool) -> None:
+        """Add a colour at a place in pixels by loops over the pixels in reach, too many to be unrolled.
+
+        `first` is the layer's first pixel.
+        """
         weight, taps = self._film.rfilter().eval, dr.opaque(UInt32, self._film.taps)
         reach = taps // 2
         column, row, edge = UInt32(x) - reach, UInt32(y) - reach, Float(reach) - 0.5
@@ -79,7 +91,7 @@ class Splats:
             i = n - j * taps
             inside = (column + i < self._columns) & (row + j < self._rows)
             part = color * (weight(left - Float(i)) * weight(top - Float(j)))
-            self._add((row + j) * self._columns + (column + i), part, active & inside)
+            self._add(first + (row + j) * self._columns + (column + i), part, active & inside)
             return (n + 1,)
 
         while_loop((dr.zeros(UInt32, lanes),), lambda n: n < taps * taps, visit, label="wide splat")
@@ -88,8 +100,26 @@ class Splats:
         whole = [Int64(dr.round(c)) for c in color]
         dr.scatter_add(self.memory, Array4i64(*whole, Int64(0)), pixel, active)
 
-    def sums(self) -> list[Float]:
-        """The three channels, pixel by pixel."""
-        pixel = dr.arange(UInt32, dr.width(self.memory) // 4)
+    def sums(self, layer: int = 0, continued: bool = False) -> list[Float]:
+        """The three channels of a layer, pixel by pixel.
+
+        Pixels near the border are divided by the share of the filter that lies inside, so that the weights of what
+        they receive sum up to 1; unless it is `continued` outside, by other samples that count there.
+        """
+        pixels = dr.width(self.memory) // (4 * self._layers)
+        pixel = dr.arange(UInt32, pixels)
         inverse = Float64(1) / Float64(self._scale)
-        return [Float(Float64(dr.gather(Int64, self.memory, 4 * pixel + c)) * inverse) for c in range(3)]
+        if self._film.filters and not continued:
+            row = pixel // self._columns
+            inside = self._inside(pixel - row * self._columns, self._columns) * self._inside(row, self._rows)
+            inverse = inverse / Float64(inside)
+        entry = 4 * (pixel + dr.opaque(UInt32, layer * pixels))
+        return [Float(Float64(dr.gather(Int64, self.memory, entry + c)) * inverse) for c in range(3)]
+
+    def _inside(self, place: UInt32, count: UInt32) -> Float:
+        """The share of the filter that lies within the `count` columns or rows, for the pixel at each `place`."""
+        weights = self._weights((dr.arange(Float, STEPS) + 0.5) / STEPS)
+        total, reach = sum(weights[1:], weights[0]), self._film.taps // 2
+        shares = [dr.mean(weight / total) for weight in weights]
+        # Light from `reach - i` pixels further on; before the first one numbers wrap around to large ones.
+        return sum((dr.select(place + reach - i < count, share, 0) for i, share in enumerate(shares)), Float(0))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-__all__ = ["DARK", "LIGHT", "Palette", "Tile", "captioned_sheet", "fitting_font", "shown"]
+__all__ = ["DARK", "LIGHT", "Palette", "Tile", "captioned_rows", "captioned_sheet", "fitting_font", "shown"]
 
 Bytes = npt.NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -63,22 +63,35 @@ def captioned_sheet(tiles: Sequence[Tile], columns: int | None = None, palette: 
         columns: Tiles in a row (default: all).
         palette: The colours of paper and captions.
     """
+    columns = min(columns or len(tiles), len(tiles))
+    return captioned_rows([tiles[i : i + columns] for i in range(0, len(tiles), columns)], palette, centred=False)
+
+
+def captioned_rows(rows: Sequence[Sequence[Tile]], palette: Palette = LIGHT, *, centred: bool = True) -> Bytes:
+    """Put rows of tiles below each other, with their captions: (H, W, 3) bytes of sRGB.
+
+    Args:
+        rows: The rows; all pictures have the same size.
+        palette: The colours of paper and captions.
+        centred: Whether shorter rows stand in the middle; else they begin on the left.
+    """
     from PIL import Image as Picture
     from PIL import ImageDraw
 
-    columns = min(columns or len(tiles), len(tiles))
-    height, width, _ = tiles[0].picture.shape
+    columns = max(len(row) for row in rows)
+    height, width, _ = rows[0][0].picture.shape
     gap, text = max(2, width // 20), max(9, width // 14)
     caption = round(2.9 * text)
-    rows = -(-len(tiles) // columns)
-    size = (columns * (width + gap) + gap, rows * (height + caption + gap) + gap)
+    size = (columns * (width + gap) + gap, len(rows) * (height + caption + gap) + gap)
     page = Picture.new("RGB", size, palette.paper)
     draw = ImageDraw.Draw(page)
-    for i, tile in enumerate(tiles):
-        x, y = gap + i % columns * (width + gap), gap + i // columns * (height + caption + gap)
-        page.paste(Picture.fromarray(tile.picture), (x, y))
-        write_line(draw, tile.title, (x, y + height + 0.25 * text), width, text + 1, palette.title)
-        write_line(draw, tile.subtitle, (x, y + height + 1.5 * text), width, text, palette.subtitle)
+    for j, row in enumerate(rows):
+        left = gap + centred * (columns - len(row)) * (width + gap) // 2
+        for i, tile in enumerate(row):
+            x, y = left + i * (width + gap), gap + j * (height + caption + gap)
+            page.paste(Picture.fromarray(tile.picture), (x, y))
+            write_line(draw, tile.title, (x, y + height + 0.25 * text), width, text + 1, palette.title)
+            write_line(draw, tile.subtitle, (x, y + height + 1.5 * text), width, text, palette.subtitle)
     return np.array(page)
 
 

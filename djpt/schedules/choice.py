@@ -11,7 +11,13 @@ from djpt.schedules.job import Job
 
 __all__ = ["choose"]
 
-SCHEDULES = {"machine": "Machine", "flat": "Flat", "progressive": "Progressive", "wave": "Wave"}
+SCHEDULES = {
+    "machine": "Machine",
+    "flat": "Flat",
+    "progressive": "Progressive",
+    "splatting": "Splatting",
+    "wave": "Wave",
+}
 """The modules of the schedules and their classes, the fastest first."""
 FOR_LANES = {"wavefront": "Wavefront"}
 """The one for samplers that are nothing but a stream of lanes."""

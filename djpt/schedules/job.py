@@ -149,6 +149,10 @@ class Job:
             ray.time = dr.fma(moment, self._shutter_open_time, self._shutter_open)
         return ray
 
+    def in_crop(self, x: Float, y: Float, offset: Point2f) -> Point2f:
+        """The position on the crop window, [0, 1)^2, of a place on the pixel of the grid in column `x` and row `y`."""
+        return Point2f(x + offset.x - self._border, y + offset.y - self._border) * self._inverse_crop
+
     def on_film(self, column: Float, row: Float) -> Point2f:
         """The position on the whole film, in pixels, of the corner of a pixel of the grid."""
         return Point2f(column, row) + self._origin

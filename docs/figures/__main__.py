@@ -7,6 +7,7 @@ import sys
 
 import box
 import cards
+import ends
 import estimators
 import illumination
 import mist
@@ -19,7 +20,7 @@ from places import IMAGES
 
 FIGURES = {
     name: getattr(module, name)
-    for module in (proof, box, surfaces, illumination, mist, vapour, observers, estimators, slopes, cards)
+    for module in (proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes, cards)
     for name in module.__all__
 }
 """All figures by name; `cards` comes last, as it is cut from the others."""

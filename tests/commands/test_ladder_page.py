@@ -296,6 +296,8 @@ def test_the_commands_write_what_they_say(tmp_path: Path, monkeypatch: pytest.Mo
     assert "<h1>cornell_box</h1>" in Path("ladder.html").read_text()
     code, out, _ = run("bounces", "cornell_box", "--max-depth", "3", "--spp", "2", "--size", "8", "--exposure", "auto")
     assert code == ExitCode.DONE and out.startswith("bounces.png: 4 pictures of 8 x 8, ")
+    code, out, _ = run("strategies", "cornell_box", "--max-depth", "2", "--spp", "2", "--size", "8")
+    assert code == ExitCode.DONE and out.startswith("strategies.png: 6 pictures of 8 x 8, ")
     assert read_pixels("bounces.png").shape[2] == 3
     code, out, _ = run("spp", "cornell_box", "--most", "16", "--size", "8", "--integrator", "path_nee", "-o", "a.jpg")
     assert code == ExitCode.DONE and out.startswith("a.jpg: 2 pictures of 8 x 8, ")
@@ -312,6 +314,7 @@ def test_the_commands_write_what_they_say(tmp_path: Path, monkeypatch: pytest.Mo
         (["ladder", "cornell_box", "-o", "no/a.html"], "there is no folder 'no'"),
         (["bounces", "cornell_box", "-o", "a.exr"], "a strip has labels, it is written as png or jpg, found 'a.exr'"),
         (["bounces", "cornell_box", "--max-depth", "99"], "needs a 'max_depth' from 1 to 32, found 99"),
+        (["strategies", "cornell_box", "--max-depth", "9"], "needs a 'max_depth' from 2 to 8, found 9"),
         (["bounces", "cornell_box", "--exposure", "much", "--size", "4"], "found 'much'"),
         (["spp", "cornell_box", "--integrator", "paht"], "did you mean 'path'?"),
         (["spp", "cornell_box", "--repeats", "0"], "--repeats must be at least 1, found 0"),

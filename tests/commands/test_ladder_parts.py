@@ -8,10 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from djpt.images.sheets import captioned_sheet
+from djpt.images.sheets import Tile, captioned_rows, captioned_sheet
 from djpt.validation.ladder.curves import LINE, Curve, chart, plain, spread
 from djpt.validation.ladder.page import decimals
 from djpt.validation.ladder.pictures import ERROR_COLORS, error_map
+from djpt.validation.ladder.pyramid import pyramid
 from djpt.validation.ladder.strips import bounces, samples
 
 # ---------------------------------------------------------------- the page
@@ -100,3 +101,26 @@ def test_a_strip_holds_its_pictures_in_rows() -> None:
     for i, panel in enumerate(panels):
         left = 2 + i * 42
         np.testing.assert_array_equal(row[2:42, left : left + 40], panel.picture)
+
+
+# ---------------------------------------------------------------- strategies
+
+
+def test_a_pyramid_has_a_row_for_each_length() -> None:
+    rows = pyramid("cornell_box", 3, 16, width=12, exposure=0)
+    assert [[tile.title for tile in row] for row in rows[:2]] == [
+        ["s = 0, t = 3", "s = 1, t = 2", "s = 2, t = 1"],
+        ["s = 0, t = 4", "s = 1, t = 3", "s = 2, t = 2", "s = 3, t = 1"],
+    ]
+    assert [row[0].subtitle for row in rows] == ["weighted", "weighted", "alone", "alone"]
+    weighted, alone = rows[0][1].picture.astype(int), rows[2][1].picture.astype(int)
+    assert 0 < weighted.sum() < alone.sum() and (weighted <= alone).all()
+
+
+def test_shorter_rows_stand_in_the_middle() -> None:
+    tile = Tile("a", "b", np.full((10, 10, 3), 7, np.uint8))
+    page = captioned_rows([[tile], [tile, tile, tile]])
+    inked = (page == 7).all(axis=2)
+    columns = np.flatnonzero(inked[:20].any(axis=0))
+    assert columns.min() + columns.max() + 1 == page.shape[1]
+    assert inked.sum() == 400

@@ -40,6 +40,7 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "a mesh": lambda: box(8, "gaussian", edit=with_mesh),
     "several channels": lambda: box(8, "gaussian", AREAS),
     "light paths": lambda: box(8, "gaussian", {"type": "ptracer"}),
+    "both ends": lambda: box(8, "gaussian", {"type": "bdpt"}),
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 
 import djpt
 from djpt.films.splats import Splats
-from djpt.integrators import PassIntegrator, PathState, UnidirectionalPath, Vertex
+from djpt.integrators import PassIntegrator, PathState, SplattingIntegrator, UnidirectionalPath, Vertex
 from djpt.integrators.passes import LightPath, Walks
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
@@ -227,3 +228,37 @@ def test_passes_refuse_other_schedules() -> None:
     djpt.register_integrator("emitted", Emitted)
     with pytest.raises(djpt.RenderError, match="vertex by vertex"):
         djpt.render(djpt.load_dict(box(8)), spp=2, integrator=djpt.load_dict({"type": "emitted"}), schedule="flat")
+
+
+# ---------------------------------------------------------------- samples that light other pixels
+
+
+class Scattered(SplattingIntegrator):
+    """Half of the light of a white film in the pixels themselves, the other half at mirrored places; beyond it, all."""
+
+    def layer_names(self) -> Sequence[str]:
+        return ["left.R", "left.G", "left.B"]
+
+    def splat_sample(
+        self, scene: Any, camera: Any, sampler: Any, ray: Ray3f, position: Point2f, sink: Any
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        inside = (position.x >= 0) & (position.x < 1) & (position.y >= 0) & (position.y < 1)
+        sink.add(Point2f(1 - position.x, position.y), Color3f(0.5), inside & (position.x > 0))
+        sink.add(position, Color3f(1), inside & (position.x < 0.5), UInt32(1))
+        return dr.select(inside, Color3f(0.5), 1), Bool(True), []
+
+
+@pytest.mark.parametrize("sample_border", [False, True])
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_samples_light_other_pixels(rfilter: str, sample_border: bool) -> None:
+    djpt.register_integrator("scattered", Scattered)
+    scene = box(8, rfilter)
+    scene["sensor"]["film"]["sample_border"] = sample_border
+    loaded, integrator = djpt.load_dict(scene), djpt.load_dict({"type": "scattered"})
+    names = djpt.channel_names(loaded, integrator=integrator)
+    assert names == ("R", "G", "B", "left.R", "left.G", "left.B")
+    image = np.array(djpt.render(loaded, integrator=integrator, spp=4096))
+    assert image.shape == (8, 8, 6)
+    np.testing.assert_allclose(image[..., :3], 1, atol=0.03)
+    np.testing.assert_allclose(image[:, :2, 3:], 1, atol=0.06)
+    np.testing.assert_allclose(image[:, 6:, 3:], 0, atol=1e-3)

@@ -84,7 +84,7 @@ BY_LIGHT_SAMPLES: list[Keys] = [
 ]
 
 
-FROM_LIGHTS: list[Keys] = [{"type": "ptracer", "rr_depth": 99}]
+FROM_LIGHTS: list[Keys] = [{"type": "ptracer", "rr_depth": 99}, {"type": "bdpt", "rr_depth": 99}]
 
 
 def render(scene: Keys, integrator: Keys, depth: int, spp: int) -> Batches:

@@ -96,6 +96,7 @@ def images(folder: Path) -> dict[str, np.ndarray]:
         "environment map": lambda: ours(outdoors, 8, SEED),
         "features": lambda: ours(box(32, integrator=aovs), 4, SEED),
         "light paths": lambda: ours(box(32, integrator={"type": "ptracer", "max_depth": 5}), 16, SEED),
+        "both ends": lambda: ours(box(32, integrator={"type": "bdpt", "max_depth": 5}), 16, SEED),
         "textures": lambda: ours(room(bitmap(texels(5, 7, 3)), bitmap(texels(3, 2, 1))), 8, SEED),
         "meshes": lambda: ours(meshes, 8, SEED),
         "meshes, lanes as pixels": lambda: ours(meshes, 8, SEED, schedule="flat"),

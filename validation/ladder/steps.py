@@ -162,6 +162,14 @@ STEPS: tuple[Step, ...] = (
         (DEPTH, ROULETTE, HIDE),
         has_mirrors,
     ),
+    Step(
+        "bdpt",
+        "bdpt",
+        "Paths from the lights and from the camera, joined in all ways.",
+        "caustics of point, spot and directional lamps in mirrors and panes",
+        (DEPTH, ROULETTE, HIDE),
+        has_caustics_of_points,
+    ),
 )
 """The steps, from the simplest algorithm to the most capable one."""
 

@@ -1,0 +1,61 @@
+"""The splatting schedule: a lane is a sample, which adds light to other pixels, too."""
+
+from __future__ import annotations
+
+import drjit as dr
+
+from djpt.films.splats import Splats
+from djpt.integrators.splatting import SplattingIntegrator
+from djpt.schedules.base import Schedule
+from djpt.schedules.canvas import image_of_rows, picture
+from djpt.schedules.job import Band, Job
+from djpt.schedules.lanes import grouped
+from djpt.schedules.passes import stored_rows
+from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
+
+__all__ = ["Splatting"]
+
+
+class Splatting(Schedule):
+    """Runs a `SplattingIntegrator`: the image is that of the samples' values, plus the sums of what they add."""
+
+    name = "splatting"
+    in_bands = False
+
+    def image(self, job: Job) -> TensorXf:
+        assert isinstance(job.integrator, SplattingIntegrator)
+        layers = len(job.integrator.layer_names())
+        splats = Splats(job.film, job.scene.brightness, 1 + layers // 3)
+        samples = SplattedSamples(splats)
+        image = image_of_rows(job, stored_rows(job, samples))
+        # As many as `job.spp`, unless a signal ended the last pass.
+        inverse = dr.rcp(dr.opaque(Float, samples.count / (job.width * job.height)))
+        # Camera rays outside of the crop bring all light, since no other adds to them.
+        colors = [Color3f(*splats.sums(0, continued=job.film.border > 0)) * inverse]
+        colors += [Color3f(*splats.sums(1 + layer)) * inverse for layer in range(layers // 3)]
+        aovs = [Float(0)] * len(job.integrator.aov_names())
+        channels = job.channels(colors[0], Bool(False), aovs)
+        further = [c for color in colors[1:] for c in color]
+        dr.eval(channels, further)
+        size = job.film.crop_size()
+        image = image + picture(channels, *size)
+        return dr.concat([image, picture(further, *size)], axis=2) if further else image
+
+
+class SplattedSamples:
+    """Computes samples, adds the light that they bring to other pixels to `splats`, and counts them."""
+
+    def __init__(self, splats: Splats) -> None:
+        self._splats = splats
+        self.count = 0
+
+    def __call__(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        """The samples begin <= k < end of a band."""
+        integrator = job.integrator
+        assert isinstance(integrator, SplattingIntegrator)
+        self.count += band.rows * job.width * (end - begin)
+        layer, pixel = grouped(job, band, end - begin)
+        x, y = job.coordinates(pixel)
+        stream, ray, offset = job.begin(pixel, layer + dr.opaque(UInt32, begin), x, y)
+        position = job.in_crop(x, y, offset)
+        return job.channels(*integrator.splat_sample(job.scene, job.camera, stream, ray, position, self._splats))

@@ -1,0 +1,160 @@
+"""Paths that grow from a light and from the camera, and how they are weighted where they meet.
+
+A path of k edges can be put together in many ways: s vertices from the light and t = k + 1 - s from the camera. The
+sample of way s with density p_s counts with the weight
+
+    w_s = h(p_s) / (sum over i of h(p_i)),    h(p) = p (balance heuristic) or p^2 (power heuristic).
+
+Neighbouring densities differ by two factors only, p_(i+1) / p_i = (density of vertex i from the light) / (its density
+from the camera), so both ends carry what the sum needs of their side: two numbers, which a vertex updates.
+
+E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, chapter 10; the recursion is that of
+I. Georgiev, "Implementing Vertex Connection and Merging", 2012, without merging.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.materials.adjoint import eval_pdf_light, sample_light
+from djpt.materials.base import BSDF
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["End", "Heuristic", "Scattering", "balance", "evaluate", "meeting", "mis_weight", "power", "scatter"]
+
+Heuristic = Callable[[Float], Float]
+
+
+def balance(density: Float) -> Float:
+    """The balance heuristic: strategies count by their densities."""
+    return density
+
+
+def power(density: Float) -> Float:
+    """The power heuristic with the exponent 2."""
+    return dr.square(density)
+
+
+def mis_weight(others: Float) -> Float:
+    """1 / (1 + others), `others` being the sum of h(density) over that of the strategy at hand; 0 if it is infinite."""
+    return dr.select(others < dr.inf, dr.rcp(1 + others), 0)
+
+
+def meeting(vcm: Float, vc: Float, density: Float, back: Float, h: Heuristic) -> Float:
+    """The share of one side, whose last vertex has `vcm` and `vc`, in the sum of a weight.
+
+    `density` is that of reaching this vertex from the other side, per unit area, and `back` that of going on from
+    there to the vertex before it, per unit solid angle.
+    """
+    return h(density) * (vcm + vc * h(back))
+
+
+@dataclass
+class End:
+    """The end of a path that grows from the camera or from a light."""
+
+    ray: Ray3f
+    """The next edge."""
+    throughput: Color3f
+    """What the path is worth: importance from the camera, power from a light, over the density."""
+    vcm: Float
+    """h(1 / density of the last vertex); at first times that of the vertex before, if that is sampled directly."""
+    vc: Float
+    """The sum of h(density ratio) over all strategies with fewer vertices on this side, over that of the last edge."""
+    before: Float
+    """How far before the ray's origin its directions part; inf if the rays are parallel."""
+    eta: Float | None
+    """Product of relative indices of refraction; None in scenes without refraction."""
+    depth: UInt32
+    """The number of edges, the next one included."""
+
+    def arrived(self, scene: Scene, si: SurfaceInteraction3f, h: Heuristic) -> End:
+        """The end at the hit `si` of its ray: densities are per unit area there, and media have taken their share."""
+        cos = h(dr.abs(dr.dot(si.n, self.ray.d)))
+        hit = si.is_valid()
+        inverse = dr.rcp(dr.select(hit, cos, 1))
+        distance = si.t + self.before
+        spread = dr.select(hit & (self.before < dr.inf), h(dr.square(distance)), 1)
+        return replace(
+            self,
+            throughput=self.throughput * scene.transmittance(self.ray, si.t),
+            vcm=self.vcm * spread * inverse,
+            vc=self.vc * inverse,
+        )
+
+    def scattered(self, si: SurfaceInteraction3f, s: Scattering, throughput: Color3f, h: Heuristic) -> End:
+        """The end of the path that goes on from `si` as `s` says, with the given throughput."""
+        d = si.to_world(s.sample.wo)
+        cos = dr.abs(dr.dot(si.n, d))
+        delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
+        # No strategy joins two vertices at a delta lobe, whose densities of both ways are equal.
+        on = self.vc * h(s.back_of_sample) + self.vcm
+        return End(
+            ray=si.spawn_ray(d),
+            throughput=throughput,
+            vcm=dr.select(delta, 0, h(dr.rcp(s.sample.pdf))),
+            vc=dr.select(delta, self.vc * h(cos), h(cos * dr.rcp(s.sample.pdf)) * on),
+            before=Float(0),
+            eta=None if self.eta is None else self.eta * s.sample.eta,
+            depth=self.depth + 1,
+        )
+
+
+@dataclass
+class Scattering:
+    """What a vertex asks of its BSDF."""
+
+    value: Color3f
+    """f abs(cos) towards the given direction."""
+    pdf: Float
+    back: Float
+    """The density of the way back: `BSDF.eval_pdf_both`."""
+    sample: BSDFSample3f
+    weight: Color3f
+    back_of_sample: Float
+    """The density of the way back from the sampled direction."""
+
+
+def scatter(
+    si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, sampler: SampleStream, active: Bool
+) -> Scattering:
+    """Evaluate the BSDF towards `wo` and sample it, with the densities of both ways, in one dispatch."""
+    sample1, sample2 = sampler.next_1d(), sampler.next_2d()
+
+    def method(bsdf: BSDF) -> tuple[Any, ...]:
+        if from_camera:
+            bs, weight = bsdf.sample(BSDFContext(), si, sample1, sample2, active)
+        else:
+            bs, weight = sample_light(bsdf, si, sample1, sample2, active)
+        return (
+            *evaluated(bsdf, si, from_camera, wo, active),
+            bs,
+            weight,
+            evaluated(bsdf, si, from_camera, bs.wo, active)[2],
+        )
+
+    return Scattering(*si.bsdf().visit(method, active))
+
+
+def evaluate(si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f) -> tuple[Color3f, Float, Float]:
+    """The BSDF's value towards `wo`, as `evaluated`."""
+    found: tuple[Color3f, Float, Float] = si.bsdf().visit(lambda bsdf: evaluated(bsdf, si, from_camera, wo, True))
+    return found
+
+
+def evaluated(
+    bsdf: BSDF, si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, active: Bool | bool
+) -> tuple[Color3f, Float, Float]:
+    """The value f abs(cos) of a path from the camera, or its adjoint, and the densities of both ways."""
+    if from_camera:
+        return bsdf.eval_pdf_both(BSDFContext(), si, wo, active)
+    return eval_pdf_light(bsdf, si, wo, active)

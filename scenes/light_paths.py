@@ -1,0 +1,102 @@
+"""Scenes whose light is hard to find from the camera: classic tests of methods that start at the lights as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from djpt.scenes.cornell import cornell_box, shape
+from djpt.transforms import ScalarTransform4f as T
+
+__all__ = ["door_ajar", "fixture", "glass_ball", "lamp_in_glass"]
+
+RADIANCE = (18.387, 13.9873, 6.75357)
+"""That of the Cornell box's lamp."""
+
+
+def fixture() -> dict[str, Any]:
+    """The Cornell box, lit by a small lamp in a box that is open above: all light comes by way of the ceiling.
+
+    Light samples hit the box. 128x128 pixels, `bdpt` with 8 edges.
+    """
+    scene = room()
+    scene["light"]["to_world"] = T().translate([0, 0.6, 0.01]).rotate([1, 0, 0], -90).scale([0.08, 0.08, 1])
+    scene["light"]["emitter"] = lamp(8.0)
+    scene["bottom"] = block([-0.12, 0.55, -0.11], [0.12, 0.58, 0.13])
+    scene["left"] = block([-0.12, 0.58, -0.11], [-0.10, 0.75, 0.13])
+    scene["right"] = block([0.10, 0.58, -0.11], [0.12, 0.75, 0.13])
+    scene["back-side"] = block([-0.10, 0.58, -0.11], [0.10, 0.75, -0.09])
+    scene["front-side"] = block([-0.10, 0.58, 0.11], [0.10, 0.75, 0.13])
+    return scene
+
+
+def glass_ball() -> dict[str, Any]:
+    """The Cornell box with a small lamp and a glass ball: a caustic on the floor.
+
+    128x128 pixels, `bdpt` with 8 edges.
+    """
+    scene = room()
+    del scene["small-box"]
+    scene["ball"] = {"type": "sphere", "center": [0.4, -0.55, 0.35], "radius": 0.3, "bsdf": {"type": "dielectric"}}
+    scene["light"]["to_world"] = T().translate([0, 0.99, 0.01]).rotate([1, 0, 0], 90).scale([0.0575, 0.0475, 0.19])
+    scene["light"]["emitter"] = lamp(16.0)
+    return scene
+
+
+def lamp_in_glass() -> dict[str, Any]:
+    """The Cornell box, lit by a small lamp inside of a glass ball: all light is a caustic.
+
+    128x128 pixels, `bdpt` with 8 edges.
+    """
+    scene = room()
+    del scene["small-box"], scene["light"]
+    centre = [0.0, 0.55, 0.0]
+    scene["ball"] = {"type": "sphere", "center": centre, "radius": 0.2, "bsdf": {"type": "dielectric"}}
+    radiance = {"type": "rgb", "value": [60.0, 45.0, 25.0]}
+    scene["lamp"] = {
+        "type": "sphere",
+        "center": centre,
+        "radius": 0.05,
+        "emitter": {"type": "area", "radiance": radiance},
+    }
+    return scene
+
+
+def door_ajar() -> dict[str, Any]:
+    """Two rooms and one lamp, in the room that isn't seen: light comes through a narrow gap between them.
+
+    Paths from either side seldom find it. 128x128 pixels, `bdpt` with 8 edges.
+    """
+    scene = room()
+    del scene["green-wall"]
+    scene["light"]["to_world"] = T().translate([2.0, 0.99, 0.01]).rotate([1, 0, 0], 90).scale([0.23, 0.19, 0.19])
+    scene["light"]["emitter"] = lamp(20.0)
+    scene["wall"] = block([1.0, -1, -1], [1.05, 1, -0.03])
+    scene["door"] = block([1.0, -1, 0.03], [1.05, 1, 1])
+    scene["lintel"] = block([1.0, 0.6, -0.03], [1.05, 1, 0.03])
+    scene["floor-2"] = shape("rectangle", T().translate([2, -1, 0]).rotate([1, 0, 0], -90), "white")
+    scene["ceiling-2"] = shape("rectangle", T().translate([2, 1, 0]).rotate([1, 0, 0], 90), "white")
+    scene["back-2"] = shape("rectangle", T().translate([2, 0, -1]), "white")
+    scene["front-2"] = shape("rectangle", T().translate([2, 0, 1]).rotate([0, 1, 0], 180), "white")
+    scene["right-2"] = shape("rectangle", T().translate([3, 0, 0]).rotate([0, 1, 0], -90), "green")
+    return scene
+
+
+def room() -> dict[str, Any]:
+    """The Cornell box with a smaller film, for `bdpt`."""
+    scene = cornell_box()
+    scene["integrator"] = {"type": "bdpt", "max_depth": 8}
+    scene["sensor"]["film"].update(width=128, height=128)
+    return scene
+
+
+def lamp(factor: float) -> dict[str, Any]:
+    """The Cornell box's light, so many times as bright."""
+    return {"type": "area", "radiance": {"type": "rgb", "value": [factor * x for x in RADIANCE]}}
+
+
+def block(low: Sequence[float], high: Sequence[float]) -> dict[str, Any]:
+    """A white box between two corners."""
+    middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+    half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
+    return shape("cube", T().translate(middle).scale(half), "white")

@@ -1,0 +1,272 @@
+"""Bidirectional path tracing: the means of `path`, its strategies, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import RenderError, SceneError
+from djpt.integrators import bdpt
+from djpt.integrators.strategies import strategies
+from djpt.transforms import ScalarTransform4f as T
+from djpt.validation.statistics import Batches, block_test, mean_test
+from tests.kit.devices import instances
+from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
+from tests.kit.lit_floor import floor_scene
+from tests.kit.renders import box
+
+BATCHES = 16
+SIGNIFICANCE = 1e-4
+
+
+def images(scene: dict[str, Any], integrator: dict[str, Any], spp: int, first_seed: int = 3) -> list[np.ndarray]:
+    """Independent images of 3 channels, `spp` samples per pixel each."""
+    loaded, plugin = djpt.load_dict(scene), djpt.load_dict(integrator)
+    seeds = range(first_seed, first_seed + BATCHES)
+    return [np.array(djpt.render(loaded, integrator=plugin, spp=spp, seed=seed), np.float64) for seed in seeds]
+
+
+def assert_equal_means(a: list[np.ndarray], b: list[np.ndarray], block: int = 4, where: Any = 1.0) -> None:
+    """Of the images, and of their blocks."""
+    ours, theirs = Batches(block), Batches(block)
+    for image in a:
+        ours.add(image * where)
+    for image in b:
+        theirs.add(image * where)
+    for test in (mean_test, block_test):
+        result = test(ours, theirs, SIGNIFICANCE, equal_variance=False)
+        close = np.abs(ours.mean - theirs.mean).max() < 1e-5 * theirs.mean.max()
+        assert result.passed or close, result
+
+
+def check(scene: dict[str, Any], depth: int = 4, spp: int = 64, **keys: Any) -> None:
+    """Assert that `bdpt` and `path` converge to one image."""
+    shared = {"max_depth": depth, **{key: keys[key] for key in keys if key != "heuristic"}}
+    ours = images(scene, {"type": "bdpt", **shared, **keys}, spp)
+    assert_equal_means(ours, images(scene, {"type": "path", **shared}, 4 * spp, 100))
+
+
+LIT = first_of_each(name for name in NAMES if plugin_of(name) not in ("directionalarea", "spot", "projector"))
+FURTHER = [name for name in NAMES if plugin_of(name) in ("spot", "projector")]
+
+
+@pytest.mark.parametrize("name", [*LIT, *(pytest.param(name, marks=pytest.mark.slow) for name in FURTHER)])
+def test_lights(name: str) -> None:
+    check(floor_scene({"light": entry(name)}, size=16))
+
+
+def test_many_lights() -> None:
+    """A lamp, a point and the sky at once, chosen by their power, with the other heuristic."""
+    lights = {
+        "sky": {"type": "constant", "radiance": 0.3},
+        "point": {"type": "point", "position": [1, 3, 1]},
+        "lamp": floor_scene()["lamp"],
+    }
+    check(floor_scene(lights, size=16), heuristic="balance", emitter_choice="power")
+
+
+SENSORS: dict[str, dict[str, Any]] = {
+    "thinlens": {"type": "thinlens", "fov": 35, "aperture_radius": 0.3, "focus_distance": 5.0},
+    "near plane": {"type": "perspective", "fov": 50, "principal_point_offset_x": 0.1, "near_clip": 2.0},
+    "orthographic": {"type": "orthographic"},
+    "meter": {
+        "type": "distant",
+        "direction": [0, -1, -1],
+        "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
+    },
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "thinlens" else pytest.mark.slow) for name in SENSORS]
+)
+def test_sensors(name: str) -> None:
+    """A meter isn't reached by light: connections do all."""
+    scene = floor_scene(sensor=SENSORS[name], size=16)
+    if name == "orthographic":
+        scene["sensor"]["to_world"] = scene["sensor"]["to_world"] @ T().scale([2.5, 2.5, 1])
+    check(scene, spp=64 if name != "meter" else 4096)
+
+
+@pytest.mark.parametrize("border", [False, True])
+def test_filters(border: bool) -> None:
+    """At the border, too, whether samples are taken beyond it or not."""
+    scene = floor_scene(size=16)
+    scene["sensor"]["film"].update(rfilter={"type": "gaussian"}, sample_border=border)
+    check(scene, 3)
+
+
+def heights() -> dict[str, Any]:
+    data = np.random.default_rng(1).random((8, 16)).astype(np.float32)
+    return {"type": "bitmap", "data": data, "raw": True}
+
+
+MATERIALS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "mapped normals": (
+        {"type": "bumpmap", "heights": heights(), "scale": 0.3, "inner": {"type": "roughplastic", "alpha": 0.3}},
+        {"type": "hair"},
+    ),
+    "rough glass": ({"type": "roughdielectric", "alpha": 0.3}, {"type": "principledthin", "diff_trans": 1.2}),
+    "coats": ({"type": "plastic"}, {"type": "roughconductor", "material": "Au", "alpha": 0.2}),
+    "glass": ({"type": "dielectric"}, {"type": "thindielectric"}),
+    "coloured glass": (
+        {"type": "glass", "absorption": {"type": "rgb", "value": [0.9, 0.25, 0.12]}},
+        {"type": "principled", "spec_trans": 0.8, "roughness": 0.3, "eta": 1.4},
+    ),
+    "openings": (
+        {"type": "mask", "opacity": 0.5, "inner": {"type": "twosided", "inner": {"type": "diffuse"}}},
+        {"type": "blendbsdf", "weight": 0.4, "a": {"type": "diffuse"}, "b": {"type": "roughconductor", "alpha": 0.3}},
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "mapped normals" else pytest.mark.slow) for name in MATERIALS]
+)
+def test_materials(name: str) -> None:
+    scene = floor_scene(size=16)
+    scene["ball"]["bsdf"], scene["small"]["bsdf"] = MATERIALS[name]
+    check(scene, 5, 128)
+
+
+@pytest.mark.slow
+def test_meshes_and_instances(tmp_path: Path) -> None:
+    """Smooth normals, vertex colours, copies of a ball."""
+    scene = instances(tmp_path)
+    scene["sensor"]["film"].update(width=16, height=16)
+    check(scene, 4, 128)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(djpt.scenes.SCENES))
+def test_built_in_scenes(name: str) -> None:
+    """16 million samples of `bdpt`; pixels at the edge of a lamp are too noisy to tell anything."""
+    scene = djpt.scenes.SCENES[name]()
+    scene["sensor"]["film"].update(width=32, height=32, rfilter={"type": "box"})
+    depth = scene["integrator"]["max_depth"]
+    bright = np.array(djpt.render(djpt.load_dict(scene), integrator=djpt.load_dict({"type": "path", "max_depth": 1})))
+    share = bright / max(bright.max(), 1e-9)
+    where = 1.0 * ((share < 1e-4) | (share > 1 - 1e-4) | (bright.min() > 0))
+    ours = images(scene, {"type": "bdpt", "max_depth": depth}, 1024)
+    assert_equal_means(ours, images(scene, {"type": "path", "max_depth": depth}, 8192, 100), where=where)
+
+
+def test_hidden_lamps() -> None:
+    check(floor_scene(size=16), 3, hide_emitters=True)
+
+
+def test_beams_are_shown() -> None:
+    """Light that leaves a surface in one direction only, which `path` can't show, as `ptracer` shows it."""
+    scene = floor_scene({"light": entry("directionalarea-rectangle")}, size=16)
+    ours = images(scene, {"type": "bdpt", "max_depth": 4}, 256)
+    assert_equal_means(ours, images(scene, {"type": "ptracer", "max_depth": 4}, 512, 100))
+
+
+@pytest.mark.slow
+def test_long_paths_are_left_to_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a furnace, where they matter: with and without a longest path."""
+    monkeypatch.setattr(bdpt, "JOINED", 3)
+    scene = djpt.scenes.furnace(0.8)
+    scene["sensor"]["film"].update(width=16, height=16)
+    for depth in (6, -1):
+        expected = (1 - 0.8**depth) / 0.2 if depth > 0 else 5.0
+        ours = images(scene, {"type": "bdpt", "max_depth": depth, "rr_depth": 9}, 256)
+        assert_equal_means(ours, [np.full_like(ours[0], expected)] * 2)
+
+
+# ---------------------------------------------------------------- strategies
+
+
+def test_strategies_add_up_and_agree() -> None:
+    """Weighted images of all strategies make up the image without what is seen directly; alone, all show the same."""
+    depth = 3
+    scene = floor_scene(size=16)
+    # Where surfaces touch, connections alone have an infinite variance.
+    del scene["small"]
+    scene["ball"].update(center=[0.0, 0.6, 0.0], radius=0.5)
+    plugin = {"type": "bdpt", "max_depth": depth, "strategies": True}
+    loaded, integrator = djpt.load_dict(scene), djpt.load_dict(plugin)
+    names = djpt.channel_names(loaded, integrator=integrator)
+    found: list[dict[str, np.ndarray]] = []
+    for image in images(scene, plugin, 512):
+        layers = np.split(image, image.shape[2] // 3, axis=2)
+        found.append(dict(zip((name.removesuffix(".R") for name in names[::3]), layers, strict=True)))
+    straight = np.array(djpt.render(loaded, integrator=djpt.load_dict({"type": "path", "max_depth": 1}), spp=512))
+    lamp = straight.max(axis=2, keepdims=True) > 0
+    for layers in found:
+        total = sum(layers[f"s{s}t{t}"] for s, t in strategies(depth))
+        np.testing.assert_allclose((total - layers["R"]) * ~lamp, 0, atol=1e-5)
+    for edges in range(2, depth + 1):
+        row = [(s, t) for s, t in strategies(depth) if s + t - 1 == edges]
+        assert len(row) == edges + 1
+        first = [layers[f"s1t{edges}.alone"] for layers in found]
+        for s, t in row:
+            alone = [layers[f"s{s}t{t}.alone"] for layers in found]
+            assert alone[0].max() > 0
+            # What a strategy rarely finds is no matter of a normal distribution, in small blocks.
+            assert_equal_means(alone, first, block=8)
+
+
+def test_strategies_need_a_bound() -> None:
+    for depth in (-1, 1, 9):
+        with pytest.raises(SceneError, match=r"strategies.* needs a 'max_depth' from 2 to 8"):
+            djpt.load_dict({"type": "bdpt", "strategies": True, "max_depth": depth})
+
+
+# ---------------------------------------------------------------- contracts
+
+
+def test_image_is_the_same_for_any_threads_and_passes() -> None:
+    scene, plugin = djpt.load_dict(box(32, "gaussian")), djpt.load_dict({"type": "bdpt", "max_depth": 5})
+
+    def render(**arguments: Any) -> np.ndarray:
+        return np.array(djpt.render(scene, integrator=plugin, spp=32, **{"seed": 4, **arguments}))
+
+    count, first = dr.thread_count(), render()
+    try:
+        dr.set_thread_count(1)
+        np.testing.assert_array_equal(render(), first)
+    finally:
+        dr.set_thread_count(count)
+    np.testing.assert_array_equal(render(pass_spp=5), first)
+    assert (render(seed=5) != first).any()
+
+
+def test_depths() -> None:
+    scene = djpt.load_dict(box(16))
+
+    def render(kind: str, depth: int) -> np.ndarray:
+        return np.array(djpt.render(scene, integrator=djpt.load_dict({"type": kind, "max_depth": depth}), spp=16))
+
+    assert render("bdpt", 0).max() == 0
+    np.testing.assert_allclose(render("bdpt", 1), render("path", 1), rtol=1e-5)
+
+
+def test_coverage_is_that_of_path() -> None:
+    keys: dict[str, Any]
+    scene = floor_scene(size=16)
+    scene["sensor"]["film"]["pixel_format"] = "rgba"
+    loaded = djpt.load_dict(scene)
+    for keys in ({}, {"hide_emitters": True}):
+        a, b = (
+            np.array(djpt.render(loaded, integrator=djpt.load_dict({"type": kind, "max_depth": 3, **keys}), spp=16))
+            for kind in ("bdpt", "path")
+        )
+        np.testing.assert_allclose(a[..., 3], b[..., 3], atol=1e-6)
+
+
+def test_what_is_refused() -> None:
+    fog = {"type": "homogeneous", "albedo": 0.8, "sigma_t": 1.0}
+    scene = floor_scene(size=4)
+    scene["ball"].update(bsdf={"type": "null"}, interior={**fog, "id": "fog"})
+    with pytest.raises(
+        RenderError, match=r"'bdpt' doesn't follow light through scattering media, found .*fog.*volpath"
+    ):
+        djpt.render(djpt.load_dict(scene), integrator=djpt.load_dict({"type": "bdpt"}), spp=1)
+    with pytest.raises(SceneError, match="heuristic"):
+        djpt.load_dict({"type": "bdpt", "heuristic": "maximum"})
