@@ -27,7 +27,7 @@ from djpt.dispatch.tables import Buffer, channels_of
 from djpt.kernels import if_stmt, opaque
 from djpt.types import Bool, UInt32
 
-__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "structure"]
+__all__ = ["Attached", "Detached", "Ensemble", "Group", "Leaf", "Lookup", "TableLeaf", "is_attached", "structure"]
 
 P = TypeVar("P", bound=Plugin)
 

@@ -34,8 +34,10 @@ class Walk(Protocol):
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     sums: list[Float]
-    again: Bool
-    """True on the second walk."""
+
+    @property
+    def again(self) -> Bool:
+        """True on the second walk."""
 
 
 class Mode:
@@ -61,8 +63,16 @@ class Mode:
     ) -> tuple[Color3f, Color3f, list[Float]]:
         """Radiance, delta and sums after a vertex; `arrived` is the light of its light sample.
 
-        Lanes that `differentiate` are on their second walk: there only Lo = emitted + arrived +
-        L weight / detach(weight) depends on parameters, where L is the radiance still to come.
+        Lanes that `differentiate` are on their second walk.
+        """
+        radiance, outgoing = self.outgoing(walk, v, arrived)
+        with dr.resume_grad():
+            return radiance, *self.differentiate(walk, leaves, outgoing, differentiate)
+
+    def outgoing(self, walk: Walk, v: Vertex, arrived: Color3f) -> tuple[Color3f, Color3f]:
+        """The radiance after a vertex, and on the second walk all that depends on parameters there.
+
+        That is Lo = emitted + arrived + L weight / detach(weight), where L is the radiance still to come.
         """
         with dr.resume_grad():
             here = v.emitted + arrived
@@ -70,11 +80,10 @@ class Mode:
             radiance = dr.select(walk.again, walk.radiance - passed, walk.radiance + passed)
             weight = dr.detach(v.weight)
             scattered = v.weight * dr.select(weight != 0, radiance * dr.rcp(weight), 0)
-            outgoing = here + dr.select(v.active, scattered, 0)
-            return radiance, *self.differentiate(walk, leaves, outgoing, differentiate)
+            return radiance, here + dr.select(v.active, scattered, 0)
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
-        """Delta and sums after a vertex with the attached radiance `outgoing`."""
+        """Delta and sums after a vertex with the attached radiance `outgoing`; gradients must not be suspended."""
         raise NotImplementedError
 
     def hand_over(

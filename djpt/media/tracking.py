@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.kernels import maximum, minimum, wide
+from djpt.media.differentials import ScatteringPoint, collided, elsewhere, own_stream, passed, uniform_point
 from djpt.media.flight import Flight
 from djpt.records import Ray3f
 from djpt.records.media import MediumInteraction3f
@@ -27,7 +28,7 @@ from djpt.types import Bool, Color3f, Float
 if TYPE_CHECKING:
     from djpt.media.base import Medium
 
-__all__ = ["Majorants", "fly", "transmittance"]
+__all__ = ["Majorants", "fly", "scattering_point", "span", "transmittance"]
 
 Majorants = Callable[[Float, "Bool | bool"], tuple[Float, Float]]
 """Gives the majorant at a point of a ray, and the distance where it ends to hold; it must lie beyond the point."""
@@ -47,38 +48,54 @@ class Track:
     collided: Bool
     stream: Any
     active: Bool
+    u: Float | None = None
+    """The number that the last collision took for its estimate of sigma_t; None if there are no derivatives."""
 
 
-def fly(medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> Flight:
+def fly(
+    medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool, leaves: Medium | None = None
+) -> Flight:
     """Sample how far light gets on a segment of a ray with a unit direction, by delta tracking.
 
-    If sigma_t differs between channels, a collision is real with the mean of their probabilities.
+    If sigma_t differs between channels, a collision is real with the mean of their probabilities. `leaves` is the
+    medium with values that have derivatives: those by the transmittance and by the albedo are then attached.
     """
     start, end = span(medium, ray, length, active)
     majorants, coloured = medium.majorants(ray), medium.has_spectral_extinction()
 
     def step(track: Track) -> tuple[Track]:
-        t, meets, share = collision(medium, majorants, ray, end, track)
+        t, meets, share, u = collision(medium, majorants, ray, end, track)
         probability = dr.mean(share) if coloured else share.x
         real = meets & (track.stream.next_1d(meets) < probability)
         weight = track.weight
         if coloured:
             weight = weight * dr.select(real, share * dr.rcp(probability), (1 - share) * dr.rcp(1 - probability))
             weight = dr.select(meets, weight, track.weight)
-        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end)),)
+        last = None if track.u is None else dr.select(meets, u, track.u)
+        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), last),)
 
-    track = run(step, start, end, stream, active, "delta tracking")
-    albedo = medium.albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
-    return Flight(track.t, track.collided, dr.select(track.collided, track.weight * albedo, track.weight), Color3f(1))
+    track = run(step, start, end, stream, active, "delta tracking", Float(0) if leaves is not None else None)
+    weight = track.weight
+    if leaves is not None:
+        assert track.u is not None
+        more = collided(leaves, ray, track.t, track.u, track.collided)
+        weight = weight * passed(leaves, ray, start, track.t, active) * dr.select(track.collided, more, 1)
+    albedo = (leaves or medium).albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
+    return Flight(track.t, track.collided, dr.select(track.collided, weight * albedo, weight), Color3f(1))
 
 
-def transmittance(medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> Color3f:
-    """An estimate of the share of light that passes a segment of a ray with a unit direction, by ratio tracking."""
+def transmittance(
+    medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool, leaves: Medium | None = None
+) -> Color3f:
+    """An estimate of the share of light that passes a segment of a ray with a unit direction, by ratio tracking.
+
+    `leaves` is the medium with values that have derivatives.
+    """
     start, end = span(medium, ray, length, active)
     majorants = medium.majorants(ray)
 
     def step(track: Track) -> tuple[Track]:
-        t, meets, share = collision(medium, majorants, ray, end, track)
+        t, meets, share, _ = collision(medium, majorants, ray, end, track)
         left = dr.select(meets, track.weight * (1 - share), track.weight)
         chance = dr.max(left) * (1 / KEPT)
         little = meets & (chance * KEPT < LITTLE)
@@ -86,7 +103,25 @@ def transmittance(medium: Medium, ray: Ray3f, length: Float, stream: SampleStrea
         left = dr.select(survives, dr.select(little, left * dr.rcp(chance), left), 0)
         return (Track(t, left, Bool(False), track.stream, track.active & survives & (t < end)),)
 
-    return run(step, start, end, stream, active, "ratio tracking").weight
+    left = run(step, start, end, stream, active, "ratio tracking").weight
+    return left if leaves is None else left * passed(leaves, ray, start, end, active)
+
+
+def scattering_point(
+    medium: Medium, ray: Ray3f, flown: Float, length: Float, active: Bool
+) -> tuple[ScatteringPoint, Color3f]:
+    """A point of a segment at which more matter would scatter light, and the weight of a change of sigma_t there.
+
+    A flight that got as far as `flown` has passed a point with the probability of the transmittance. That isn't so if
+    channels differ: then the point lies anywhere on the segment, and the transmittance is estimated.
+    """
+    coloured = medium.has_spectral_extinction()
+    point = uniform_point(ray, *span(medium, ray, length if coloured else flown, active), active)
+    mei = MediumInteraction3f.on(ray, point.t)
+    weight = medium.albedo_at(mei, active) * (elsewhere(medium, mei, point.u, active) * point.length)
+    if coloured:
+        weight = weight * transmittance(medium, ray, point.t, own_stream(ray, point.t), active & (point.length > 0))
+    return point, weight
 
 
 def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float, Float]:
@@ -98,23 +133,29 @@ def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float
 
 def collision(
     medium: Medium, majorants: Majorants, ray: Ray3f, end: Float, track: Track
-) -> tuple[Float, Bool, Color3f]:
+) -> tuple[Float, Bool, Color3f, Float]:
     """Go on to the next collision, real or not, or to where the majorant ends to hold.
 
-    Returned are the distance, whether there is a collision, and sigma_t / majorant there.
+    Returned are the distance, whether there is a collision, sigma_t / majorant there, and the number that estimates it.
     """
     majorant, holds = majorants(track.t, track.active)
     inverse = dr.rcp(majorant)
     reach = minimum(holds, end)
     t = track.t - dr.log(1 - track.stream.next_1d(track.active)) * inverse
     meets = track.active & (t < reach)
-    mei = MediumInteraction3f.on(ray, t)
-    share = medium.extinction_at(mei, track.stream.next_1d(meets), meets) * inverse
-    return dr.select(meets, t, reach), meets, share
+    mei, u = MediumInteraction3f.on(ray, t), track.stream.next_1d(meets)
+    share = medium.extinction_at(mei, u, meets) * inverse
+    return dr.select(meets, t, reach), meets, share, u
 
 
 def run(
-    step: Callable[[Track], tuple[Track]], start: Float, end: Float, stream: SampleStream, active: Bool, label: str
+    step: Callable[[Track], tuple[Track]],
+    start: Float,
+    end: Float,
+    stream: SampleStream,
+    active: Bool,
+    label: str,
+    u: Float | None = None,
 ) -> Track:
     """Make steps until the segment is through, and leave the stream where they have left it."""
     lanes = dr.width(start, end, stream, active)
@@ -124,8 +165,9 @@ def run(
         collided=dr.full(Bool, False, lanes),
         stream=stream,
         active=(active & (start < end)) | dr.full(Bool, False, lanes),
+        u=wide(u, lanes),
     )
-    # What a tracker reads has no derivatives: see `Medium.without_derivatives`.
+    # What a tracker reads has no derivatives: see `djpt.media.differentials`.
     with dr.suspend_grad():
         (track,) = dr.while_loop((first,), lambda track: track.active, step, label=label)
     go_on_with(stream, track.stream)
