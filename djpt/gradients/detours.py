@@ -33,7 +33,7 @@ from djpt.schedules.job import Job
 from djpt.schedules.lanes import Lanes
 from djpt.types import Bool, Color3f, Float, UInt32
 
-__all__ = ["Detour", "detour_past", "needed", "no_detour", "run", "turned_off"]
+__all__ = ["Detour", "attached_extinction", "detour_past", "needed", "no_detour", "run", "scattered", "turned_off"]
 
 FIRST, AGAIN, ASIDE = 0, 1, 2
 """The walks of a sample."""
@@ -46,6 +46,13 @@ def needed(scene: Scene, numbering: Numbering) -> bool:
     """Whether the extinction of a tracked medium of the scene has derivatives."""
     wanted = scene.media.of_extinction()
     return any(id(owner) in wanted for leaf in numbering.leaves for owner in leaf.owners)
+
+
+def attached_extinction(scene: Scene) -> bool:
+    """Whether the extinction of a tracked medium has derivatives as the scene reads its values."""
+    wanted = scene.media.of_extinction()
+    leaves = (leaf for ensemble in scene.media.ensembles for leaf in ensemble.leaves())
+    return any(scene.lookup.attaches(leaf) and any(id(o) in wanted for o in leaf.owners) for leaf in leaves)
 
 
 @dataclass
@@ -158,7 +165,7 @@ def run(
         second, aside = runs & lane.again, runs & (lane.walk == ASIDE)
         radiance, outgoing = mode.outgoing(lane, v, arrived)
         with dr.resume_grad():
-            there = scattered(view, lane.detour, radiance, aside & ended)
+            there = scattered(view, lane.detour, radiance * (1 / TAKEN), aside & ended)
             outgoing = dr.select(second, outgoing, 0) + dr.select(aside & ended, there, 0)
             lane.delta, lane.sums = mode.differentiate(lane, leaves, outgoing, second | (aside & ended))
 
@@ -196,4 +203,4 @@ def scattered(scene: Scene, detour: Detour, radiance: Color3f, active: Bool) -> 
     assert ray.medium is not None
     mei = MediumInteraction3f.on(ray, Float(0))
     sigma_t = scene.media.extinction_at(ray.medium, mei, detour.u, scene.lookup, active)
-    return sigma_t * (detour.shade * (detour.total * (1 / TAKEN) * radiance))
+    return sigma_t * (detour.shade * (detour.total * radiance))

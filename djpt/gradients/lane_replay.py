@@ -7,17 +7,20 @@ be those of any sampler that a loop of Dr.Jit can carry.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 
+from djpt.gradients.detours import Detour, attached_extinction, detour_past, no_detour, scattered, turned_off
 from djpt.integrators.base import PathIntegrator
+from djpt.integrators.volpath import VolumetricPathState
+from djpt.integrators.walk import walk
 from djpt.kernels import loop_traced_once, wide
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
 from djpt.scene import Scene
-from djpt.types import Bool, Color3f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["replayed"]
 
@@ -37,6 +40,8 @@ class ReplayLoop:
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     active: Bool
+    detour: Detour | None
+    """Where a third walk is to begin; None if no extinction of tracked media has derivatives."""
 
 
 def replayed(
@@ -66,15 +71,22 @@ def replayed(
         `delta`, or in forward mode the derivative of the radiance.
     """
     lanes = dr.width(ray, radiance)
+    begun = integrator.begin(scene, sampler)
+    detour = None
+    if attached_extinction(scene):
+        assert isinstance(begun, VolumetricPathState)
+        begun = replace(begun, scatters=Bool(False), flown=Float(0))
+        detour = wide(no_detour(ray, begun), lanes)
     start = ReplayLoop(
         o=wide(ray.o, lanes),
         d=wide(ray.d, lanes),
         medium=wide(ray.medium, lanes),
         sampler=sampler,
-        state=wide(integrator.begin(scene, sampler), lanes),
+        state=wide(begun, lanes),
         radiance=wide(radiance, lanes),
         delta=wide(Color3f(0) if delta is None else delta, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),
+        detour=detour,
     )
 
     def body(lane: ReplayLoop) -> tuple[ReplayLoop]:
@@ -88,11 +100,21 @@ def replayed(
             outgoing = here + dr.select(v.active, scattered, 0)
             delta = differentiated(mode, outgoing, lane.delta)
         onward, state = dr.detach(v.ray), dr.detach(v.state)
-        return (ReplayLoop(onward.o, onward.d, onward.medium, lane.sampler, state, left, delta, v.active),)
+        past = lane.detour
+        if past is not None:
+            length = dr.select(si.is_valid(), si.t, way.maxt)
+            past = detour_past(scene, past, lane.state, way, state.flown, length, lane.active)
+        return (ReplayLoop(onward.o, onward.d, onward.medium, lane.sampler, state, left, delta, v.active, past),)
 
     with dr.suspend_grad():
         (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"{type(integrator).__name__} again")
-    return end.delta
+        if end.detour is None:
+            return end.delta
+        goes = end.detour.total > 0
+        (found,), _ = walk(integrator, scene, end.sampler, end.detour.ray, goes, state=turned_off(end.detour))
+        with dr.resume_grad():
+            there = scattered(scene, end.detour, dr.detach(found), goes)
+            return differentiated(mode, dr.select(goes, there, 0), end.delta)
 
 
 def differentiated(mode: dr.ADMode, outgoing: Color3f, delta: Color3f) -> Color3f:

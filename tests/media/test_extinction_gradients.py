@@ -94,7 +94,9 @@ def test_without_matter() -> None:
     assert agree(found.sum(axis=(1, 2, 3, 4)), -(1 - 0.6) * lengths.mean() * np.mean(SKY))
 
 
-@pytest.mark.parametrize("case", ["grey", "coloured", "channels", "nearest"])
+@pytest.mark.parametrize(
+    "case", ["grey", *(pytest.param(name, marks=pytest.mark.slow) for name in ("coloured", "channels", "nearest"))]
+)
 def test_against_differences(case: str) -> None:
     """Where there is matter, by all texels at once."""
     medium: dict[str, Any] = {"albedo": {"type": "rgb", "value": [0.9, 0.6, 0.3]}} if case == "coloured" else {}
@@ -109,6 +111,7 @@ def test_against_differences(case: str) -> None:
     assert agree((found * change * 2).sum(axis=(1, 2, 3, 4)), difference)
 
 
+@pytest.mark.slow
 def test_against_differences_in_holes() -> None:
     data = with_holes()
     scene = djpt.load_dict(cloud(data))
@@ -166,3 +169,27 @@ def test_an_edit_compiles_no_kernel() -> None:
     assert not compiled and np.abs(thin - dense).max() > 0
     medium: Any = scene.shapes()[0].interior_medium()
     assert np.array(medium.get_majorant(djpt.MediumInteraction3f()))[0] == pytest.approx(data.max() * 9, rel=1e-4)
+
+
+def test_integrators_of_scripts() -> None:
+    """One path per lane, with the paths and so the noise of its own: the same derivatives, in both modes."""
+    data = with_holes()
+    scene = djpt.load_dict(cloud(data))
+    expected = gradients(scene, KEY, djpt.TensorXf(data), 1024)
+    integrator = djpt.ad.integrators.prbvolpath.PRBVolpathIntegrator(djpt.Properties("prbvolpath"))
+    params, found, changes = djpt.traverse(scene), [], []
+    for seed in range(6):
+        attached = djpt.TensorXf(data)
+        dr.enable_grad(attached)
+        params[KEY] = attached
+        params.update()
+        weights = djpt.TensorXf(np.full((4, 4, 3), 1 / 48, np.float32))
+        integrator.render_backward(scene, params, weights, seed=seed, spp=1024)
+        found.append(np.array(dr.grad(attached), np.float64).ravel())
+        dr.set_grad(attached, djpt.TensorXf(np.ones_like(data)))
+        changes.append(np.array(integrator.render_forward(scene, params, seed=seed, spp=1024), np.float64).mean())
+    holes = (data == 0).ravel()
+    mine, theirs = expected.reshape(6, -1), np.array(found)
+    assert agree(theirs[:, holes].sum(axis=1), mine[:, holes].sum(axis=1))
+    assert agree(theirs[:, ~holes].sum(axis=1), mine[:, ~holes].sum(axis=1))
+    np.testing.assert_allclose(changes, theirs.sum(axis=1), rtol=1e-3)
