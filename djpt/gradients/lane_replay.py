@@ -102,6 +102,7 @@ def replayed(
         onward, state = dr.detach(v.ray), dr.detach(v.state)
         past = lane.detour
         if past is not None:
+            assert isinstance(state, VolumetricPathState) and state.flown is not None
             length = dr.select(si.is_valid(), si.t, way.maxt)
             past = detour_past(scene, past, lane.state, way, state.flown, length, lane.active)
         return (ReplayLoop(onward.o, onward.d, onward.medium, lane.sampler, state, left, delta, v.active, past),)

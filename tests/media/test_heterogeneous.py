@@ -182,6 +182,20 @@ def test_a_medium_of_a_script() -> None:
     assert ours(scene, spp=16).mean() == pytest.approx(1, abs=1e-4)
 
 
+def test_gradients_by_a_medium_of_a_script() -> None:
+    """Matter that only absorbs, on the way of the rays: exp(-2.02 density)."""
+    djpt.register_medium("layers", Layers)
+    description = in_cube({"type": "layers", "density": 0.5}, max_depth=1)
+    description["sensor"]["fov"] = 0.1
+    scene = djpt.load_dict(description)
+    params = djpt.traverse(scene)
+    key = "cube.interior_medium.density"
+    dr.enable_grad(params[key])
+    params.update()
+    dr.backward(dr.mean(djpt.render(scene, params, spp=1, spp_grad=2048), axis=None))
+    assert dr.grad(params[key])[0] == pytest.approx(-2.02 * np.exp(-0.5 * 2.02), rel=0.1)
+
+
 def test_colours_of_extinction() -> None:
     """A coloured grid: absorbed light keeps its colour."""
     data = np.ones((2, 2, 2, 3), np.float32) * np.array([0.5, 1, 2], np.float32)
