@@ -68,7 +68,7 @@ def recover(
     pictures: Sequence[djpt.TensorXf],
     *,
     resolution: int = 32,
-    steps: int = 80,
+    steps: int = 60,
     spp: int = 32,
     rate: float = 0.5,
     report: Callable[[int, float], None] | None = None,
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("smoke.png"), help="picture to write")
     parser.add_argument("--size", type=int, default=64, help="width and height of the views in pixels")
     parser.add_argument("--resolution", type=int, default=32, help="densities along each axis")
-    parser.add_argument("--steps", type=int, default=80, help="steps on each of three grids")
+    parser.add_argument("--steps", type=int, default=60, help="steps on each of three grids")
     parser.add_argument("--spp", type=int, default=32, help="samples per pixel of a step")
     arguments = parser.parse_args()
 
