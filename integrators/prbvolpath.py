@@ -12,7 +12,7 @@ class PRBVolumetricPath(VolumetricPath):
     """`volpath` with the default `max_depth` 6.
 
     Its derivatives are those of `volpath`, by path replay: by albedos, phase functions, emission and materials, and by
-    the extinction of homogeneous media.
+    the extinction of media, texel by texel if it is a grid. Texels without density have derivatives, too.
     """
 
     lengthless = True

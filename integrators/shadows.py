@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +9,36 @@ import drjit as dr
 
 from djpt.geometry.passable import PassableSurfaces
 from djpt.kernels import if_stmt, wide
+from djpt.media.differentials import own_stream
+from djpt.media.flight import FAR
 from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
+from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream, go_on_with
+from djpt.samplers.independent import IndependentStream
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
 __all__ = ["light_through_null"]
+
+
+@dataclass
+class Passage:
+    """What a shadow ray has passed of media so far, as derivatives need it: loop state."""
+
+    lengths: list[Float]
+    """The length so far through each medium."""
+    tracked: Float
+    """The length so far within the boxes of tracked media."""
+    o: Point3f
+    """The origin of a uniform point of that length."""
+    at: Float
+    """The distance of that point from there."""
+    medium: UInt32
+    """The medium at that point."""
+    stream: IndependentStream
+    """What takes the point."""
 
 
 @dataclass
@@ -31,8 +52,8 @@ class Shadow:
     face: UInt32
     near: Any
     light: Color3f
-    lengths: list[Float]
-    """The length of the way so far through each medium; empty unless there are derivatives."""
+    passage: Passage | None
+    """What it has passed so far; None unless there are derivatives."""
     sampler: Any
     active: Bool
 
@@ -62,8 +83,8 @@ def light_through_null(
         end = Way(plain, dr.detach(ray)).walked(sampler, dr.detach(lit), differentiable)
     go_on_with(sampler, end.sampler)
     arrives = dr.select(lit, end.light, 0)
-    if differentiable:
-        arrives = reattached(scene, sampler, ray, arrives, end.lengths)
+    if end.passage is not None:
+        arrives = reattached(scene, sampler, ray, arrives, end.passage)
     return light * arrives
 
 
@@ -79,7 +100,7 @@ class Way:
         self._surfaces = PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
 
     def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
-        """The end of the ray, whose `light` is the share that arrives; with the lengths in each medium if `measured`.
+        """The end of the ray, whose `light` is the share that arrives; with its passage if `measured`.
 
         Where not `lit`, the result means nothing.
         """
@@ -93,7 +114,7 @@ class Way:
             face=wide(face, lanes),
             near=wide(near, lanes),
             light=wide(dr.select(free, Color3f(1), 0), lanes),
-            lengths=[dr.zeros(Float, lanes) for _ in self._scene.media.plugins] if measured else [],
+            passage=wide(begun(self._scene, ray), lanes) if measured else None,
             sampler=sampler,
             active=(lit & free) & dr.full(Bool, True, lanes),
         )
@@ -115,12 +136,11 @@ class Way:
         sampler = shadow.sampler
         left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
         light = dr.select(stopped, 0, left)
-        lengths = [
-            total + dr.select(shadow.active & (shadow.medium == number), segment.maxt, 0)
-            for number, total in enumerate(shadow.lengths)
-        ]
+        passage = shadow.passage
+        if passage is not None:
+            passage = longer(scene, passage, segment, shadow.active & ~stopped)
         goes_on = shadow.active & hit & (dr.max(light) > 0)
-        after = replace(shadow, light=light, lengths=lengths, sampler=sampler, active=goes_on)
+        after = replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
         # Most shadow rays end within their medium.
         (after,) = if_stmt((after,), goes_on, lambda shadow: (self._pass_surface(shadow),), lambda shadow: (shadow,))
         return (after,)
@@ -147,10 +167,44 @@ class Way:
         )
 
 
-def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, lengths: Sequence[Float]) -> Color3f:
+def begun(scene: Scene, ray: Ray3f) -> Passage:
+    """That of a shadow ray that hasn't left."""
+    lengths = [Float(0) for _ in scene.media.plugins]
+    return Passage(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
+
+
+def longer(scene: Scene, passage: Passage, segment: Ray3f, active: Bool) -> Passage:
+    """A passage with one more segment: its uniform point moves there in proportion to the length."""
+    lengths = [
+        total + dr.select(active & (segment.medium == number), segment.maxt, 0)
+        for number, total in enumerate(passage.lengths)
+    ]
+    assert segment.medium is not None
+    start, end = scene.media.in_box(segment, segment.maxt, scene.lookup)
+    length = dr.select(active & (end < FAR), end - start, 0)
+    place = passage.stream.next_1d() * (passage.tracked + length)
+    here = (place < length) & (length > 0)
+    return Passage(
+        lengths=lengths,
+        tracked=passage.tracked + length,
+        o=dr.select(here, segment.o, passage.o),
+        at=dr.select(here, start + place, passage.at),
+        medium=dr.select(here, segment.medium, passage.medium),
+        stream=passage.stream,
+    )
+
+
+def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, passage: Passage) -> Color3f:
     """The share of light that arrives, with its derivatives by what the way through each medium leaves."""
-    attached = arrives
-    for number, length in enumerate(lengths):
+    sigma_t = passage.tracked * scene.media.extinction_at(
+        passage.medium,
+        MediumInteraction3f.on(aimed(ray, passage.o, passage.medium), passage.at),
+        passage.stream.next_1d(),
+        scene.lookup,
+        passage.tracked > 0,
+    )
+    attached = arrives * (1 + (dr.detach(sigma_t) - sigma_t))
+    for number, length in enumerate(passage.lengths):
         if scene.media.plugins[number].is_tracked:
             continue
         segment = aimed(ray, ray.o, UInt32(number))

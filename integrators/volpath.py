@@ -33,6 +33,10 @@ class VolumetricPathState(PathState):
     """The channel whose extinction samples distances; None if no medium is coloured."""
     ratios: Color3f | None = None
     """The densities with which each channel would have sampled the path, over their mean; None if it isn't needed."""
+    scatters: Bool | None = None
+    """True where light is scattered at the ray's origin, a point in a medium; None if no path begins like that."""
+    flown: Float | None = None
+    """How far the path has got on its last ray; None unless it is asked for."""
 
 
 class VolumetricPath(UnidirectionalPath):
@@ -93,8 +97,7 @@ class VolumetricPath(UnidirectionalPath):
         # ----------------- Flight to the vertex ---------------
         flight = Flight.none()
         if ray.medium is not None:
-            length = dr.select(si.is_valid(), si.t, ray.maxt)
-            flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
+            flight = self.flight(scene, sampler, state, ray, si)
         flown, ratios = self.weighed(state, flight)
         samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
         inside, surface = flight.scattered, si.is_valid() & ~flight.scattered
@@ -162,11 +165,26 @@ class VolumetricPath(UnidirectionalPath):
                 ratios=ratios,
                 n=None if state.n is None else dr.select(crosses, state.n, at.n),
                 covered=covered,
+                scatters=None if state.scatters is None else Bool(False),
+                flown=None if state.flown is None else dr.select(inside, flight.t, at.t),
             ),
             active=(inside | surface) & survives & (depth < most),
             valid=(covered | sky) & Bool(self.max_depth != 0),
             lit=lit & (pdf > 0) & (ds.pdf > 0),
         )
+
+    def flight(
+        self, scene: Scene, sampler: SampleStream, state: VolumetricPathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Flight:
+        """How far light gets on the way to a surface."""
+        length = dr.select(si.is_valid(), si.t, ray.maxt)
+        if state.scatters is not None:
+            length = dr.select(state.scatters, 0, length)
+        flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
+        if state.scatters is None:
+            return flight
+        at_once = Flight(Float(0), Bool(True), Color3f(1), Color3f(1), Color3f(0))
+        return dr.select(state.scatters, at_once, flight)
 
     def weighed(self, state: VolumetricPathState, flight: Flight) -> tuple[Color3f, Color3f | None]:
         """The weight of a flight: what is left over the density; and the path's `ratios` after it."""

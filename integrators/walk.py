@@ -13,7 +13,7 @@ from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.integrators.base import PathIntegrator
+    from djpt.integrators.base import PathIntegrator, PathState
     from djpt.scene import Scene
 
 __all__ = ["walk"]
@@ -43,10 +43,12 @@ def walk(
     ray: Ray3f,
     active: Bool | bool = True,
     bounces: int = 0,
+    state: PathState | None = None,
 ) -> tuple[list[Color3f], Bool]:
     """Follow one path per lane to its end, and return its radiance and whether it counts as covered.
 
-    With `bounces` = n, the radiance comes in n parts, for light that was scattered 0 to n - 1 times.
+    With `bounces` = n, the radiance comes in n parts, for light that was scattered 0 to n - 1 times. Paths begin as
+    the integrator says, or with a given `state`.
     """
     lanes = dr.width(ray, sampler)
     start = PathLoop(
@@ -55,7 +57,7 @@ def walk(
         medium=wide(ray.medium, lanes),
         times=wide(ray.times, lanes),
         sampler=sampler,
-        state=wide(integrator.begin(scene, sampler), lanes),
+        state=wide(integrator.begin(scene, sampler) if state is None else state, lanes),
         radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
         valid=dr.full(Bool, False, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),

@@ -29,7 +29,18 @@ from djpt.dispatch.tables import Buffer, channels_of
 from djpt.kernels import if_stmt, opaque
 from djpt.types import Bool, UInt32
 
-__all__ = ["Attached", "Detached", "Ensemble", "Leaf", "Lookup", "TableLeaf", "may_vanish", "structure"]
+__all__ = [
+    "Attached",
+    "Detached",
+    "Ensemble",
+    "Group",
+    "Leaf",
+    "Lookup",
+    "TableLeaf",
+    "is_attached",
+    "may_vanish",
+    "structure",
+]
 
 P = TypeVar("P", bound=Plugin)
 

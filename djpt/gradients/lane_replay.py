@@ -13,7 +13,18 @@ from typing import Any
 import drjit as dr
 
 from djpt.gradients.aside import begun, blank, collected, outgoing_radiance
+from djpt.gradients.detours import (
+    Detour,
+    attached_extinction,
+    detour_past,
+    no_detour,
+    observed,
+    scattered,
+    turned_off,
+)
 from djpt.integrators.base import PathIntegrator
+from djpt.integrators.volpath import VolumetricPathState
+from djpt.integrators.walk import walk
 from djpt.kernels import loop_traced_once, wide
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
@@ -62,6 +73,8 @@ class ReplayLoop:
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     active: Bool
+    detour: Detour | None
+    """Where a third walk is to begin; None if no extinction of tracked media has derivatives."""
 
 
 def measured(
@@ -125,16 +138,21 @@ def replayed(
         `delta`, or in forward mode the derivative of the radiance.
     """
     lanes = dr.width(ray, found.radiance)
+    first, detour = begun(integrator.begin(scene, sampler), scene), None
+    if attached_extinction(scene):
+        first = observed(first)
+        detour = wide(no_detour(ray, first), lanes)
     start = ReplayLoop(
         o=wide(ray.o, lanes),
         d=wide(ray.d, lanes),
         medium=wide(ray.medium, lanes),
         sampler=sampler,
-        state=wide(begun(integrator.begin(scene, sampler), scene), lanes),
+        state=wide(first, lanes),
         radiance=wide(found.radiance, lanes),
         behind=wide(found.behind, lanes),
         delta=wide(Color3f(0) if delta is None else delta, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),
+        detour=detour,
     )
 
     def body(lane: ReplayLoop) -> tuple[ReplayLoop]:
@@ -147,11 +165,23 @@ def replayed(
             outgoing, left = outgoing_radiance(v, lane.state, here, left, lane.behind)
             delta = differentiated(mode, outgoing, lane.delta)
         onward, state = dr.detach(v.ray), dr.detach(v.state)
-        return (ReplayLoop(onward.o, onward.d, onward.medium, lane.sampler, state, left, lane.behind, delta, v.active),)
+        past = lane.detour
+        if past is not None:
+            assert isinstance(state, VolumetricPathState) and state.flown is not None
+            length = dr.select(si.is_valid(), si.t, way.maxt)
+            past = detour_past(scene, past, lane.state, way, state.flown, length, lane.active)
+        o, d, medium = onward.o, onward.d, onward.medium
+        return (ReplayLoop(o, d, medium, lane.sampler, state, left, lane.behind, delta, v.active, past),)
 
     with dr.suspend_grad():
         (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"{type(integrator).__name__} again")
-    return end.delta
+        if end.detour is None:
+            return end.delta
+        goes = end.detour.total > 0
+        (light,), _ = walk(integrator, scene, end.sampler, end.detour.ray, goes, state=turned_off(end.detour))
+        with dr.resume_grad():
+            there = scattered(scene, end.detour, dr.detach(light), goes)
+            return differentiated(mode, dr.select(goes, there, 0), end.delta)
 
 
 def differentiated(mode: dr.ADMode, outgoing: Color3f, delta: Color3f) -> Color3f:

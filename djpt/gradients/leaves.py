@@ -72,7 +72,6 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
         RenderError: One of them is a value that path replay has no derivative for.
     """
     found: dict[tuple[int, str], Parameter] = {}
-    tracked = scene.media.without_derivatives()
     for ensemble in scene.ensembles():
         for group in ensemble.groups:
             for leaf in group.leaves():
@@ -83,11 +82,6 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
                     parameter = Parameter(owner, leaf.attribute)
                     if not parameter.flags.differentiable:
                         raise RenderError(f"no gradient is available for '{owner.id()}.{leaf.attribute}'")
-                    if id(owner) in tracked:
-                        raise RenderError(
-                            f"no gradient is available for '{owner.id()}.{leaf.attribute}': the extinction of a medium "
-                            "that isn't homogeneous is sampled"
-                        )
                     found[id(owner), leaf.attribute] = parameter
     return list(found.values())
 

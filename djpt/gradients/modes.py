@@ -38,8 +38,10 @@ class Walk(Protocol):
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     sums: list[Float]
-    again: Bool
-    """True on the second walk."""
+
+    @property
+    def again(self) -> Bool:
+        """True on the second walk."""
 
 
 class Mode:
@@ -65,8 +67,16 @@ class Mode:
     ) -> tuple[Color3f, Color3f | None, Color3f, list[Float]]:
         """Radiance, light `behind`, delta and sums after a vertex; `arrived` is the light of its light sample.
 
-        Lanes that `differentiate` are on their second walk: there only the outgoing radiance depends on parameters,
-        Lo = emitted + arrived + L weight / detach(weight), where L is the radiance still to come.
+        Lanes that `differentiate` are on their second walk.
+        """
+        radiance, behind, outgoing = self.outgoing(walk, v, arrived)
+        with dr.resume_grad():
+            return radiance, behind, *self.differentiate(walk, leaves, outgoing, differentiate)
+
+    def outgoing(self, walk: Walk, v: Vertex, arrived: Color3f) -> tuple[Color3f, Color3f | None, Color3f]:
+        """Radiance and light `behind` after a vertex, and on the second walk all that depends on parameters there.
+
+        That is Lo = emitted + arrived + L weight / detach(weight), where L is the radiance still to come.
         """
         with dr.resume_grad():
             here = v.emitted + arrived
@@ -77,10 +87,10 @@ class Mode:
             if behind is not None:
                 behind = dr.select(walk.again, walk.behind, behind)
                 radiance = dr.select(walk.again, to_come, radiance)
-            return radiance, behind, *self.differentiate(walk, leaves, outgoing, differentiate)
+            return radiance, behind, outgoing
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
-        """Delta and sums after a vertex with the attached radiance `outgoing`."""
+        """Delta and sums after a vertex with the attached radiance `outgoing`; gradients must not be suspended."""
         raise NotImplementedError
 
     def hand_over(

@@ -33,7 +33,7 @@ class AbsorbingBody(Medium):
         self.set_id(f"{bsdf.id()}.absorption")
         self.bsdf = bsdf
 
-    def without_derivatives(self) -> Sequence[Plugin]:
+    def of_extinction(self) -> Sequence[Plugin]:
         return []
 
     def get_majorant(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:

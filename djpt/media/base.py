@@ -93,9 +93,10 @@ class Medium(Plugin):
         """Whether the medium glows."""
         return self.emission is not None
 
-    def without_derivatives(self) -> Sequence[Plugin]:
-        """The plugins in the medium that images have no derivatives by: of what trackers read; by default all."""
-        return [self]
+    def of_extinction(self) -> Sequence[Plugin]:
+        """The plugins whose values the tracked extinction depends on: by default the medium and all its children."""
+        children = (getattr(self, name) for name in self.children)
+        return [self, *(child for child in children if isinstance(child, Plugin))]
 
     # ---- in kernels: coefficients ------------------------------------------------------
 

@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.dispatch.tables import entry_at
 from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.media.base import Medium
+from djpt.media.scaling import as_scale
 from djpt.media.tracking import Majorants
 from djpt.records import Ray3f
 from djpt.records.flags import PhaseFunctionFlags, has_flag
@@ -45,9 +45,10 @@ class Heterogeneous(Medium):
     `emission`. Nothing glows outside of the box of `sigma_t`.
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
-        ("scale", "low", "high", "cell_x", "cell_y", "cell_z", "cell_origin", "counts", "largest"), HIDDEN
-    )
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        "scale": ParamFlags.Differentiable,
+        **dict.fromkeys(("low", "high", "cell_x", "cell_y", "cell_z", "cell_origin", "counts", "largest"), HIDDEN),
+    }
     tables: ClassVar[Mapping[str, ParamFlags]] = {"maxima": HIDDEN}
     children = ("albedo", "sigma_t", "emission", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction", "has_cells")
@@ -81,19 +82,19 @@ class Heterogeneous(Medium):
         self.cell_origin = as_vector(matrix[:, 3])
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("scale", self.scale)
+        callback.put("scale", self.scale, ParamFlags.Differentiable)
         callback.put("albedo", self.albedo)
         callback.put("sigma_t", self.sigma_t)
         super().traverse(callback)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        return as_float(non_negative(value)) if name == "scale" else value
+        return as_scale(value) if name == "scale" else value
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         self._place()
 
-    def without_derivatives(self) -> Sequence[Plugin]:
-        return [self.sigma_t, self.phase] if self._is_of_flakes() else [self.sigma_t]
+    def of_extinction(self) -> Sequence[Plugin]:
+        return [self, self.sigma_t, self.phase] if self._is_of_flakes() else [self, self.sigma_t]
 
     def _is_of_flakes(self) -> bool:
         """Whether the extinction depends on the direction."""

@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
@@ -15,6 +14,7 @@ from djpt.errors import SceneError
 from djpt.kernels import as_float, maximum, minimum
 from djpt.media.base import Medium
 from djpt.media.flight import FAR, Flight, of_channel
+from djpt.media.scaling import as_scale
 from djpt.records import Ray3f
 from djpt.records.flags import PhaseFunctionFlags, has_flag
 from djpt.records.media import MediumInteraction3f
@@ -38,7 +38,7 @@ class Homogeneous(Medium):
     function, `sample_emitters` and `emission` (the same everywhere).
     """
 
-    values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.NonDifferentiable}
+    values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.Differentiable}
     children = ("albedo", "sigma_t", "emission", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction")
     m_is_homogeneous = True
@@ -56,15 +56,15 @@ class Homogeneous(Medium):
             raise SceneError(f"{props.node}: 'emission' must be the same everywhere; a 'heterogeneous' medium varies")
 
     def traverse(self, callback: TraversalCallback) -> None:
-        callback.put("scale", self.scale)
+        callback.put("scale", self.scale, ParamFlags.Differentiable)
         callback.put("albedo", self.albedo)
         callback.put("sigma_t", self.sigma_t)
         super().traverse(callback)
 
     def check_parameter(self, name: str, value: Any) -> Any:
-        return as_float(non_negative(value)) if name == "scale" else value
+        return as_scale(value) if name == "scale" else value
 
-    def without_derivatives(self) -> Sequence[Plugin]:
+    def of_extinction(self) -> Sequence[Plugin]:
         return []
 
     def has_spectral_extinction(self) -> bool:

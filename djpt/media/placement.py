@@ -10,14 +10,17 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.plugin import Plugin
-from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.ensemble import Ensemble, Group, Lookup, is_attached
 from djpt.dispatch.family import Family, Pointer
 from djpt.dispatch.lookup import Members, Numbers
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.contents import unseen
 from djpt.kernels import wide
+from djpt.media import tracking
+from djpt.media.differentials import ScatteringPoint, passed
 from djpt.records import RAY_EPSILON, Ray3f, SurfaceInteraction3f
+from djpt.records.media import MediumInteraction3f
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
@@ -84,15 +87,16 @@ class Media:
         """The plugins whose values kernels look up: media and their phase functions."""
         return (self.ensemble, self._phases) if self.plugins else ()
 
-    def without_derivatives(self) -> set[int]:
-        """The ids of plugins that images have no derivatives by: what trackers read."""
-        waiting: list[Any] = [plugin for medium in self.plugins for plugin in medium.without_derivatives()]
+    def of_extinction(self) -> set[int]:
+        """The ids of plugins whose values the extinction of tracked media depends on."""
+        waiting: list[Any] = [plugin for medium in self.plugins for plugin in medium.of_extinction()]
         found: set[int] = set()
         while waiting:
             plugin = waiting.pop()
             found.add(id(plugin))
-            children = (getattr(plugin, name) for name in plugin.children)
-            waiting += [child for child in children if isinstance(child, Plugin)]
+            if plugin.kind != "medium":
+                children = (getattr(plugin, name) for name in plugin.children)
+                waiting += [child for child in children if isinstance(child, Plugin)]
         return found
 
     @property
@@ -202,9 +206,13 @@ class Media:
         assert ray.medium is not None
         flight = Flight.none()
         for group in self.ensemble.groups:
-            mine = self.ensemble.members(group, ray.medium)
-            medium = group.at(self.ensemble.slots(group, ray.medium), lookup)
-            flight = dr.select(mine, medium.fly(ray, length, channel, throughput, stream, mine), flight)
+            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            medium, leaves = tracked_and_attached(group, slot, lookup)
+            if leaves is None:
+                flown = medium.fly(ray, length, channel, throughput, stream, mine)
+            else:
+                flown = tracking.fly(medium, ray, length, throughput, stream, mine, leaves)
+            flight = dr.select(mine, flown, flight)
         return flight
 
     def transmittance(
@@ -217,10 +225,75 @@ class Media:
         assert ray.medium is not None
         left = Color3f(1)
         for group in self.ensemble.groups:
-            mine = self.ensemble.members(group, ray.medium)
-            medium = group.at(self.ensemble.slots(group, ray.medium), lookup)
-            left = dr.select(mine, medium.transmittance(ray, length, stream, mine & active), left)
+            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            medium, leaves = tracked_and_attached(group, slot, lookup)
+            if leaves is None or stream is None:
+                share = medium.transmittance(ray, length, stream, mine & active)
+            else:
+                share = tracking.transmittance(medium, ray, length, stream, mine & active, leaves)
+            left = dr.select(mine, share, left)
         return left
+
+    def in_box(self, ray: Ray3f, length: Float, lookup: Lookup) -> tuple[Float, Float]:
+        """The part of a segment of a ray that lies in the box of a tracked medium; elsewhere an empty one."""
+        assert ray.medium is not None
+        start, end = Float(0), Float(0)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, ray.medium)
+            medium = group.at(self.ensemble.slots(group, ray.medium), lookup.plain())
+            first, last = tracking.span(medium, ray, length, mine)
+            start, end = dr.select(mine, first, start), dr.select(mine, last, end)
+        return start, end
+
+    def passed(self, ray: Ray3f, start: Float, end: Float, lookup: Lookup, active: Bool) -> Color3f:
+        """1, with the derivative of what tracked media leave: see `djpt.media.differentials.passed`."""
+        assert ray.medium is not None
+        one = Color3f(1)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, ray.medium)
+            _, leaves = tracked_and_attached(group, self.ensemble.slots(group, ray.medium), lookup)
+            if leaves is not None:
+                one = dr.select(mine, passed(leaves, ray, start, end, mine & active), one)
+        return one
+
+    def scattering_point(
+        self, ray: Ray3f, flown: Float, length: Float, lookup: Lookup, active: Bool
+    ) -> tuple[ScatteringPoint, Color3f]:
+        """A point of a segment of a ray at which more matter would scatter light.
+
+        With it comes the weight of a change of sigma_t there: the transmittance over the density, the albedo, and this
+        estimate's share of the derivative (see `djpt.media.differentials`).
+
+        Args:
+            ray: The ray.
+            flown: How far light got on it.
+            length: The length of the segment.
+            lookup: Reads the values of media.
+            active: Lanes that have a segment.
+        """
+        assert ray.medium is not None
+        found, weight = ScatteringPoint.none(), Color3f(0)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, ray.medium) & active
+            medium = group.at(self.ensemble.slots(group, ray.medium), lookup.plain())
+            of_group = tracking.scattering_point(medium, ray, flown, length, mine)
+            found, weight = dr.select(mine, of_group, (found, weight))
+        return found, weight
+
+    def extinction_at(
+        self, medium: UInt32, mei: MediumInteraction3f, u: Float, lookup: Lookup, active: Bool
+    ) -> Color3f:
+        """An estimate of sigma_t at points in tracked media, from a uniform number; 0 in all others."""
+        sigma_t = Color3f(0)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, medium)
+            leaves = group.at(self.ensemble.slots(group, medium), lookup)
+            sigma_t = dr.select(mine, leaves.extinction_at(mei, u, mine & active), sigma_t)
+        return sigma_t
+
+    def _tracked(self) -> list[Group[Medium]]:
+        """The groups of media whose flights are tracked."""
+        return [group for group in self.ensemble.groups if group.plugins[0].is_tracked]
 
 
 @dataclass
@@ -231,6 +304,16 @@ class Walk:
     d: Vector3f
     medium: UInt32
     active: Bool
+
+
+def tracked_and_attached(group: Group[Medium], slot: UInt32, lookup: Lookup) -> tuple[Medium, Medium | None]:
+    """A medium to fly in, and the same one with values that have derivatives if it is tracked and there are some.
+
+    What a tracker reads must have none: it decides in a loop.
+    """
+    if group.plugins[0].is_tracked and is_attached(group, lookup):
+        return group.at(slot, lookup.plain()), group.at(slot, lookup)
+    return group.at(slot, lookup), None
 
 
 def index_of(plugins: Sequence[Any], plugin: Any) -> int:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.kernels import maximum, minimum, wide
+from djpt.media.differentials import ScatteringPoint, collided, elsewhere, own_stream, passed, uniform_point
 from djpt.media.flight import Flight
 from djpt.records import Ray3f
 from djpt.records.media import MediumInteraction3f
@@ -27,7 +28,7 @@ from djpt.types import Bool, Color3f, Float
 if TYPE_CHECKING:
     from djpt.media.base import Medium
 
-__all__ = ["Majorants", "fly", "transmittance"]
+__all__ = ["Majorants", "fly", "scattering_point", "span", "transmittance"]
 
 Majorants = Callable[[Float, "Bool | bool"], tuple[Float, Float]]
 """Gives the majorant at a point of a ray, and the distance where it ends to hold; it must lie beyond the point."""
@@ -47,40 +48,58 @@ class Track:
     collided: Bool
     stream: Any
     active: Bool
+    u: Float | None = None
+    """The number that the last collision took for its estimate of sigma_t; None if there are no derivatives."""
     shown: tuple[Float, ...] = ()
     """A place of the flight so far, uniformly distributed: of media that glow and have weights."""
     shown_weight: tuple[Color3f, ...] = ()
     """The weight at that place."""
 
 
-def fly(medium: Medium, ray: Ray3f, length: Float, throughput: Color3f, stream: SampleStream, active: Bool) -> Flight:
+def fly(
+    medium: Medium,
+    ray: Ray3f,
+    length: Float,
+    throughput: Color3f,
+    stream: SampleStream,
+    active: Bool,
+    leaves: Medium | None = None,
+) -> Flight:
     """Sample how far light gets on a segment of a ray with a unit direction, by delta tracking.
 
     If sigma_t differs between channels, a collision is real with the mean of their probabilities, each counted as much
     as light is left in its channel: so the mean of the path's throughput stays as it is, and no channel outgrows it.
     (P. Kutz et al., "Spectral and Decomposition Tracking for Rendering Heterogeneous Volumes", SIGGRAPH 2017, call
-    such probabilities history-aware.) The light of a medium
-    that glows is read at one place of the flight, uniformly distributed: flights reach a place as light comes from it.
+    such probabilities history-aware.) The light of a medium that glows is read at one place of the flight, uniformly
+    distributed: flights reach a place as light comes from it. `leaves` is the medium with values that have derivatives:
+    those by transmittance, albedo and emission are then attached.
     """
     start, end = span(medium, ray, length, active)
     majorants, coloured = medium.majorants(ray), medium.has_spectral_extinction()
     importance = dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
 
     def step(track: Track) -> tuple[Track]:
-        t, meets, share = collision(medium, majorants, ray, end, track)
+        t, meets, share, u = collision(medium, majorants, ray, end, track)
         probability = dr.mean(importance * track.weight * share) if coloured else share.x
         real = meets & (track.stream.next_1d(meets) < probability)
         weight = track.weight
         if coloured:
             weight = weight * dr.select(real, share * dr.rcp(probability), (1 - share) * dr.rcp(1 - probability))
             weight = dr.select(meets, weight, track.weight)
+        last = None if track.u is None else dr.select(meets, u, track.u)
         shown, shown_weight = place_shown(track, start, t) if track.shown else ((), ())
-        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), shown, shown_weight),)
+        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), last, shown, shown_weight),)
 
-    track = run(step, start, end, stream, active, "delta tracking", places=coloured and medium.emits())
-    emitted = glow(medium, ray, start, track, stream, active) if medium.emits() else Color3f(0)
-    albedo = medium.albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
-    value = dr.select(track.collided, track.weight * albedo, track.weight)
+    places, u = coloured and medium.emits(), None if leaves is None else Float(0)
+    track = run(step, start, end, stream, active, "delta tracking", u, places)
+    emitted = glow(medium, ray, start, track, stream, active, leaves) if medium.emits() else Color3f(0)
+    weight = track.weight
+    if leaves is not None:
+        assert track.u is not None
+        more = collided(leaves, ray, track.t, track.u, track.collided)
+        weight = weight * passed(leaves, ray, start, track.t, active) * dr.select(track.collided, more, 1)
+    albedo = (leaves or medium).albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
+    value = dr.select(track.collided, weight * albedo, weight)
     return Flight(track.t, track.collided, value, Color3f(1), emitted)
 
 
@@ -95,24 +114,39 @@ def place_shown(track: Track, start: Float, t: Float) -> tuple[tuple[Float, ...]
     return (place,), (dr.select(here, track.weight, track.shown_weight[0]),)
 
 
-def glow(medium: Medium, ray: Ray3f, start: Float, track: Track, stream: SampleStream, active: Bool) -> Color3f:
-    """An estimate of the light that a medium adds on a flight, from one place of it."""
+def glow(
+    medium: Medium,
+    ray: Ray3f,
+    start: Float,
+    track: Track,
+    stream: SampleStream,
+    active: Bool,
+    leaves: Medium | None,
+) -> Color3f:
+    """An estimate of the light that a medium adds on a flight, from one place of it; attached if there are `leaves`."""
     flown = dr.select(active, track.t - start, 0)
     if track.shown:
         place, weight = track.shown[0], track.shown_weight[0]
     else:
         place, weight = dr.fma(stream.next_1d(active), flown, start), Color3f(1)
-    emission = medium.emission_at(MediumInteraction3f.on(ray, place), flown > 0)
+    if leaves is not None:
+        weight = weight * passed(leaves, ray, start, place, flown > 0)
+    emission = (leaves or medium).emission_at(MediumInteraction3f.on(ray, place), flown > 0)
     return dr.select(flown > 0, emission * weight * flown, 0)
 
 
-def transmittance(medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> Color3f:
-    """An estimate of the share of light that passes a segment of a ray with a unit direction, by ratio tracking."""
+def transmittance(
+    medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool, leaves: Medium | None = None
+) -> Color3f:
+    """An estimate of the share of light that passes a segment of a ray with a unit direction, by ratio tracking.
+
+    `leaves` is the medium with values that have derivatives.
+    """
     start, end = span(medium, ray, length, active)
     majorants = medium.majorants(ray)
 
     def step(track: Track) -> tuple[Track]:
-        t, meets, share = collision(medium, majorants, ray, end, track)
+        t, meets, share, _ = collision(medium, majorants, ray, end, track)
         left = dr.select(meets, track.weight * (1 - share), track.weight)
         chance = dr.max(left) * (1 / KEPT)
         little = meets & (chance * KEPT < LITTLE)
@@ -120,7 +154,25 @@ def transmittance(medium: Medium, ray: Ray3f, length: Float, stream: SampleStrea
         left = dr.select(survives, dr.select(little, left * dr.rcp(chance), left), 0)
         return (Track(t, left, Bool(False), track.stream, track.active & survives & (t < end)),)
 
-    return run(step, start, end, stream, active, "ratio tracking").weight
+    left = run(step, start, end, stream, active, "ratio tracking").weight
+    return left if leaves is None else left * passed(leaves, ray, start, end, active)
+
+
+def scattering_point(
+    medium: Medium, ray: Ray3f, flown: Float, length: Float, active: Bool
+) -> tuple[ScatteringPoint, Color3f]:
+    """A point of a segment at which more matter would scatter light, and the weight of a change of sigma_t there.
+
+    A flight that got as far as `flown` has passed a point with the probability of the transmittance. That isn't so if
+    channels differ: then the point lies anywhere on the segment, and the transmittance is estimated.
+    """
+    coloured = medium.has_spectral_extinction()
+    point = uniform_point(ray, *span(medium, ray, length if coloured else flown, active), active)
+    mei = MediumInteraction3f.on(ray, point.t)
+    weight = medium.albedo_at(mei, active) * (elsewhere(medium, mei, point.u, active) * point.length)
+    if coloured:
+        weight = weight * transmittance(medium, ray, point.t, own_stream(ray, point.t), active & (point.length > 0))
+    return point, weight
 
 
 def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float, Float]:
@@ -132,19 +184,19 @@ def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float
 
 def collision(
     medium: Medium, majorants: Majorants, ray: Ray3f, end: Float, track: Track
-) -> tuple[Float, Bool, Color3f]:
+) -> tuple[Float, Bool, Color3f, Float]:
     """Go on to the next collision, real or not, or to where the majorant ends to hold.
 
-    Returned are the distance, whether there is a collision, and sigma_t / majorant there.
+    Returned are the distance, whether there is a collision, sigma_t / majorant there, and the number that estimates it.
     """
     majorant, holds = majorants(track.t, track.active)
     inverse = dr.rcp(majorant)
     reach = minimum(holds, end)
     t = track.t - dr.log(1 - track.stream.next_1d(track.active)) * inverse
     meets = track.active & (t < reach)
-    mei = MediumInteraction3f.on(ray, t)
-    share = medium.extinction_at(mei, track.stream.next_1d(meets), meets) * inverse
-    return dr.select(meets, t, reach), meets, share
+    mei, u = MediumInteraction3f.on(ray, t), track.stream.next_1d(meets)
+    share = medium.extinction_at(mei, u, meets) * inverse
+    return dr.select(meets, t, reach), meets, share, u
 
 
 def run(
@@ -154,6 +206,7 @@ def run(
     stream: SampleStream,
     active: Bool,
     label: str,
+    u: Float | None = None,
     places: bool = False,
 ) -> Track:
     """Make steps until the segment is through, and leave the stream where they have left it.
@@ -167,10 +220,11 @@ def run(
         collided=dr.full(Bool, False, lanes),
         stream=stream,
         active=(active & (start < end)) | dr.full(Bool, False, lanes),
+        u=wide(u, lanes),
         shown=(wide(start, lanes),) if places else (),
         shown_weight=(dr.ones(Color3f, lanes),) if places else (),
     )
-    # What a tracker reads has no derivatives: see `Medium.without_derivatives`.
+    # What a tracker reads has no derivatives: see `djpt.media.differentials`.
     with dr.suspend_grad():
         (track,) = dr.while_loop((first,), lambda track: track.active, step, label=label)
     go_on_with(stream, track.stream)

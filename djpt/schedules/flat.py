@@ -69,7 +69,7 @@ class Flat(Schedule):
     def replay(
         self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
     ) -> tuple[Mode, list[Float], UInt32]:
-        from djpt.gradients import replay
+        from djpt.gradients import detours, replay
 
         lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
         count = dr.width(lanes.pixel)
@@ -77,7 +77,8 @@ class Flat(Schedule):
         # The opaque zero is needed: Dr.Jit turns a gather of all entries in order into a plain load, which
         # would give images of one sample per pixel a kernel of their own.
         slots = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
-        return mode, *replay.run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
+        run = detours.run if detours.needed(job.scene, numbering) else replay.run
+        return mode, *run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
 
 
 @dataclass

@@ -27,7 +27,7 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
     """Path replay backpropagation through media, for scripts to derive from.
 
     Parameters: as `prbvolpath`. Distances, phase functions and directions are sampled as there; the derivatives are
-    by albedos, phase functions, emission and materials, and by the extinction of homogeneous media, in both modes.
+    by albedos, phase functions, emission and materials, and by the extinction of media, in both modes.
     """
 
     def render(

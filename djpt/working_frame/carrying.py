@@ -12,7 +12,7 @@ import numpy as np
 
 from djpt.description.plugin import Plugin
 from djpt.description.registry import lookup
-from djpt.kernels import as_float
+from djpt.media.scaling import as_scale
 from djpt.shapes.mesh import Mesh
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point3f
@@ -180,8 +180,10 @@ class Carrier:
         if type(medium).__name__ not in MEDIA:
             raise Rooted(f"{medium.id()} isn't known")
         require_placeless(medium.phase)
-        medium.scale = as_float(float(medium.scale[0]) / self.frame.scale)
-        for name in ("albedo", "sigma_t"):
+        if medium.emits() and self.frame.scale != 1:
+            raise Rooted(f"{medium.id()} glows per unit of length")
+        medium.scale = as_scale(medium.scale / self.frame.scale)
+        for name in ("albedo", "sigma_t", "emission"):
             setattr(medium, name, self.plugin(getattr(medium, name)))
         medium.parameters_changed(())
 

@@ -14,13 +14,19 @@ from djpt.images.sheets import Tile, captioned_sheet, shown
 from djpt.validation.report import difference_picture
 from places import IMAGES, LADDER, ROOT
 
-__all__ = ["albedo", "derivatives"]
+__all__ = ["albedo", "derivatives", "smoke"]
 
 
 def albedo() -> None:
     """What the albedo example writes."""
     with patch.object(sys, "argv", ["albedo.py", "--out", str(IMAGES / "albedo.png")]):
         runpy.run_path(str(ROOT / "examples" / "albedo.py"), run_name="__main__")
+
+
+def smoke() -> None:
+    """What the smoke example writes."""
+    with patch.object(sys, "argv", ["smoke.py", "--out", str(IMAGES / "recovered_smoke.png")]):
+        runpy.run_path(str(ROOT / "examples" / "smoke.py"), run_name="__main__")
 
 
 def derivatives() -> None:

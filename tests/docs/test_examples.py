@@ -68,6 +68,31 @@ def test_the_albedo_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -
     assert np.array(djpt.read(picture)).shape == (24, 3 * 24, 3)
 
 
+def test_smoke_is_recovered_from_nothing() -> None:
+    """In a tiny form: 8^3 densities from 16 x 16 pixels."""
+    smoke = load_example("smoke")
+    truth = smoke.ring(8)
+    scene = smoke.load(truth, 16)
+    pictures = [djpt.render(scene, sensor=view, spp=256, seed=1000 + view) for view in range(len(smoke.GIVEN))]
+    losses: list[float] = []
+    found = smoke.recover(scene, pictures, resolution=8, steps=24, report=lambda step, loss: losses.append(loss))[
+        ..., 0
+    ]
+    # Six steps look at all views.
+    assert np.mean(losses[-6:]) < np.mean(losses[:6]) / 2
+    assert np.corrcoef(found.ravel(), truth.ravel())[0, 1] > 0.4
+
+
+def test_the_smoke_script_prints_the_loss_and_writes_a_picture(tmp_path: Any) -> None:
+    picture = tmp_path / "smoke.png"
+    options = {"--size": "16", "--resolution": "4", "--steps": "3", "--spp": "2"}
+    arguments = [word for pair in options.items() for word in pair]
+    done = run_python(str(EXAMPLES / "smoke.py"), "--out", str(picture), *arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "loss" in done.stdout and "relative error" in done.stdout
+    assert np.array(djpt.read(picture)).shape == (2 * 16, 4 * 16, 3)
+
+
 def test_an_own_integrator_is_differentiated_without_adjoint_code(tmp_path: Any) -> None:
     """The script compares the derivative with a finite difference, and fails if they differ."""
     picture = tmp_path / "sky.png"

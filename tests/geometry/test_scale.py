@@ -152,6 +152,41 @@ def test_gradients_pass_through_the_frame(key: str, unit: int) -> None:
     assert gradients[1] == pytest.approx(gradients[0], rel=2e-3)
 
 
+def smoky(scale: float, **more: Any) -> dict[str, Any]:
+    """A scene with a ball of smoke, at a scale."""
+    description = PLACED["balls"](Place(scale)) | {"integrator": {"type": "prbvolpath"}}
+    grid: dict[str, Any] = {"type": "gridvolume", "data": np.linspace(0.2, 1, 8, dtype=np.float32).reshape(2, 2, 2)}
+    grid["to_world"] = T().scale(scale).translate([-1, -1, 0]).scale(2)
+    medium = {"type": "heterogeneous", "sigma_t": grid, "scale": 2 / scale, **more}
+    description["smoke"] = {"type": "sphere", "bsdf": {"type": "null"}, "interior": medium}
+    description["smoke"]["to_world"] = T().scale(scale).translate([0, 0, 1])
+    return description
+
+
+@pytest.mark.parametrize(("key", "unit"), [("scale", -1), ("sigma_t.data", 0)])
+def test_gradients_by_smoke_pass_through_the_frame(key: str, unit: int) -> None:
+    gradients = []
+    for scale in (1.0, 2.0**-20):
+        scene = djpt.load_dict(smoky(scale))
+        params = djpt.traverse(scene)
+        name = f"smoke.interior_medium.{key}"
+        dr.enable_grad(params[name])
+        params.update()
+        assert (twin(scene) is None) == (scale == 1)
+        dr.backward(dr.mean(djpt.render(scene, params, spp=64, seed=1), axis=None))
+        gradients.append(np.array(dr.grad(params[name])).sum() * scale**unit)
+    assert gradients[0] != 0
+    assert gradients[1] == pytest.approx(gradients[0], rel=0.05)
+
+
+def test_what_glows_by_its_length_keeps_a_scene_in_its_place() -> None:
+    """What smoke adds per unit of length is another number in another unit, and stays as it is."""
+    reference = image(smoky(1.0, emission=1.0), spp=64).mean()
+    tiny = smoky(1e-3, emission=1e3)
+    assert twin(djpt.load_dict(smoky(1e-3))) is not None and twin(djpt.load_dict(tiny)) is None
+    assert image(tiny, spp=64).mean() == pytest.approx(reference, rel=0.02)
+
+
 def test_records_stay_in_the_users_units() -> None:
     scene = djpt.load_dict(PLACED["balls"](Place(1e-6)))
     djpt.render(scene, spp=1)

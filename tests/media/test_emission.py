@@ -142,6 +142,26 @@ def test_the_derivative_by_the_extinction_of_a_glowing_medium() -> None:
     assert dr.grad(value)[0] == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.parametrize("sigma", [(0.7,), (0.4, 0.7, 1.5)], ids=["grey", "coloured"])
+def test_derivatives_by_glowing_smoke(sigma: tuple[float, ...]) -> None:
+    """By all texels of extinction and emission, which are the same everywhere: closed forms."""
+    s, heat = np.array(sigma), np.array([0.5, 1.0, 2.0])
+    density = np.broadcast_to(s, (2, 2, 2, len(s))).astype(np.float32)
+    glow = np.broadcast_to(heat, (2, 2, 2, 3)).astype(np.float32)
+    scene = djpt.load_dict(through_the_middle(smoke(grid(density), grid(glow), albedo=0.0), "prbvolpath"))
+    params = djpt.traverse(scene)
+    leaves = {name: djpt.TensorXf(value) for name, value in (("sigma_t", density), ("emission", glow))}
+    for name, leaf in leaves.items():
+        dr.enable_grad(leaf)
+        params[f"ball.interior_medium.{name}.data"] = leaf
+    params.update()
+    dr.backward(dr.mean(djpt.render(scene, params, spp=1, spp_grad=8192), axis=None))
+    by_sigma, by_heat = (np.array(dr.grad(leaf)).sum(axis=(0, 1, 2)) for leaf in leaves.values())
+    expected = heat * (2 * np.exp(-2 * s) / s - (1 - np.exp(-2 * s)) / s**2) / 3
+    np.testing.assert_allclose(by_sigma, expected if len(s) == 3 else [expected.sum()], rtol=0.03)
+    np.testing.assert_allclose(by_heat, np.broadcast_to((1 - np.exp(-2 * s)) / s / 3, 3), rtol=0.02)
+
+
 def test_what_glows_needs_no_other_light() -> None:
     with pytest.raises(djpt.errors.RenderError, match="no emitter"):
         ours(through_the_middle(fog(1.0)), spp=1)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.errors import DjptError
 from djpt.transforms import ScalarTransform4f as T
 from tests.kit.media_scenes import NULL, colour, fog, lit_ball
 from tests.kit.renders import ours
@@ -130,7 +129,7 @@ def test_an_edit_compiles_no_kernel() -> None:
 
 
 def test_gradients() -> None:
-    """By the albedo; the extinction is sampled, and refused."""
+    """By the albedo; see also `test_extinction_gradients`."""
     scene = djpt.load_dict(in_cube(smoke(grid(), 0.6), 6))
     params = djpt.traverse(scene)
     key = "cube.interior_medium.albedo.value.value"
@@ -147,12 +146,6 @@ def test_gradients() -> None:
     params.update()
     dr.backward(dr.mean(djpt.render(scene, params, spp=512, seed=7, seed_grad=7), axis=None))
     assert dr.grad(attached)[0] == pytest.approx(difference, rel=0.03)
-
-    params[key] = 0.6
-    dr.enable_grad(params["cube.interior_medium.sigma_t.data"])
-    params.update()
-    with pytest.raises(DjptError, match="the extinction of a medium that isn't homogeneous is sampled"):
-        djpt.render(scene, params, spp=1)
 
 
 # ---------------------------------------------------------------- of scripts
@@ -187,6 +180,20 @@ def test_a_medium_of_a_script() -> None:
     assert ours(scene, spp=2048).mean() == pytest.approx(np.exp(-1.5 * 2.02), rel=0.1)
     scene["sensor"]["to_world"] = T().look_at(origin=[0, 0.8, 4], target=[0, 0.8, 0], up=[0, 1, 0])
     assert ours(scene, spp=16).mean() == pytest.approx(1, abs=1e-4)
+
+
+def test_gradients_by_a_medium_of_a_script() -> None:
+    """Matter that only absorbs, on the way of the rays: exp(-2.02 density)."""
+    djpt.register_medium("layers", Layers)
+    description = in_cube({"type": "layers", "density": 0.5}, max_depth=1)
+    description["sensor"]["fov"] = 0.1
+    scene = djpt.load_dict(description)
+    params = djpt.traverse(scene)
+    key = "cube.interior_medium.density"
+    dr.enable_grad(params[key])
+    params.update()
+    dr.backward(dr.mean(djpt.render(scene, params, spp=1, spp_grad=2048), axis=None))
+    assert dr.grad(params[key])[0] == pytest.approx(-2.02 * np.exp(-0.5 * 2.02), rel=0.1)
 
 
 def test_colours_of_extinction() -> None:

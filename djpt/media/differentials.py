@@ -1,0 +1,119 @@
+"""Derivatives of flights by the extinction: what trackers can't give, since they only decide.
+
+Along a ray the radiance is L = integral of T(t) sigma_s(t) S(t) dt, plus what lies behind, where T is the transmittance
+and S what arrives to be scattered. A change of sigma_t changes it in two ways.
+
+* T(t) changes by -T(t) times the integral of the change up to t. Each flight takes that from one uniform point of the
+  way that it has flown (`passed`), so there is no density to divide by.
+* More matter scatters more light. Where light was scattered, that is the light over sigma_t, which no path finds where
+  there is no matter. So both this estimate (`collided`) and another are taken, with the shares sigma_t / (sigma_t +
+  sigma_0) and sigma_0 / (sigma_t + sigma_0) of the derivative. The other one is the light that a point of the way would
+  scatter, the same point as before (`uniform_point`): a flight gets as far as there with the probability T. A path
+  that begins at the point finds that light: see `djpt.gradients.detours`.
+
+M. Nimier-David, T. Mueller, A. Keller and W. Jakob, "Unbiased Inverse Volume Rendering with Differential Trackers",
+SIGGRAPH 2022, have found why the second estimate is needed; theirs takes the point among collisions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.kernels import maximum
+from djpt.media.flight import FAR
+from djpt.records import Ray3f
+from djpt.records.media import MediumInteraction3f
+from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.independent import IndependentStream
+from djpt.types import Bool, Color3f, Float, UInt32
+
+if TYPE_CHECKING:
+    from djpt.media.base import Medium
+
+__all__ = ["ScatteringPoint", "collided", "elsewhere", "own_stream", "passed", "uniform_point"]
+
+THIN = 0.1
+"""sigma_0 as a share of the majorant."""
+LEAST = 1e-6
+"""The least sigma_0, for media without matter."""
+
+
+def own_stream(ray: Ray3f, t: Float) -> IndependentStream:
+    """Random numbers that depend on a segment of a ray alone.
+
+    Derivatives take no numbers from the path's own stream: paths stay what they are without derivatives.
+    """
+    numbers = (ray.o.x, ray.o.y, ray.o.z, ray.d.x, ray.d.y, ray.d.z, t)
+    words: list[Any] = [dr.reinterpret_array(UInt32, x) for x in numbers]
+    a, b = words[0] ^ (words[1] << 16) ^ (words[2] >> 7), words[3] ^ (words[4] << 11) ^ (words[5] >> 5)
+    return IndependentStream.seeded(*sample_tea_32(a + words[6], b))
+
+
+@dataclass
+class ScatteringPoint:
+    """A uniform point of a part of a ray that was flown."""
+
+    t: Float
+    u: Float
+    """The number that estimates the extinction there."""
+    length: Float
+    """The length of that part, the inverse of the density; 0 where there is none."""
+
+    @staticmethod
+    def none() -> ScatteringPoint:
+        """No point."""
+        return ScatteringPoint(Float(0), Float(0), Float(0))
+
+
+def uniform_point(ray: Ray3f, start: Float, end: Float, active: Bool) -> ScatteringPoint:
+    """The point of a segment that derivatives are taken from; it depends on the segment alone."""
+    stream = own_stream(ray, end)
+    length = dr.select(active & (end > start) & (end < FAR), end - start, 0)
+    return ScatteringPoint(dr.fma(length, stream.next_1d(), start), stream.next_1d(), length)
+
+
+def passed(medium: Medium, ray: Ray3f, start: Float, end: Float, active: Bool) -> Color3f:
+    """1, with the derivative of the transmittance between two points of a ray, over the transmittance.
+
+    Args:
+        medium: The medium, with values that have derivatives.
+        ray: The ray, with a unit direction.
+        start: Where the segment begins.
+        end: Where it ends; lanes with an empty segment have no derivative.
+        active: Lanes that have a segment.
+    """
+    point = uniform_point(ray, start, end, active)
+    sigma_t = medium.extinction_at(MediumInteraction3f.on(ray, point.t), point.u, point.length > 0)
+    return with_change(-point.length * sigma_t)
+
+
+def collided(medium: Medium, ray: Ray3f, t: Float, u: Float, active: Bool) -> Color3f:
+    """1, with this estimate's share of the derivative of sigma_t, over sigma_t, at a real collision.
+
+    `u` is the number by which the collision was found to be real.
+    """
+    mei = MediumInteraction3f.on(ray, t)
+    sigma_t = medium.extinction_at(mei, u, active)
+    return with_change(sigma_t * dr.rcp(dr.detach(sigma_t) + thin(medium, mei)))
+
+
+def elsewhere(medium: Medium, mei: MediumInteraction3f, u: Float, active: Bool) -> Color3f:
+    """The share of the derivative of sigma_t that is left for scattering points."""
+    sigma_0 = thin(medium, mei)
+    return sigma_0 * dr.rcp(dr.detach(medium.extinction_at(mei, u, active)) + sigma_0)
+
+
+def thin(medium: Medium, mei: MediumInteraction3f) -> Float:
+    """sigma_0, the extinction at which both estimates have equal shares."""
+    return maximum(dr.detach(dr.max(medium.get_majorant(mei))) * THIN, Float(LEAST))
+
+
+def with_change(change: Color3f) -> Color3f:
+    """1, with the derivative of `change`."""
+    if not dr.grad_enabled(change):
+        return Color3f(1)
+    one: Any = dr.replace_grad(Color3f(1), change)  # type: ignore[func-returns-value]
+    return one
