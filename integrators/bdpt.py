@@ -16,7 +16,7 @@ from djpt.integrators.both_ends import End, Scattering, balance, evaluate, meeti
 from djpt.integrators.splatting import Sink, SplattingIntegrator
 from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
-from djpt.kernels import loop_traced_once, maximum, while_loop, wide
+from djpt.kernels import loop_traced_once, maximum, minimum, while_loop, wide
 from djpt.records import (
     RAY_EPSILON,
     BSDFFlags,
@@ -39,6 +39,9 @@ __all__ = ["BidirectionalPath"]
 
 JOINED = 32
 """Edges of the longest path that is joined from both ends; longer ones are left to the camera's side."""
+
+LITTLE = 0.25
+"""A share of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
 
 
 class LightVertex(Record):
@@ -277,15 +280,16 @@ class BidirectionalPath(SplattingIntegrator):
         radiance += ledger.weighed(value, weight, UInt32(1), t)
 
         # --------------------- Connections --------------------
-        def connect(i: UInt32, radiance: Color3f, vertices: Any) -> tuple[UInt32, Color3f, Any]:
+        def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
             v = vertices.read(i)
-            value, weight = self.connection(scene, end, si, v)
-            return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), vertices
+            ray, value, weight = self.connection(end, si, v, v.surface(scene))
+            value = self.through(scene, sampler, ray, value, weight, radiance)
+            return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), sampler, vertices
 
         count = dr.select(joins, lane.count, 0)
-        _, radiance, lane.vertices = while_loop(
-            (dr.zeros(UInt32, dr.width(count)), radiance, lane.vertices),
-            lambda i, radiance, vertices: i < count,
+        _, radiance, lane.sampler, lane.vertices = while_loop(
+            (dr.zeros(UInt32, dr.width(count)), radiance, sampler, lane.vertices),
+            lambda i, radiance, sampler, vertices: i < count,
             connect,
             label="connections",
         )
@@ -322,22 +326,35 @@ class BidirectionalPath(SplattingIntegrator):
         by_light = meeting(end.vcm, end.vc, here, s.back, self.h)
         return mis_weight(by_bsdf + self.shared(by_light, end.depth + 1))
 
-    def connection(self, scene: Scene, end: End, si: SurfaceInteraction3f, v: LightVertex) -> tuple[Color3f, Float]:
-        """What the vertex `v` of the light path sends back along a camera path that has reached `si`; its weight."""
-        lit = v.surface(scene)
+    def connection(
+        self, end: End, si: SurfaceInteraction3f, v: LightVertex, lit: SurfaceInteraction3f
+    ) -> tuple[Ray3f, Color3f, Float]:
+        """The ray from `si` to the vertex `v` of the light path, at `lit`; what it sends back, and the weight."""
         to_light = v.p - si.p
         falloff = dr.rcp(dr.squared_norm(to_light))
         d = to_light * dr.sqrt(falloff)
         value, pdf, pdf_back = evaluate(si, True, si.to_local(d))
         sent, sent_pdf, sent_back = evaluate(lit, False, lit.to_local(-d))
         value = end.throughput * value * v.flux * sent * falloff
-        value = dr.select(end.depth + v.depth < self.joined, value, 0)
-        value = scene.light_between(si.spawn_ray_to(lit.offset_p(-d)), value)
         at_light = pdf * dr.abs(dr.dot(lit.n, d)) * falloff
         at_camera = sent_pdf * dr.abs(dr.dot(si.n, d)) * falloff
         by_light = meeting(v.vcm, v.vc, at_light, sent_back, self.h)
         by_camera = meeting(end.vcm, end.vc, at_camera, pdf_back, self.h)
-        return value, mis_weight(by_light + by_camera)
+        fits = end.depth + v.depth < self.joined
+        return si.spawn_ray_to(lit.offset_p(-d)), dr.select(fits, value, 0), mis_weight(by_light + by_camera)
+
+    def through(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, value: Color3f, weight: Float, radiance: Color3f
+    ) -> Color3f:
+        """The part of the light `value` of a connection that arrives.
+
+        Where rays search a tree, light that adds little to the `radiance` so far is followed by chance.
+        """
+        if scene.geometry.triangles is None or self.strategies:
+            return scene.light_between(ray, value)
+        chance = minimum(dr.max(value) * weight * dr.rcp(LITTLE * dr.max(radiance)), 1)
+        survives = sampler.next_1d() < chance
+        return scene.light_between(ray, dr.select(survives, value * dr.rcp(chance), 0))
 
     # ---- either way --------------------------------------------------------------------
 

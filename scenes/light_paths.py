@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from djpt.scenes.cornell import cornell_box, shape
 from djpt.transforms import ScalarTransform4f as T
 
-__all__ = ["door_ajar", "fixture", "glass_ball", "lamp_in_glass"]
+__all__ = ["door_ajar", "fixture", "glass_ball", "lamp_in_glass", "parabolic_mirror"]
 
 RADIANCE = (18.387, 13.9873, 6.75357)
 """That of the Cornell box's lamp."""
@@ -80,6 +81,43 @@ def door_ajar() -> dict[str, Any]:
     scene["front-2"] = shape("rectangle", T().translate([2, 0, 1]).rotate([0, 1, 0], 180), "white")
     scene["right-2"] = shape("rectangle", T().translate([3, 0, 0]).rotate([0, 1, 0], -90), "green")
     return scene
+
+
+def parabolic_mirror() -> dict[str, Any]:
+    """A point light in the focus of a parabolic mirror, before a white screen: a caustic that is known in closed form.
+
+    With the focal length f, 0.5, the reflectance a of the mirror, 0.9, the distance D of focus and screen, 2.5, and the
+    intensity I, 1, the screen sends out at the distance r from the axis::
+
+        I / pi (a / f^2 / (1 + r^2 / (4 f^2))^2 + D / (D^2 + r^2)^(3/2)),    the first term for r < 1 only,
+
+    if paths have at most three edges. Nothing that starts at the camera alone finds the first. The camera stands on the
+    axis, 2 before the screen, of which it sees [-1.5, 1.5]^2. 64x64 pixels, box filter, `bdpt` with 3 edges.
+    """
+    return {
+        "type": "scene",
+        "integrator": {"type": "bdpt", "max_depth": 3},
+        "sensor": {
+            "type": "perspective",
+            "fov": math.degrees(2 * math.atan(0.75)),
+            "to_world": T().look_at(origin=[0, 0, 1], target=[0, 0, 3], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"}},
+            "sampler": {"type": "independent", "sample_count": 64},
+        },
+        "lamp": {"type": "point", "position": [0, 0, 0.5], "intensity": 1.0},
+        "mirror": {
+            "type": "paraboloid",
+            "focal_length": 0.5,
+            "length": 0.5,
+            "flip_normals": True,
+            "bsdf": {"type": "mirror", "reflectance": 0.9},
+        },
+        "screen": {
+            "type": "rectangle",
+            "to_world": T().translate([0, 0, 3]).rotate([0, 1, 0], 180).scale(2),
+            "bsdf": {"type": "diffuse", "reflectance": 1.0},
+        },
+    }
 
 
 def room() -> dict[str, Any]:

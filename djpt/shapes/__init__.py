@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from djpt.shapes.merge import Merge as Merge
     from djpt.shapes.mesh import Mesh as Mesh
     from djpt.shapes.obj import Obj as Obj
+    from djpt.shapes.paraboloid import Paraboloid as Paraboloid
     from djpt.shapes.plane import Plane as Plane
     from djpt.shapes.ply import Ply as Ply
     from djpt.shapes.rectangle import Rectangle as Rectangle

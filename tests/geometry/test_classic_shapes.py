@@ -24,6 +24,7 @@ SHAPES: dict[str, dict[str, Any]] = {
     "disk": {"type": "disk"},
     "cylinder": {"type": "cylinder", "p1": [0.5, 0.3, 1]},
     "cone": {"type": "cone", "angle": 30, "length": 1.5, "axis": [0.1, 0.3, -1]},
+    "paraboloid": {"type": "paraboloid", "vertex": [0, 0, -0.5], "axis": [0.1, 0.3, 1], "focal_length": 0.3},
     "plane": {"type": "plane"},
     "cuboid": {"type": "cuboid", "min": [-1, -0.5, 0], "max": [0.5, 1, 0.7]},
     "implicit": {"type": "implicit", "function": lambda p: dr.norm(p * Vector3f(1, 1.5, 1)) - 0.8, "lipschitz": 1.5},
@@ -132,11 +133,12 @@ def test_light_from_an_infinite_plane(height: float) -> None:
     assert np.array(weight * ds.d.z)[0].mean() == pytest.approx(2 * np.pi, rel=0.01)
 
 
-@pytest.mark.parametrize("name", ["cone", "cuboid", "cylinder", "disk"])
+@pytest.mark.parametrize("name", ["cone", "cuboid", "cylinder", "disk", "paraboloid"])
 def test_areas_and_positions(name: str) -> None:
     """The area, and the mean of the positions, by counting hits of parallel rays: Cauchy's formula and moments."""
     areas = {"cone": np.pi * 1.5**2 * np.tan(np.pi / 6) / np.cos(np.pi / 6), "disk": np.pi,
-             "cuboid": 2 * (1.5 * 1.5 + 2 * 1.5 * 0.7), "cylinder": 2 * np.pi * np.sqrt(1.34)}  # fmt: skip
+             "cuboid": 2 * (1.5 * 1.5 + 2 * 1.5 * 0.7), "cylinder": 2 * np.pi * np.sqrt(1.34),
+             "paraboloid": 0.24 * np.pi * ((1 + 1 / 0.3) ** 1.5 - 1)}  # fmt: skip
     shape = load({**SHAPES[name], "to_world": POSE}).shapes()[0]
     assert float(shape.surface_area()[0]) == pytest.approx(areas[name], rel=1e-5)
     u, v = uniform(2**14, seed=4)
@@ -150,7 +152,8 @@ def test_areas_and_positions(name: str) -> None:
         return
     density = np.linalg.norm(np.cross(np.array(du, np.float64).T, np.array(dv, np.float64).T), axis=1)
     inner = np.array(uv)[1 if name != "disk" else 0] < 0.5
-    share = {"cone": 0.25, "cylinder": 0.5, "disk": 0.25}[name]
+    half = ((1 + 0.25 / 0.3) ** 1.5 - 1) / ((1 + 1 / 0.3) ** 1.5 - 1)
+    share = {"cone": 0.25, "cylinder": 0.5, "disk": 0.25, "paraboloid": half}[name]
     assert inner.mean() == pytest.approx(share, abs=0.02)
     # E[1 / density] over uniform points is the area of the uv square over that of the shape: 1 / area.
     assert (1 / density).mean() == pytest.approx(1 / areas[name], rel=0.1)

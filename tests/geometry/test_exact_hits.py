@@ -41,6 +41,7 @@ SHAPES: dict[str, dict[str, Any]] = {
     "disk": {},
     "cylinder": {"p0": [0, 0, -1], "p1": [0, 0, 1]},
     "cone": {"apex": [0, 0, 1], "length": 2, "angle": 30},
+    "paraboloid": {"vertex": [0, 0, -0.5]},
     "plane": {},
     "cuboid": {"min": [-1, -0.5, -0.25], "max": [0.5, 1, 1]},
     "torus": {},

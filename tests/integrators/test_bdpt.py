@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +144,7 @@ def test_meshes_and_instances(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(djpt.scenes.SCENES))
+@pytest.mark.parametrize("name", sorted({*djpt.scenes.SCENES} - {"parabolic_mirror"}))
 def test_built_in_scenes(name: str) -> None:
     """16 million samples of `bdpt`; pixels at the edge of a lamp are too noisy to tell anything."""
     scene = djpt.scenes.SCENES[name]()
@@ -177,6 +178,35 @@ def test_long_paths_are_left_to_the_camera(monkeypatch: pytest.MonkeyPatch) -> N
         expected = (1 - 0.8**depth) / 0.2 if depth > 0 else 5.0
         ours = images(scene, {"type": "bdpt", "max_depth": depth, "rr_depth": 9}, 256)
         assert_equal_means(ours, [np.full_like(ours[0], expected)] * 2)
+
+
+# ---------------------------------------------------------------- closed forms
+
+
+def test_caustic_of_a_parabolic_mirror() -> None:
+    """Ring by ring, away from the rim of the beam; its formula is in the scene's documentation."""
+    scene = djpt.load_dict(djpt.scenes.parabolic_mirror())
+    image = np.array(djpt.render(scene, spp=1024), np.float64).mean(axis=2)
+    place = 3 * (np.arange(64) + 0.5) / 64 - 1.5
+    r = np.hypot(*np.meshgrid(place, place))
+    beam = 0.9 / 0.25 / (1 + r**2) ** 2
+    expected = (np.where(r < 1, beam, 0) + 2.5 / (2.5**2 + r**2) ** 1.5) / np.pi
+    rings = np.arange(0, 1.5, 0.15)
+    for low, high in itertools.pairwise(rings):
+        ring = (r >= low) & (r < high) & (np.abs(r - 1) > 0.05)
+        assert image[ring].mean() == pytest.approx(expected[ring].mean(), rel=0.01)
+    by_camera = djpt.render(scene, integrator=djpt.load_dict({"type": "path", "max_depth": 3}), spp=16)
+    assert np.array(by_camera)[32, 32, 0] < 0.1 * image[32, 32]
+
+
+def test_a_plane_below_a_point() -> None:
+    """I cos^3 / (pi h^2), and nothing that is brighter than the light that there is."""
+    scene = djpt.scenes.parabolic_mirror()
+    del scene["mirror"]
+    image = np.array(djpt.render(djpt.load_dict(scene), spp=64), np.float64).mean(axis=2)
+    place = 3 * (np.arange(64) + 0.5) / 64 - 1.5
+    r = np.hypot(*np.meshgrid(place, place))
+    np.testing.assert_allclose(image.mean(), (2.5 / (2.5**2 + r**2) ** 1.5 / np.pi).mean(), rtol=5e-3)
 
 
 # ---------------------------------------------------------------- strategies

@@ -74,6 +74,14 @@ def cone(o: Array, d: Array) -> Array:
     return np.where((z >= 0) & (z <= 1), t, np.nan)
 
 
+def paraboloid(o: Array, d: Array) -> Array:
+    """x^2 + y^2 = z for 0 <= z <= 1."""
+    x, v = o[:, :2], d[:, :2]
+    t = quadratic((v * v).sum(1), (x * v).sum(1) - d[:, 2] / 2, (x * x).sum(1) - o[:, 2])
+    z = at(o, d, t)[:, :, 2]
+    return np.where((z >= 0) & (z <= 1), t, np.nan)
+
+
 def bracketed(f: Callable[[Array], Array], low: Array, high: Array) -> Array:
     """The zero of a function per ray between two places of different sign, by bisection; NaN elsewhere."""
     f_low, there = f(low), f(low) * f(high) <= 0
@@ -163,6 +171,7 @@ ORACLES: dict[str, Oracle] = {
     "disk": disk,
     "cylinder": cylinder,
     "cone": cone,
+    "paraboloid": paraboloid,
     "plane": plane,
     "cuboid": cube,
     "torus": torus,

@@ -48,7 +48,7 @@ def known_by_uv() -> list[Any]:
 
 def test_these_shapes_are_known_by_uv() -> None:
     names = {p.values[0]["type"] for p in known_by_uv()}
-    assert names == {"rectangle", "disk", "sphere", "cylinder", "cone"}
+    assert names == {"rectangle", "disk", "sphere", "cylinder", "cone", "paraboloid"}
 
 
 @pytest.mark.parametrize("description", known_by_uv())
