@@ -77,7 +77,6 @@ SENSORS: dict[str, dict[str, Any]] = {
     "orthographic": {"type": "orthographic"},
     "meter": {
         "type": "distant",
-        "direction": [0, -1, -1],
         "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
     },
 }
@@ -154,7 +153,7 @@ def test_built_in_scenes(name: str) -> None:
     share = bright / max(bright.max(), 1e-9)
     where = 1.0 * ((share < 1e-4) | (share > 1 - 1e-4) | (bright.min() > 0))
     ours = images(scene, {"type": "bdpt", "max_depth": depth}, 1024)
-    assert_equal_means(ours, images(scene, {"type": "path", "max_depth": depth}, 8192, 100), where=where)
+    assert_equal_means(ours, images(scene, {"type": "path", "max_depth": depth}, 4096, 100), where=where)
 
 
 def test_hidden_lamps() -> None:
