@@ -62,7 +62,7 @@ check-cuda: $(READY)  # without a GPU it says so and is content
 	@if $(PY) -m tests.kit.devices; then DJPT_VARIANT=cuda_ad_rgb $(PY) -m pytest -q -m cuda; fi
 
 bench: $(READY)
-	@status=0; for name in versus_mitsuba meshes materials lights many_lights ptracer; do \
+	@status=0; for name in versus_mitsuba meshes materials lights many_lights ptracer media; do \
 	$(PY) benchmarks/$$name.py || status=1; done; exit $$status
 
 bench-cuda: $(READY)  # without a GPU it says so and is content

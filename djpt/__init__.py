@@ -84,9 +84,11 @@ if TYPE_CHECKING:
     from djpt.images.tone_mapping import tonemap as tonemap
     from djpt.integrators import Integrator as Integrator
     from djpt.integrators.moment import variance as variance
+    from djpt.long_renders.to_file import render_to_file as render_to_file
     from djpt.materials import BSDF as BSDF
     from djpt.parameters import SceneParameters as SceneParameters
     from djpt.parameters import traverse as traverse
+    from djpt.process.interruption import Terminated as Terminated
     from djpt.records import BSDFContext as BSDFContext
     from djpt.records import BSDFFlags as BSDFFlags
     from djpt.records import BSDFSample3f as BSDFSample3f
@@ -153,12 +155,14 @@ _EXPORTS = {
     "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.dispatch.pointers": "BSDFPtr EmitterPtr SensorPtr ShapePtr",
     "djpt.emitters": "Emitter",
+    "djpt.long_renders.to_file": "render_to_file",
     "djpt.frame": "Frame3f coordinate_system",
     "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",
     "djpt.geometry.bounding_sphere": "BoundingSphere3f ScalarBoundingSphere3f",
     "djpt.images.image": "Image read read_metadata write",
     "djpt.integrators": "Integrator",
     "djpt.integrators.moment": "variance",
+    "djpt.process.interruption": "Terminated",
     "djpt.materials": "BSDF",
     "djpt.parameters": "SceneParameters traverse",
     "djpt.records": (

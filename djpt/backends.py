@@ -64,7 +64,7 @@ def variants() -> list[str]:
 
 
 def _checked(name: str, where: str) -> str:
-    if name in VARIANTS:
+    if isinstance(name, str) and name in VARIANTS:
         return name
     if isinstance(name, str) and OTHER.match(name) and not RGB.match(name):
         raise BackendError(
@@ -76,7 +76,7 @@ def _checked(name: str, where: str) -> str:
 
 def _own(name: str) -> str:
     """The variant of djpt that one of Mitsuba's stands for; raises `BackendError`."""
-    if name in VARIANTS or not (isinstance(name, str) and RGB.match(name)):
+    if not isinstance(name, str) or name in VARIANTS or not RGB.match(name):
         return _checked(name, "set_variant")
     own = _State.name or DEFAULT
     if not _State.noted:

@@ -24,6 +24,13 @@ __all__ = [
 ]
 
 
+LONGEST = 100
+"""The characters of a name that is compared with others, and shown, in messages: the time grows with their square."""
+
+MOST = 200
+"""The names that are compared and listed in a message."""
+
+
 class DjptError(RuntimeError):
     """The base of all errors that djpt raises on purpose."""
 
@@ -66,16 +73,23 @@ def near_miss(found: str, possible: Iterable[str]) -> str:
     """Suggest what is possible: ``; did you mean 'x'?`` or ``; possible: a, b, c``.
 
     Only a word that may be meant is suggested: a beginning of the other, or few letters away, a quarter of them.
-    Returns an empty string if `possible` is empty. Meant to be appended to a message.
+    Returns an empty string if `possible` is empty. Meant to be appended to a message. Where there are very many names,
+    some of them are compared and listed.
     """
     names = sorted(set(possible))
     if not names:
         return ""
-    close = (name for name in difflib.get_close_matches(found, names, n=3, cutoff=0.6) if may_mean(found, name))
-    nearest = next(close, None)
+    short = [name for name in names if len(name) <= LONGEST]
+    if len(short) > MOST:
+        short = [name for name in short if name[:1] == found[:1]][:MOST]
+    near = difflib.get_close_matches(found, short, n=3, cutoff=0.6) if len(found) <= LONGEST else []
+    nearest = next((name for name in near if may_mean(found, name)), None)
+    listed = ", ".join(name if len(name) <= LONGEST else f"{name[:LONGEST]}.." for name in names[:MOST])
+    if len(names) > MOST:
+        listed += f" .. ({len(names)})"
     if nearest is not None:
-        return f"; did you mean '{nearest}'? (possible: {', '.join(names)})"
-    return f"; possible: {', '.join(names)}"
+        return f"; did you mean '{nearest}'? (possible: {listed})"
+    return f"; possible: {listed}"
 
 
 def may_mean(found: str, name: str) -> bool:

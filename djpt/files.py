@@ -16,12 +16,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from djpt.errors import FileError
+from djpt.errors import DjptError, FileError
 
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["check_target", "open_regular", "read_bytes", "reason", "require_regular", "shortened", "writing"]
+__all__ = [
+    "as_path",
+    "check_target",
+    "errors_of_writing",
+    "open_regular",
+    "read_bytes",
+    "reason",
+    "remove_unfinished",
+    "replacing",
+    "require_regular",
+    "shortened",
+    "writing",
+]
 
 KINDS = {
     stat.S_IFDIR: "a folder",
@@ -36,6 +48,14 @@ LONGEST = 200
 """The characters of a name that messages show."""
 
 
+def as_path(name: str | os.PathLike[str]) -> Path:
+    """The path that `name` stands for; raises `FileError` unless it is a text or a path."""
+    try:
+        return Path(name)
+    except TypeError:
+        raise FileError(f"a file's name must be a text or a path, found {type(name).__name__}") from None
+
+
 # ---- reading -------------------------------------------------------------------------------
 
 
@@ -46,6 +66,7 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 
 def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
     """Open a file for reading; raises `FileError` unless it is a regular one, or a link to one."""
+    path = as_path(path)
     try:
         # Without waiting: opening a pipe to read would wait until somebody writes to it.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -112,26 +133,58 @@ def check_target(target: Path) -> Path:
 
 @contextlib.contextmanager
 def writing(target: Path) -> Iterator[Path]:
+    """A path to write to, as `replacing` gives it; raises `FileError` for whatever goes wrong meanwhile."""
+    with errors_of_writing(target), replacing(target) as temporary:
+        yield temporary
+
+
+@contextlib.contextmanager
+def replacing(target: Path) -> Iterator[Path]:
     """A path to write to, with the extension of `target`, whose place the file takes when all went well.
 
-    Raises `FileError` for what goes wrong, and leaves an old file as it was. What a writing that was killed has
-    left in the folder is removed.
+    If not, an old file stays as it was. What a writing that was killed has left in the folder is removed.
+    Raises `FileError` if `target` can't be written.
     """
     # A link is followed, so that it stays a link. The name begins with a dot and keeps the extension.
     real = check_target(target)
     remove_leftovers(real)
     temporary = real.with_name(f"{prefix(real)}{secrets.token_hex(4)}{real.suffix}")
+    unfinished.add(temporary)
     try:
-        with locked(temporary):
+        with errors_of_writing(target):
+            lock = locked(temporary)
+        with lock:
             yield temporary
-            with temporary.open("rb+") as file:
-                os.fsync(file.fileno())  # otherwise a crash may leave the new name with no content
-            if real.exists():
-                temporary.chmod(real.stat().st_mode & 0o777)
-            temporary.replace(real)
+            with errors_of_writing(target):
+                with temporary.open("rb+") as file:
+                    os.fsync(file.fileno())  # otherwise a crash may leave the new name with no content
+                if real.exists():
+                    temporary.chmod(real.stat().st_mode & 0o777)
+                temporary.replace(real)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        unfinished.discard(temporary)
+
+
+@contextlib.contextmanager
+def errors_of_writing(target: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while a file is written into a `FileError`."""
+    try:
+        yield
+    except DjptError:
+        raise
     except (OSError, RuntimeError, ValueError, MemoryError) as error:
         raise FileError(f"can't write '{shortened(target)}': {reason(error)}") from error
-    finally:
+
+
+unfinished: set[Path] = set()
+"""The temporary files of this process."""
+
+
+def remove_unfinished() -> None:
+    """Remove the temporary files of this process, which is about to end in the middle of writing them."""
+    for temporary in list(unfinished):
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
 
@@ -141,13 +194,12 @@ def prefix(real: Path) -> str:
     return f".{real.stem[:100]}."
 
 
-@contextlib.contextmanager
-def locked(temporary: Path) -> Iterator[None]:
-    """Make an empty file, which is locked as long as this process writes it."""
-    with temporary.open("xb") as file:
-        if sys.platform != "win32":
-            fcntl.flock(file, fcntl.LOCK_SH)
-        yield
+def locked(temporary: Path) -> IO[bytes]:
+    """Make an empty file, which is locked as long as this process has it open."""
+    file = temporary.open("xb")
+    if sys.platform != "win32":
+        fcntl.flock(file, fcntl.LOCK_SH)
+    return file
 
 
 def remove_leftovers(real: Path) -> None:

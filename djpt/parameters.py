@@ -194,8 +194,8 @@ class SceneParameters(Mapping[str, Any]):
         if keys is None:
             kept = [key for key, entry in self._entries.items() if entry.flags.differentiable]
         else:
-            patterns = [keys] if isinstance(keys, str) else list(keys)
             try:
+                patterns = [keys] if isinstance(keys, str) else list(keys)
                 matches = [re.compile(pattern).match for pattern in patterns]
             except (re.error, TypeError) as error:
                 raise ParameterError(f"keep: {describe(keys)} isn't a regular expression: {error}") from None

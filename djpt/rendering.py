@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import operator
 from typing import Any
 
@@ -14,6 +15,7 @@ from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
+from djpt.process.interruption import Interruption, interruptible
 from djpt.samplers import Sampler
 from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
@@ -25,6 +27,7 @@ from djpt.schedules.job import MAX_SAMPLES, Job, image_channels, require_countab
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.types import TensorXf, UInt32
+from djpt.working_frame.twin import carried, twin
 
 __all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "render"]
 
@@ -42,6 +45,7 @@ def render(
     schedule: str = "auto",
     progress: Progress | bool | None = None,
     pass_spp: int = 0,
+    keep_partial: bool = False,
 ) -> TensorXf:
     """Render an image: TensorXf of shape (height, width, channels), linear float32, row 0 on top.
 
@@ -65,10 +69,17 @@ def render(
         progress: Called with (samples done, samples in all) after each pass; True shows a bar, in notebooks
             and in terminals.
         pass_spp: Samples per pixel of one pass; 0 chooses. Changes time and memory, never the image.
+        keep_partial: What a signal leaves, SIGINT (Ctrl-C) or SIGTERM: with True the film keeps the image of the
+            samples that have been computed until the pass at hand has ended, ``sensor.film().develop()``. Integrators
+            of scripts that render by themselves keep nothing.
 
     Raises:
         RenderError: Nothing to render, or arguments out of range.
+        KeyboardInterrupt: SIGINT, after the pass at hand. With `keep_partial`, `djpt.Terminated` (a `SystemExit`) for
+            SIGTERM.
     """
+    if dr.flag(dr.JitFlag.SymbolicScope):
+        raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)
@@ -77,8 +88,18 @@ def render(
 
         camera, (seed, spp) = find_sensor(scene, sensor), (check_seed("seed", seed), check_count("spp", spp))
         return image_by_itself(estimator, scene, params, camera, seed, spp, seed_grad, spp_grad)
-    with watched(progress, "rendering", "samples") as shown:
-        return film_image(scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, shown)
+    with watched(progress, "rendering", "samples") as shown, noticing(keep_partial) as interruption:
+        image = film_image(
+            scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, shown, interruption
+        )
+        if interruption is not None:
+            interruption.leave("the film keeps what exists")
+        return image
+
+
+def noticing(keep_partial: bool) -> contextlib.AbstractContextManager[Interruption | None]:
+    """Notice signals if something is to be kept then; otherwise they do what they do to any script."""
+    return interruptible(keeps=True) if keep_partial else contextlib.nullcontext()
 
 
 def film_image(
@@ -92,16 +113,17 @@ def film_image(
     schedule: str = "auto",
     pass_spp: int = 0,
     progress: Progress | None = None,
+    interruption: Interruption | None = None,
 ) -> TensorXf:
     """The image of an integrator that djpt runs by a schedule; the film keeps it, too.
 
     Arguments as for `render`; the `seed_grad` None is that of the image.
     """
     require_still(scene)
-    job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress)
+    job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress, interruption)
     how = choose(schedule, job)
     parameters = attached_parameters(job.scene)
-    check_memory(job, bool(parameters))
+    check_memory(job, attached=bool(parameters))
     if not job.channel_names():
         image = centres(job)
         job.film.keep(image, channel_names(scene, sensor, integrator))
@@ -131,7 +153,7 @@ def image_derivative(
 
     begin_trace()
     require_still(scene)
-    job = make_job(scene, sensor, integrator, seed, spp, 0, None)
+    job = make_job(scene, sensor, integrator, seed, spp)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
     parameters = attached_parameters(job.scene)
@@ -155,13 +177,14 @@ def primal(job: Job, schedule: Schedule) -> TensorXf:
         return schedule.image(job)
 
 
-def centres(job: Job) -> TensorXf:
-    """The channels of an integrator that come from the centres of pixels: (H, W, C)."""
+def centres(job: Job, first_row: int = 0, rows: int | None = None) -> TensorXf:
+    """The channels of an integrator that come from the centres of pixels, of some rows or all: (rows, W, C)."""
     with dr.suspend_grad():
         width, height = job.film.crop_size()
-        values = job.integrator.unfiltered_channels(job.scene, job.centre_rays())
+        rows = height if rows is None else rows
+        values = job.integrator.unfiltered_channels(job.scene, job.centre_rays(first_row, rows))
         dr.eval(values)
-        return picture(values, width, height)
+        return picture(values, width, rows)
 
 
 def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tuple[str, ...]:
@@ -183,30 +206,46 @@ def prepare_to_record(scene: Scene) -> None:
         sensor.film().reserve(channel_names(scene, sensor))
     for shape in scene.shapes():
         shape.make_parameters()
-    integrator.prepare_scene(scene.choosing_emitters(integrator.emitter_choice))
+    found = twin(scene)
+    for prepared in (scene,) if found is None else (scene, found[1]):
+        integrator.prepare_scene(prepared.choosing_emitters(integrator.emitter_choice))
 
 
 # ---- what is rendered -------------------------------------------------------------------------
 
 
 def make_job(
-    scene: Scene, sensor: Any, integrator: Any, seed: Seed, spp: int, pass_spp: int, progress: Progress | None
+    scene: Scene,
+    sensor: Any,
+    integrator: Any,
+    seed: Seed,
+    spp: int,
+    pass_spp: int = 0,
+    progress: Progress | None = None,
+    interruption: Interruption | None = None,
 ) -> Job:
     """Check the arguments of `render` and put the pieces together: views of the scene, never a change to it."""
     sensor, integrator = find_sensor(scene, sensor), find_integrator(scene, integrator)
     sampler = sensor.sampler()
     spp, seed = check_count("spp", spp), check_seed("seed", seed)
-    if not scene.emitters() and integrator.needs_light:
+    shines = scene.emitters() or (integrator.follows_media and scene.every_medium.emit)
+    if integrator.needs_light and not shines:
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
     integrator.resume()
+    if integrator.shows_no_lengths():
+        scene, sensor = carried(scene, sensor)
     spp = sampler.round_count(spp or sampler.sample_count())
+    width, height = sensor.film().crop_size()
+    require_countable(width, height, spp)
     if integrator.follows_media:
         scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
-    job = job_of(sampler)(scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp)
+    job = job_of(sampler)(
+        scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp, interruption
+    )
     require_countable(job.width, job.height, spp)
     return job
 
@@ -261,7 +300,8 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
 def find_integrator(scene: Scene, integrator: Any) -> Integrator:
     """The integrator that was asked for, or the scene's, or else `path`."""
     require_scene(scene)
-    integrator = integrator or scene.integrator() or Path(Properties("path", "integrator", {}))
+    if integrator is None:
+        integrator = scene.integrator() or Path(Properties("path", "integrator", {}))
     if not isinstance(integrator, Integrator):
         hint = "; load it with djpt.load_dict first" if isinstance(integrator, dict) else ""
         raise RenderError(f"'integrator' must be an integrator plugin, found {type(integrator).__name__}{hint}")

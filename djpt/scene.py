@@ -81,6 +81,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if len(infinite) > 1:
             raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
         self._environment = infinite[0] if infinite else None
+        self.in_time = any(emitter.in_time for emitter in self._emitters)
+        """Whether rays need a time, because some light depends on it."""
         with may_wait():
             self._compile()
 
@@ -89,6 +91,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
 
     def _compile(self) -> None:
         self.lookup: Lookup = Detached()
+        self.twin: Any = ()
+        """The scene that is rendered in the place of this one, see `djpt.working_frame.twin`; (): not known yet."""
         self._from_infinity = [i for i, e in enumerate(self._emitters) if e.from_infinity]
         self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
 
@@ -116,6 +120,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         self._use_bsdfs(bsdfs)
         self._families.clear()
         self._prepare()
+        self.twin = ()
 
     def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
         self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
@@ -180,6 +185,14 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
             self.forget_choices()
         self._prepare()
+        self._refresh_twin(changed)
+
+    def _refresh_twin(self, changed: Sequence[Plugin]) -> None:
+        """Let the twin follow an edit; it shares materials and textures, and has copies of all else."""
+        if self.twin and all(plugin.kind in ("bsdf", "texture") for plugin in changed):
+            self.twin[1].refresh(changed)
+        elif self.twin or any(isinstance(plugin, Shape) for plugin in changed):
+            self.twin = ()
 
     def prepare_to_record(self) -> None:
         if not recording():
@@ -247,7 +260,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         return SensorPtr.into(Family(Ensemble(self._sensors), self.lookup), dr.arange(UInt32, len(self._sensors)))
 
     def shape_types(self) -> int:
-        """The kinds of the shapes: their `ShapeType`s, combined."""
+        """The kinds of all shapes, values of `ShapeType`, combined."""
         kinds = 0
         for shape in self._shapes:
             kinds |= int(shape.shape_type())
@@ -290,14 +303,16 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         """True where a point is within an odd number of closed surfaces; open shapes don't count."""
         return is_inside(self.geometry, p, active)
 
-    def light_through(self, ray: Ray3f, light: Color3f | None = None) -> Color3f:
+    def light_through(self, ray: Ray3f, light: Color3f | None = None, lit: Bool | None = None) -> Color3f:
         """The part of `light` (default 1) that arrives along the segment of a `shadow_ray`.
 
         It is 0 behind a surface, else the share that media leave. Faster than `ray_test`: shapes that can't shadow
-        anything are left out.
+        anything are left out. Only where there is light surfaces are looked for, and where `lit`: black light may have
+        derivatives.
         """
         left = self.left_by_media(ray, Color3f(1) if light is None else light)
-        return dr.select(self.geometry.blocked(ray, dr.max(left) > 0), 0, left)
+        shines = dr.max(left) > 0
+        return dr.select(self.geometry.blocked(ray, shines if lit is None else shines | lit), 0, left)
 
     def light_between(self, ray: Ray3f, light: Color3f, through_lights: bool = False) -> Color3f:
         """The part of `light` that arrives along the segment of a ray between any two points.
@@ -358,7 +373,11 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
         """The BSDF of the shape at `si`."""
-        return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(si.face))
+        return self.bsdf_of(si.face)
+
+    def bsdf_of(self, face: UInt32) -> BSDFPtr:
+        """The BSDF of a face."""
+        return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(face))
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""

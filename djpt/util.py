@@ -6,9 +6,9 @@ Nothing else lives here: each name is a thin wrapper over the module that owns t
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
+from djpt.files import as_path
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.parameters import SceneParameters, traverse
 from djpt.rendering import render
@@ -46,7 +46,7 @@ def write_bitmap(filename: str | os.PathLike[str], data: Any, write_async: bool 
         SceneError: `data` isn't an image, or has channels that aren't colours and the format is one for displays.
         FileError: the file can't be written.
     """
-    suffix = Path(filename).suffix.lower()
+    suffix = as_path(filename).suffix.lower()
     bitmap = convert_to_bitmap(data, uint8_srgb=suffix in DISPLAY_FORMATS)
     if suffix in SINGLE and bitmap.component_format() is Type.Float64:
         bitmap = bitmap.convert(component_format=Type.Float32)

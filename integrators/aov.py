@@ -59,6 +59,10 @@ DIFFERENTIALS = ("duv_dx", "duv_dy")
 """Mitsuba's variables that need ray differentials, which djpt's cameras don't make."""
 
 
+MOST = 256
+"""Variables of one integrator: kernels have code for each."""
+
+
 class AOV(NestingIntegrator):
     """Images of surface properties, after those of nested integrators.
 
@@ -124,7 +128,10 @@ class AOV(NestingIntegrator):
 def parse(text: str, node: str) -> list[tuple[str, str]]:
     """Parse ``name:variable, ..`` into pairs; raise `SceneError` if it isn't a list of known variables."""
     result: list[tuple[str, str]] = []
-    for item in text.split(","):
+    items = text.split(",")
+    if len(items) > MOST:
+        raise SceneError(f"{node}: 'aovs' can have up to {MOST} variables, found {len(items)}")
+    for item in items:
         name, colon, kind = (part.strip() for part in item.partition(":"))
         if not (name and colon):
             raise SceneError(f"{node}: 'aovs' is a list of name:variable, found '{item.strip()}'")

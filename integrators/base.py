@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -65,6 +65,10 @@ class Integrator(Plugin):
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
+    lengthless: ClassVar[bool] = False
+    """True if its images show light and no coordinates: scenes may then be rendered in a frame of another unit. Counts
+    for the class that says so, not for those derived from it."""
+
     from_script: ClassVar[bool] = False
     """Whether the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
 
@@ -82,6 +86,10 @@ class Integrator(Plugin):
     def stepwise(self) -> bool:
         """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""
         return "flat" in self.schedules
+
+    def shows_no_lengths(self) -> bool:
+        """Whether its class is known to be `lengthless`."""
+        return bool(vars(type(self)).get("lengthless", False))
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""
@@ -176,6 +184,9 @@ class Integrator(Plugin):
 SamplingIntegrator = Integrator
 """Mitsuba's name: every integrator of djpt has a method `sample`."""
 
+SMALL = 1e-3
+"""Factors below it are set aside: divided by them, rounding errors of what they are a part of would count."""
+
 State = TypeVar("State", bound="PathState")
 
 
@@ -204,11 +215,29 @@ class PathState:
     """Geometric normal of the previous vertex; None if the choice of emitters doesn't look at it."""
     covered: Bool | None = None
     """True once a vertex was met that isn't a null interface; None in scenes without null interfaces."""
+    aside: Color3f | None = None
+    """While the derivatives of materials or media are replayed, the factor of each channel that was set aside, or 1:
+    see `carrying`. Else None."""
 
     @property
     def reference(self) -> Reference:
         """The previous vertex as the reference point of light sampling."""
         return Reference(self.p, self.n)
+
+    def carrying(self: State, weight: Color3f, differs: Callable[[], Bool]) -> State:
+        """The state with its throughput times the weight of a vertex; of `weight` and throughput only values count.
+
+        A weight of 0 ends a channel, and what would have come along it is never found; but its product with a
+        derivative of the weight may not be 0. So in replays the first weight of each channel that is too small to
+        divide by is set `aside`, instead of being multiplied, where the vertex `differs`: has a weight with
+        derivatives, in a direction that could be sampled.
+        """
+        factor = dr.detach(weight)
+        if self.aside is None or not dr.grad_enabled(weight):
+            return replace(self, throughput=self.throughput * factor)
+        small = (self.aside == 1) & (dr.abs(factor) < SMALL) & differs()
+        throughput = self.throughput * dr.select(small, 1, factor)
+        return replace(self, throughput=throughput, aside=dr.select(small, factor, self.aside))
 
     def restarted(self: State, ended: Bool, fresh: State) -> State:
         """The state `fresh` where a path has `ended`."""
@@ -243,6 +272,9 @@ class Vertex:
     """True where the path goes on."""
     valid: Bool
     """True where the sample counts as covered, if the path ends here."""
+    lit: Bool | None = None
+    """True where the sampled emitter would shine if it and the material weren't black; None: where `reflected` isn't
+    black. Asked for derivatives only."""
 
 
 class PathIntegrator(Integrator):
@@ -295,12 +327,15 @@ class PathIntegrator(Integrator):
         """Process a hit by `vertex`, with the absorption between the previous vertex and this one included."""
         passed = scene.transmittance(ray, si.t)
         v = self.vertex(scene, sampler, replace(state, throughput=state.throughput * passed), ray, si)
-        v.weight = v.weight * passed
+        # The throughput has the value of `passed` already.
+        if dr.grad_enabled(passed):
+            value = dr.detach(passed)
+            v.weight = v.weight * dr.select(value > 0, passed * dr.rcp(value), 1)
         return v
 
     def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
         """The light of a vertex's light sample that arrives; the schedule `machine` doesn't ask for it."""
-        return scene.light_through(v.shadow_ray, v.reflected)
+        return scene.light_through(v.shadow_ray, v.reflected, v.lit if dr.grad_enabled(v.reflected) else None)
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

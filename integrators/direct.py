@@ -31,6 +31,8 @@ class Direct(Integrator):
     `bsdf_samples` (0 turns a strategy off), `hide_emitters`, `emitter_choice` (see `Path`).
     """
 
+    lengthless = True
+
     needs_light = True
 
     def __init__(self, props: Properties) -> None:

@@ -39,6 +39,8 @@ class Distributed(Integrator):
     R. Cook, T. Porter and L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984.
     """
 
+    lengthless = True
+
     needs_light = True
     differentiable = False
 

@@ -44,6 +44,9 @@ class Moment(NestingIntegrator):
         if not self.nested:
             raise props.error("moment", "needs a nested integrator")
 
+    def shows_no_lengths(self) -> bool:
+        return type(self) is Moment and all(integrator.shows_no_lengths() for _, integrator in self.nested)
+
     def aov_names(self) -> Sequence[str]:
         first = [
             f"{name}.{channel}"

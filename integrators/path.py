@@ -37,6 +37,8 @@ class Path(UnidirectionalPath):
     Mitsuba's `path`, number by number.
     """
 
+    lengthless = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.rr_depth = first_roulette(props, self.max_depth)
@@ -58,7 +60,8 @@ class Path(UnidirectionalPath):
         to_light = si.to_local(ds.d)
 
         # -------------------- BSDF sampling -------------------
-        value, pdf, bs, weight = si.bsdf().eval_pdf_sample(
+        bsdf = si.bsdf()
+        value, pdf, bs, weight = bsdf.eval_pdf_sample(
             BSDFContext(), si, to_light, sampler.next_1d(), sampler.next_2d(), proceed
         )
         # The power heuristic from 1 / p_e: one division less.
@@ -68,7 +71,8 @@ class Path(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * bs.eta
         begins = self.roulette_depth(state.depth) >= self.rr_depth
-        throughput, survives = roulette(sampler, state.throughput * dr.detach(weight), eta, begins)
+        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
+        throughput, survives = roulette(sampler, onward.throughput, eta, begins)
 
         # ---------------------- Next vertex -------------------
         return Vertex(
@@ -77,9 +81,10 @@ class Path(UnidirectionalPath):
             shadow_ray=shadow_ray,
             weight=weight,
             ray=si.spawn_ray(si.to_world(bs.wo)),
-            state=self.next_state(scene, state, si, bs, throughput),
+            state=self.next_state(scene, onward, si, bs, throughput),
             active=proceed & survives,
             valid=self.counts(scene, state, si, bs),
+            lit=proceed & (pdf > 0) & (ds.pdf > 0),
         )
 
     def roulette_depth(self, depth: UInt32) -> UInt32:

@@ -45,6 +45,8 @@ class PathNaive(UnidirectionalPath):
     J. Kajiya, "The Rendering Equation", SIGGRAPH 1986.
     """
 
+    lengthless = True
+
     samples_lights = False
 
     def __init__(self, props: Properties) -> None:
@@ -85,7 +87,8 @@ class PathNaive(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * chosen.eta
         begins = state.depth + 1 >= self.rr_depth
-        throughput, survives = roulette(sampler, state.throughput * dr.detach(weight), eta, begins)
+        onward = state.carrying(weight, lambda: bsdf.vanishes() & (chosen.pdf > 0))
+        throughput, survives = roulette(sampler, onward.throughput, eta, begins)
 
         # ---------------------- Next vertex -------------------
         return Vertex(
@@ -94,7 +97,7 @@ class PathNaive(UnidirectionalPath):
             shadow_ray=si.spawn_ray(ray.d),
             weight=weight,
             ray=si.spawn_ray(si.to_world(chosen.wo)),
-            state=self.next_state(scene, state, si, chosen, throughput),
+            state=self.next_state(scene, onward, si, chosen, throughput),
             active=proceed & survives,
             valid=self.counts(scene, state, si, chosen),
         )

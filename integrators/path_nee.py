@@ -38,6 +38,8 @@ class PathNEE(UnidirectionalPath):
     Application", 1967.
     """
 
+    lengthless = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.russian_roulette = props.float("russian_roulette", 0.8, low=0.0, high=1.0, low_open=True)
@@ -59,14 +61,16 @@ class PathNEE(UnidirectionalPath):
         ds, light = scene.sample_emitter_direction(si, sampler.next_2d(), test_visibility=False)
 
         # -------------------- BSDF sampling -------------------
-        value, _, bs, weight = si.bsdf().eval_pdf_sample(
+        bsdf = si.bsdf()
+        value, pdf, bs, weight = bsdf.eval_pdf_sample(
             BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d(), proceed
         )
         reflected = dr.select(proceed, state.throughput * value * light, 0)
 
         # ------------------ Russian roulette ------------------
         survives = sampler.next_1d() < self.russian_roulette
-        throughput = state.throughput * dr.detach(weight) * Float(1 / self.russian_roulette)
+        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
+        throughput = onward.throughput * Float(1 / self.russian_roulette)
 
         # ---------------------- Next vertex -------------------
         return Vertex(
@@ -75,9 +79,10 @@ class PathNEE(UnidirectionalPath):
             shadow_ray=scene.shadow_ray(si, ds),
             weight=weight,
             ray=si.spawn_ray(si.to_world(bs.wo)),
-            state=self.next_state(scene, state, si, bs, throughput),
+            state=self.next_state(scene, onward, si, bs, throughput),
             active=proceed & survives & (dr.max(throughput) > 0),
             valid=self.counts(scene, state, si, bs),
+            lit=proceed & (pdf > 0) & (ds.pdf > 0),
         )
 
 

@@ -21,6 +21,8 @@ class PRB(Path):
     later than in `path`, and an environment isn't covered (alpha 0), as in Mitsuba.
     """
 
+    lengthless = True
+
     default_max_depth = 6
     covers_sky = False
 

@@ -32,6 +32,8 @@ class PRBBasic(UnidirectionalPath):
     D. Vicini, S. Speierer and W. Jakob, "Path Replay Backpropagation", SIGGRAPH 2021.
     """
 
+    lengthless = True
+
     default_max_depth = 6
     covers_sky = False
     samples_lights = False
@@ -45,10 +47,9 @@ class PRBBasic(UnidirectionalPath):
 
         # -------------------- BSDF sampling -------------------
         # All of the weight's derivative is in `eval`: ask for both at once.
-        _, _, bs, weight = si.bsdf().eval_pdf_sample(
-            BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed
-        )
-        throughput = state.throughput * dr.detach(weight)
+        bsdf = si.bsdf()
+        _, _, bs, weight = bsdf.eval_pdf_sample(BSDFContext(), si, si.wi, sampler.next_1d(), sampler.next_2d(), proceed)
+        onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
 
         # ---------------------- Next vertex -------------------
         return Vertex(
@@ -57,8 +58,8 @@ class PRBBasic(UnidirectionalPath):
             shadow_ray=si.spawn_ray(ray.d),
             weight=weight,
             ray=si.spawn_ray(si.to_world(bs.wo)),
-            state=self.next_state(scene, state, si, bs, throughput),
-            active=proceed & (dr.max(throughput) > 0),
+            state=self.next_state(scene, onward, si, bs, onward.throughput),
+            active=proceed & (dr.max(onward.throughput) > 0),
             valid=self.counts(scene, state, si, bs),
         )
 

@@ -15,6 +15,8 @@ class PRBVolumetricPath(VolumetricPath):
     the extinction of media, texel by texel if it is a grid. Texels without density have derivatives, too.
     """
 
+    lengthless = True
+
     default_max_depth = 6
 
 

@@ -64,6 +64,8 @@ class ParticleTracer(PassIntegrator):
     Computation of Pixel Intensities", 1993; the correction for shading normals is that of E. Veach, 1997, 5.3.2.
     """
 
+    lengthless = True
+
     starts_at_lights = True
 
     def __init__(self, props: Properties) -> None:

@@ -32,11 +32,12 @@ class Branch:
     """Density of its direction; 0 if light sampling couldn't have found it (camera, delta)."""
     depth: UInt32
     """The number of surfaces before this ray."""
+    time: Float
 
     @property
     def ray(self) -> Ray3f:
         """The ray."""
-        return Ray3f(self.o, self.d, maxt=self.maxt, medium=self.medium)
+        return Ray3f(self.o, self.d, maxt=self.maxt, time=self.time, medium=self.medium)
 
     @property
     def reference(self) -> Reference:
@@ -52,7 +53,7 @@ def camera_branch(ray: Ray3f) -> Branch:
 def branch(ray: Ray3f, p: Point3f, n: Normal3f, throughput: Color3f, bsdf_pdf: Float, depth: UInt32) -> Branch:
     """A branch that `ray` begins; see `Branch` for the rest."""
     medium = UInt32(0) if ray.medium is None else ray.medium
-    return Branch(ray.o, ray.d, ray.maxt, medium, p, n, throughput, bsdf_pdf, depth)
+    return Branch(ray.o, ray.d, ray.maxt, medium, p, n, throughput, bsdf_pdf, depth, ray.time)
 
 
 class RayStack:

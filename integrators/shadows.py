@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.kernels import wide
+from djpt.geometry.passable import PassableSurfaces
+from djpt.kernels import if_stmt, wide
 from djpt.media.differentials import own_stream
 from djpt.media.flight import FAR
-from djpt.records import SHADOW_EPSILON, BSDFFlags, Ray3f, has_flag
+from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream, go_on_with
 from djpt.samplers.independent import IndependentStream
@@ -23,8 +24,8 @@ __all__ = ["light_through_null"]
 
 
 @dataclass
-class Way:
-    """The way of a shadow ray through media, as far as derivatives need it: loop state."""
+class Passage:
+    """What a shadow ray has passed of media so far, as derivatives need it: loop state."""
 
     lengths: list[Float]
     """The length so far through each medium."""
@@ -46,20 +47,28 @@ class Shadow:
 
     o: Point3f
     medium: UInt32 | None
+    t: Float
+    """The distance of the next surface; infinite if there is none."""
+    face: UInt32
+    near: Any
     light: Color3f
-    way: Way | None
-    """What was passed so far; None unless there are derivatives."""
+    passage: Passage | None
+    """What it has passed so far; None unless there are derivatives."""
     sampler: Any
     active: Bool
 
 
-def light_through_null(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f) -> Color3f:
+def light_through_null(
+    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None
+) -> Color3f:
     """The part of `light` that arrives along a shadow ray, through null surfaces and whatever media lie between.
 
     Unlike `Scene.light_through` it leaves out no shape: a point in a medium may lie behind a wall that stands around
-    everything else. It has derivatives by the media and by `light`; those of null surfaces are left out.
+    everything else. It has derivatives by the media and by `light`; those of null surfaces are left out. Where `lit`,
+    the way is followed although `light` is black.
     """
-    lit = dr.max(light) > 0
+    shines = dr.max(light) > 0
+    lit = shines if lit is None else shines | lit
     if not scene.has_null:
         # What stands in the way needs no light in the medium.
         free = ~scene.geometry.any_hit(ray, lit)
@@ -71,85 +80,131 @@ def light_through_null(scene: Scene, sampler: SampleStream, ray: Ray3f, light: C
     with dr.suspend_grad():
         # Leaves that are made in a loop can't be used behind it.
         plain = scene.with_lookup(scene.lookup.plain())
-        end = walked(plain, sampler, dr.detach(ray), Color3f(1), dr.detach(lit), differentiable)
+        end = Way(plain, dr.detach(ray)).walked(sampler, dr.detach(lit), differentiable)
     go_on_with(sampler, end.sampler)
     arrives = dr.select(lit, end.light, 0)
-    if end.way is not None:
-        arrives = reattached(scene, sampler, ray, arrives, end.way)
+    if end.passage is not None:
+        arrives = reattached(scene, sampler, ray, arrives, end.passage)
     return light * arrives
 
 
-def walked(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool, measured: bool) -> Shadow:
-    """The end of a shadow ray that starts with `light`; with the lengths in each medium if `measured`."""
-    lanes = dr.width(ray, lit, sampler)
-    start = Shadow(
-        o=wide(ray.o, lanes),
-        medium=wide(ray.medium, lanes),
-        light=wide(light, lanes),
-        way=wide(begun(scene, ray), lanes) if measured else None,
-        sampler=sampler,
-        active=lit & dr.full(Bool, True, lanes),
-    )
+class Way:
+    """The way of a shadow ray through null surfaces.
 
-    def step(shadow: Shadow) -> tuple[Shadow]:
+    If they can be told apart from all others, whether anything opaque stands in the way is known before.
+    """
+
+    def __init__(self, scene: Scene, ray: Ray3f) -> None:
+        self._scene, self._ray = scene, ray
+        null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
+        self._surfaces = PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+
+    def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
+        """The end of the ray, whose `light` is the share that arrives; with its passage if `measured`.
+
+        Where not `lit`, the result means nothing.
+        """
+        ray, lanes = self._ray, dr.width(self._ray, lit, sampler)
+        free = ~self._surfaces.blocked(ray, lit) if self._surfaces.are_apart else Bool(True)
+        t, face, near = self._next(aimed(ray, ray.o, ray.medium))
+        start = Shadow(
+            o=wide(ray.o, lanes),
+            medium=wide(ray.medium, lanes),
+            t=wide(t, lanes),
+            face=wide(face, lanes),
+            near=wide(near, lanes),
+            light=wide(dr.select(free, Color3f(1), 0), lanes),
+            passage=wide(begun(self._scene, ray), lanes) if measured else None,
+            sampler=sampler,
+            active=(lit & free) & dr.full(Bool, True, lanes),
+        )
+        (end,) = dr.while_loop((start,), lambda shadow: shadow.active, self._pass_medium, label="shadow")
+        return end
+
+    def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any]:
+        """The distance of the next surface, its face, and what else is known of the hit."""
+        hit = self._surfaces.closest(ray) if self._surfaces.are_apart else self._scene.closest_hit(ray)
+        return hit.t, hit.face, hit.near
+
+    def _pass_medium(self, shadow: Shadow) -> tuple[Shadow]:
+        """Go on to the next surface, and through it."""
+        scene, segment = self._scene, aimed(self._ray, shadow.o, shadow.medium)
+        hit, stopped = shadow.t < dr.inf, Bool(False)
+        segment.maxt = dr.select(hit, shadow.t, segment.maxt)
+        if not self._surfaces.are_apart:
+            stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
+        sampler = shadow.sampler
+        left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
+        light = dr.select(stopped, 0, left)
+        passage = shadow.passage
+        if passage is not None:
+            passage = longer(scene, passage, segment, shadow.active & ~stopped)
+        goes_on = shadow.active & hit & (dr.max(light) > 0)
+        after = replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
+        # Most shadow rays end within their medium.
+        (after,) = if_stmt((after,), goes_on, lambda shadow: (self._pass_surface(shadow),), lambda shadow: (shadow,))
+        return (after,)
+
+    def _pass_surface(self, shadow: Shadow) -> Shadow:
+        """Go through a surface, and find the next one."""
+        scene, ray = self._scene, self._ray
         segment = aimed(ray, shadow.o, shadow.medium)
-        si = scene.surface_interaction(segment, scene.closest_hit(segment), full=scene.needs_uv)
-        hit = si.is_valid()
-        bsdf = si.bsdf()
-        opaque = hit & ~has_flag(bsdf.flags(), BSDFFlags.Null)
-        through = dr.select(hit, bsdf.eval_null_transmission(si, ~opaque), 1)
-        segment.maxt = dr.select(hit, si.t, segment.maxt)
-        left = shadow.light * through * left_over(scene, shadow.sampler, segment, shadow.active & ~opaque)
-        light = dr.select(opaque, 0, left)
-        way = None if shadow.way is None else longer(scene, shadow.way, segment, shadow.active & ~opaque)
+        hit = PreliminaryIntersection3f.found(shadow.t, shadow.face, scene.geometry.shape_of(shadow.face), shadow.near)
+        si = scene.surface_interaction(segment, hit, full=scene.needs_uv)
         on = si.spawn_ray(segment.d)
         # Where the light lies on the surface, the ray has been moved past it.
         ahead = (ray.maxt == dr.inf) | (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)
-        goes_on = shadow.active & hit & (dr.max(light) > 0) & ahead
-        return (Shadow(on.o, on.medium, light, way, shadow.sampler, goes_on),)
+        t, face, near = self._next(aimed(ray, on.o, on.medium))
+        return replace(
+            shadow,
+            o=on.o,
+            medium=on.medium,
+            t=t,
+            face=face,
+            near=near,
+            light=shadow.light * si.bsdf().eval_null_transmission(si),
+            active=shadow.active & ahead,
+        )
 
-    (end,) = dr.while_loop((start,), lambda shadow: shadow.active, step, label="shadow")
-    return end
 
-
-def begun(scene: Scene, ray: Ray3f) -> Way:
-    """The way of a shadow ray that hasn't left."""
+def begun(scene: Scene, ray: Ray3f) -> Passage:
+    """That of a shadow ray that hasn't left."""
     lengths = [Float(0) for _ in scene.media.plugins]
-    return Way(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
+    return Passage(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
 
 
-def longer(scene: Scene, way: Way, segment: Ray3f, active: Bool) -> Way:
-    """A way with one more segment: its uniform point moves there in proportion to the length."""
+def longer(scene: Scene, passage: Passage, segment: Ray3f, active: Bool) -> Passage:
+    """A passage with one more segment: its uniform point moves there in proportion to the length."""
     lengths = [
         total + dr.select(active & (segment.medium == number), segment.maxt, 0)
-        for number, total in enumerate(way.lengths)
+        for number, total in enumerate(passage.lengths)
     ]
     assert segment.medium is not None
     start, end = scene.media.in_box(segment, segment.maxt, scene.lookup)
     length = dr.select(active & (end < FAR), end - start, 0)
-    place = way.stream.next_1d() * (way.tracked + length)
+    place = passage.stream.next_1d() * (passage.tracked + length)
     here = (place < length) & (length > 0)
-    return Way(
+    return Passage(
         lengths=lengths,
-        tracked=way.tracked + length,
-        o=dr.select(here, segment.o, way.o),
-        at=dr.select(here, start + place, way.at),
-        medium=dr.select(here, segment.medium, way.medium),
-        stream=way.stream,
+        tracked=passage.tracked + length,
+        o=dr.select(here, segment.o, passage.o),
+        at=dr.select(here, start + place, passage.at),
+        medium=dr.select(here, segment.medium, passage.medium),
+        stream=passage.stream,
     )
 
 
-def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, way: Way) -> Color3f:
+def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, passage: Passage) -> Color3f:
     """The share of light that arrives, with its derivatives by what the way through each medium leaves."""
-    sigma_t = way.tracked * scene.media.extinction_at(
-        way.medium,
-        MediumInteraction3f.on(aimed(ray, way.o, way.medium), way.at),
-        way.stream.next_1d(),
+    sigma_t = passage.tracked * scene.media.extinction_at(
+        passage.medium,
+        MediumInteraction3f.on(aimed(ray, passage.o, passage.medium), passage.at),
+        passage.stream.next_1d(),
         scene.lookup,
-        way.tracked > 0,
+        passage.tracked > 0,
     )
     attached = arrives * (1 + (dr.detach(sigma_t) - sigma_t))
-    for number, length in enumerate(way.lengths):
+    for number, length in enumerate(passage.lengths):
         if scene.media.plugins[number].is_tracked:
             continue
         segment = aimed(ray, ray.o, UInt32(number))

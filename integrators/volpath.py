@@ -53,6 +53,8 @@ class VolumetricPath(UnidirectionalPath):
     rays through homogeneous media is computed, where Mitsuba estimates it by random numbers.
     """
 
+    lengthless = True
+
     schedules = ("flat", "wave")
     follows_media = True
     spectral_mis = False
@@ -109,6 +111,8 @@ class VolumetricPath(UnidirectionalPath):
         met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
+        if scene.media.emit and self.max_depth != 0:
+            emitted = emitted + state.throughput * flight.emitted
 
         # ------------ Light sampling, and the next direction ---
         ds = light.ds
@@ -132,7 +136,11 @@ class VolumetricPath(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         depth = dr.select(crosses, state.depth, state.depth + 1)
         eta = None if state.eta is None else state.eta * eta
-        next_throughput, survives = roulette(sampler, throughput * dr.detach(weight), eta, depth > self.rr_depth)
+        flown_weight, matter = flown * weight, scene.media.are_attached(scene.lookup)
+        onward = state.carrying(
+            flown_weight, lambda: dr.select(surface, bsdf.vanishes() & (bs.pdf > 0), inside & matter)
+        )
+        next_throughput, survives = roulette(sampler, onward.throughput, eta, depth > self.rr_depth)
 
         # ---------------------- Next vertex -------------------
         shadow_ray, next_ray = scene.shadow_ray(at, ds), at.spawn_ray(wo)
@@ -145,10 +153,10 @@ class VolumetricPath(UnidirectionalPath):
             emitted=emitted,
             reflected=reflected,
             shadow_ray=shadow_ray,
-            weight=flown * weight,
+            weight=flown_weight,
             ray=next_ray,
             state=replace(
-                state,
+                onward,
                 p=dr.select(crosses, state.p, at.p),
                 throughput=next_throughput,
                 bsdf_pdf=dr.select(crosses, state.bsdf_pdf, next_pdf),
@@ -162,6 +170,7 @@ class VolumetricPath(UnidirectionalPath):
             ),
             active=(inside | surface) & survives & (depth < most),
             valid=(covered | sky) & Bool(self.max_depth != 0),
+            lit=lit & (pdf > 0) & (ds.pdf > 0),
         )
 
     def flight(
@@ -169,10 +178,12 @@ class VolumetricPath(UnidirectionalPath):
     ) -> Flight:
         """How far light gets on the way to a surface."""
         length = dr.select(si.is_valid(), si.t, ray.maxt)
+        if state.scatters is not None:
+            length = dr.select(state.scatters, 0, length)
+        flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
         if state.scatters is None:
-            return scene.media.fly(ray, length, state.channel, sampler, scene.lookup)
-        flight = scene.media.fly(ray, dr.select(state.scatters, 0, length), state.channel, sampler, scene.lookup)
-        at_once = Flight(Float(0), Bool(True), Color3f(1), Color3f(1))
+            return flight
+        at_once = Flight(Float(0), Bool(True), Color3f(1), Color3f(1), Color3f(0))
         return dr.select(state.scatters, at_once, flight)
 
     def weighed(self, state: VolumetricPathState, flight: Flight) -> tuple[Color3f, Color3f | None]:
@@ -189,7 +200,8 @@ class VolumetricPath(UnidirectionalPath):
         return Color3f(0) if self.max_depth == 0 else emitted
 
     def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
-        return light_through_null(scene, sampler, v.shadow_ray, v.reflected)
+        lit = v.lit if dr.grad_enabled(v.reflected) else None
+        return light_through_null(scene, sampler, v.shadow_ray, v.reflected, lit)
 
 
 def vertex_of(ray: Ray3f, si: SurfaceInteraction3f, flight: Flight) -> SurfaceInteraction3f:

@@ -22,6 +22,8 @@ class VolumetricPathMIS(VolumetricPath):
     Scattering Path Integral Formulation of Light Transport", SIGGRAPH 2019.
     """
 
+    lengthless = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.spectral_mis = props.boolean("use_spectral_mis", True)

@@ -26,6 +26,8 @@ class PathLoop:
     o: Point3f
     d: Vector3f
     medium: UInt32 | None
+    times: Any
+    """That of the ray, see `Ray3f.times`: a tuple, whose type Dr.Jit needn't know."""
     sampler: SampleStream
     state: Any
     """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""
@@ -53,6 +55,7 @@ def walk(
         o=wide(ray.o, lanes),
         d=wide(ray.d, lanes),
         medium=wide(ray.medium, lanes),
+        times=wide(ray.times, lanes),
         sampler=sampler,
         state=wide(integrator.begin(scene, sampler) if state is None else state, lanes),
         radiance=[dr.zeros(Color3f, lanes) for _ in range(max(1, bounces))],
@@ -64,6 +67,7 @@ def walk(
         # Only the first ray may have an end. As loop state it would nearly always stay infinite, and Dr.Jit traces
         # a loop again when it finds that something stays what it is.
         way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        way.times = lane.times
         si = integrator.trace(scene, lane.state, way)
         v = integrator.advance(scene, lane.sampler, lane.state, way, si)
         reflected, depth = integrator.arriving(scene, lane.sampler, v), lane.state.depth
@@ -75,7 +79,8 @@ def walk(
         else:
             radiance = [lane.radiance[0] + v.emitted + reflected]
         valid = dr.select(v.active, lane.valid, v.valid)
-        return (PathLoop(v.ray.o, v.ray.d, v.ray.medium, lane.sampler, v.state, radiance, valid, v.active),)
+        on = v.ray
+        return (PathLoop(on.o, on.d, on.medium, on.times, lane.sampler, v.state, radiance, valid, v.active),)
 
     (end,) = loop_traced_once(start, lambda lane: lane.active, body, type(integrator).__name__)
     return end.radiance, end.valid

@@ -44,6 +44,8 @@ class Whitted(Integrator):
     T. Whitted, "An improved illumination model for shaded display", CACM 23(6), 1980.
     """
 
+    lengthless = True
+
     needs_light = True
     differentiable = False
 

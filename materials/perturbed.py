@@ -102,7 +102,9 @@ class PerturbedBSDF(BSDF):
     def _turned_back(self, frame: Frame3f, bs: BSDFSample3f, weight: Color3f) -> tuple[BSDFSample3f, Color3f]:
         """The nested BSDF's sample in the frame of the surface."""
         wo = frame.to_world(bs.wo)
-        ok = (wo.z * bs.wo.z > 0) & dr.any(weight != 0)
+        # Derivatives need the directions of a black BSDF, too.
+        sampled = bs.pdf > 0 if dr.grad_enabled(weight) else dr.any(weight != 0)
+        ok = (wo.z * bs.wo.z > 0) & sampled
         weight = dr.select(ok, weight * self._shadowing(frame, wo), 0)
         return bs.replaced(wo=wo, pdf=dr.select(ok, bs.pdf, 0)), weight
 

@@ -164,7 +164,11 @@ class Principled(PrincipledBase):
             return dr.select(self.interface == 1, 1.001, self.interface) if transmits else self.interface
         specular = self.interface
         if transmits:
-            specular = dr.select(specular == 0, 1e-3, specular)
+            # Slopes below are those of the smallest interface: closer to 1 refracted light comes in ever thinner lobes.
+            if dr.grad_enabled(specular):
+                specular = specular + maximum(1e-3 - dr.detach(specular), Float(0))
+            else:
+                specular = dr.select(specular == 0, 1e-3, specular)
         return 2 * dr.rcp(1 - square_root(0.08 * specular)) - 1
 
     def _look_up(self, si: SurfaceInteraction3f, active: Bool | bool) -> At:

@@ -13,6 +13,7 @@ import click
 
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 from djpt.files import reason
+from djpt.process.interruption import Terminated
 
 if TYPE_CHECKING:
     from rich.progress import Task
@@ -45,6 +46,7 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     UNUSABLE = 3
     INTERRUPTED = 130
+    TERMINATED = 143
 
 
 class Command(click.Command):
@@ -74,8 +76,10 @@ def readable_errors() -> Iterator[None]:
         fail(f"can't write to the standard output: {reason(error)}", ExitCode.BAD_INPUT)
     except MemoryError:
         fail("out of memory", ExitCode.BAD_INPUT)
-    except KeyboardInterrupt:
-        fail("interrupted", ExitCode.INTERRUPTED)
+    except KeyboardInterrupt as end:
+        fail(str(end) or "interrupted", ExitCode.INTERRUPTED)
+    except Terminated as end:
+        fail(str(end), ExitCode.TERMINATED)
 
 
 def fail(message: str, code: ExitCode) -> None:

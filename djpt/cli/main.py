@@ -1,8 +1,8 @@
 """The command line ``djpt``: its commands, each in a file of its own, and how the process ends.
 
 Exit codes, for scripts: 0 done; 1 a comparison found a difference; 2 wrong input; 3 this machine can't run
-it (no usable LLVM, no Mitsuba to compare with); 130 interrupted. Results go to stdout, errors and the progress
-bar to stderr; the bar only to a terminal.
+it (no usable LLVM, no Mitsuba to compare with); 130 interrupted; 143 terminated. Results go to stdout, errors and
+the progress bar to stderr; the bar only to a terminal.
 """
 
 from __future__ import annotations

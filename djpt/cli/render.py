@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 import djpt
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, progress_bar, require_positive, short
-
-if TYPE_CHECKING:
-    from djpt.scene import Scene
+from djpt.process.interruption import ending_at_once
 
 __all__ = ["command"]
 
@@ -32,6 +30,7 @@ __all__ = ["command"]
 @click.option("--tonemap", help="For png and jpg: srgb (the default: clipped), reinhard, aces or agx.")
 @options.exposure
 @options.white_balance
+@click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
 @options.define
 @options.quiet
 def command(
@@ -48,6 +47,7 @@ def command(
     tonemap: str | None,
     exposure: str,
     white_balance: str | None,
+    keep_partial: bool,
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
@@ -58,7 +58,7 @@ def command(
     name, description = described(scene, parameters(define))
     # NumPy is imported after the scene was found.
     from djpt.cli.pictures import channels_for, layers
-    from djpt.cli.tone import Tone, carried
+    from djpt.cli.tone import Tone
     from djpt.images.image import check_writable
 
     target = output or Path(f"{name}.exr")
@@ -72,44 +72,36 @@ def command(
     kept = channels_for(target, names, len(loaded.sensors()[sensor].film().channel_names()))
     start = time.perf_counter()
     samples = 0
-    with progress_bar("rendering", "samples", quiet) as show:
+
+    def convert(rows: Any) -> Any:
+        colours = rows[..., :kept]
+        return colours if tone is None else tone.apply(colours)
+
+    with progress_bar("rendering", "samples", quiet) as show, ending_at_once():
 
         def progress(done: int, total: int) -> None:
             nonlocal samples
             samples = total
             show(done, total)
 
-        image = djpt.render(
-            loaded, sensor=sensor, spp=spp or 0, seed=seed, schedule=schedule, progress=progress
-        ).numpy()
+        djpt.render_to_file(
+            loaded,
+            target,
+            sensor=sensor,
+            seed=seed,
+            spp=spp or 0,
+            schedule=schedule,
+            progress=progress,
+            metadata={"scene": name, **({} if tone is None else tone.facts)},
+            convert=convert,
+            convert_at_once=exposure == "auto",
+            keep_partial=keep_partial,
+        )
     seconds = time.perf_counter() - start
-    image = image[..., :kept]
-    found = {"scene": name, **facts(loaded, sensor, spp, seed), "seconds": f"{seconds:.2f}"}
-    if tone is not None:
-        image, found = tone.apply(image), {**found, **tone.facts}
-    stored = names if target.suffix.lower() == ".exr" else None
-    djpt.write(target, image, channels=stored, metadata=carried(target, found))
     if not quiet:
-        rows, columns, _ = image.shape
-        speed = f"{short(samples / seconds)}samples/s"
-        print(f"{target}: {columns} x {rows}, {found['spp']} spp, {seconds:.2f} s, {speed}")
+        camera = loaded.sensors()[sensor]
+        (columns, rows), sampler = camera.film().crop_size(), camera.sampler()
+        taken, speed = sampler.round_count(spp or sampler.sample_count()), f"{short(samples / seconds)}samples/s"
+        print(f"{target}: {columns} x {rows}, {taken} spp, {seconds:.2f} s, {speed}")
         if names[kept:]:
             print(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
-
-
-def facts(scene: Scene, sensor: int, spp: int | None, seed: int) -> dict[str, Any]:
-    """The metadata that files of an image carry."""
-    from djpt.description.registry import name_of
-
-    def type_of(plugin: Any) -> str:
-        return name_of(type(plugin)) or type(plugin).__name__
-
-    sampler, integrator = scene.sensors()[sensor].sampler(), scene.integrator()
-    return {
-        "Software": f"djpt {djpt.__version__}",
-        "integrator": "path" if integrator is None else type_of(integrator),
-        "sampler": type_of(sampler),
-        "sensor": sensor,
-        "spp": sampler.round_count(spp or sampler.sample_count()),
-        "seed": seed,
-    }

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from djpt.errors import FileError
-from djpt.files import shortened
+from djpt.files import as_path, shortened
 
 __all__ = ["FileResolver", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
 
@@ -24,6 +24,9 @@ class FileResolver:
         directories: the directories, or another resolver whose directories are copied; default: the working
             directory.
         root: a directory that no file may lie outside of, links resolved, or None. What is outside isn't found.
+
+    Raises:
+        FileError: they aren't names.
     """
 
     def __init__(
@@ -31,8 +34,11 @@ class FileResolver:
         directories: Iterable[str | os.PathLike[str]] | None = None,
         root: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.directories = [working_directory()] if directories is None else [Path(folder) for folder in directories]
-        self.root = None if root is None else os.path.realpath(root)
+        try:
+            self.directories = [working_directory()] if directories is None else [as_path(x) for x in directories]
+        except TypeError:
+            raise FileError(f"a FileResolver takes directories, found {type(directories).__name__}") from None
+        self.root = None if root is None else os.path.realpath(as_path(root))
 
     def find(self, name: str | os.PathLike[str]) -> Path:
         """The file or directory called `name`.
@@ -76,11 +82,11 @@ class FileResolver:
 
     def append(self, folder: str | os.PathLike[str], /) -> None:
         """Look in `folder` last."""
-        self.directories.append(Path(folder))
+        self.directories.append(as_path(folder))
 
     def prepend(self, folder: str | os.PathLike[str], /) -> None:
         """Look in `folder` first."""
-        self.directories.insert(0, Path(folder))
+        self.directories.insert(0, as_path(folder))
 
     def clear(self) -> None:
         """Forget all directories."""
@@ -96,7 +102,7 @@ class FileResolver:
         return self.directories[index]
 
     def __setitem__(self, index: int, folder: str | os.PathLike[str]) -> None:
-        self.directories[index] = Path(folder)
+        self.directories[index] = as_path(folder)
 
     def __delitem__(self, index: int) -> None:
         del self.directories[index]

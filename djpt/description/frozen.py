@@ -150,6 +150,8 @@ class Inventory:
         sort = sort_of(kind)
         if sort == "plain":
             self._parts.append(value)
+        elif kind is tuple and not value:
+            self._parts.append(kind)
         elif sort == "input" and dr.width(value):
             self._arrays.append(value)
         elif sort:
@@ -219,8 +221,15 @@ def members(value: Any) -> tuple[Any, ...]:
         return value.__self__, value.__func__
     if isinstance(value, partial):
         return value.func, value.args, value.keywords
-    slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
-    return tuple(getattr(value, name) for name in slots if name not in UNSEEN and hasattr(value, name))
+    kind: Any = type(value)
+    return tuple(getattr(value, name) for name in slots_of(kind) if hasattr(value, name))
+
+
+@cache
+def slots_of(kind: Any) -> tuple[str, ...]:
+    """The names of the slots that say something of a type's objects."""
+    slots = [name for base in kind.__mro__ for name in getattr(base, "__slots__", ())]
+    return tuple(name for name in slots if name not in UNSEEN)
 
 
 UNSEEN = ("__weakref__", "_inventory")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["LARGEST", "MAX_DEPTH", "MAX_FILES", "MAX_INCLUDES", "MAX_NAME", "MAX_NODES"]
+__all__ = ["LARGEST", "MAX_DEPTH", "MAX_FILES", "MAX_INCLUDES", "MAX_NAME", "MAX_NODES", "MAX_PARTS"]
 
 LARGEST = (2 - 2**-23) * 2.0**127
 """The largest number of float32, in which kernels compute."""
@@ -12,6 +12,10 @@ MAX_DEPTH = 32
 
 MAX_NODES = 500_000
 """Most nodes of a scene: a dict that stands in another one twice, level by level, grows exponentially."""
+
+MAX_PARTS = 256
+"""Most plugins in a material, a texture or a medium; one that is referred to counts each time. Kernels are traced
+through all of them. Real materials need about ten."""
 
 MAX_NAME = 1000
 """Longest name of a node, in characters."""

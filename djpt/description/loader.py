@@ -8,11 +8,11 @@ from typing import Any
 
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
-from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES
+from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
-from djpt.description.registry import lookup
+from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
 
 __all__ = ["Loader", "load_dict"]
@@ -55,6 +55,8 @@ class Loader:
         self.paths: dict[str, str] = {}
         """The path of a node by each name that a reference can use: its path or its ``id`` entry."""
         self.plugins: dict[str, Plugin] = {}
+        self.parts: dict[int, int] = {}
+        """How many plugins one consists of, itself among them, by its `id()`; one counts wherever it is referred to."""
         self.files: Counter[str] = Counter()
         """How many nodes name each file."""
         self.open: list[str] = []
@@ -75,6 +77,8 @@ class Loader:
         if not isinstance(self.root, Mapping):
             raise SceneError(f"load_dict: a scene description is a dict, found {describe(self.root)}")
         self.label = self.root["type"] if isinstance(self.root.get("type"), str) else "scene"
+        if node_count(self.root, {}, 0) > MAX_NODES:
+            raise SceneError(f"{self.name('')}: more than {MAX_NODES} nodes; a node counts wherever it stands")
         self._collect(self.root, "", ())
 
     # ---- first walk: names ---------------------------------------------------------------
@@ -95,8 +99,6 @@ class Loader:
             raise SceneError(f"{where}: the dict contains itself")
         if len(parents) >= MAX_DEPTH:
             raise SceneError(f"{where}: nested deeper than {MAX_DEPTH} levels")
-        if len(self.nodes) >= MAX_NODES:
-            raise SceneError(f"{where}: more than {MAX_NODES} nodes; a node counts wherever it stands")
         self.nodes[path] = node
         self._name_node(path, path)
         for key in node:
@@ -186,17 +188,22 @@ class Loader:
         except SceneError as error:
             raise SceneError(f"{where}: {error}") from None
         values: dict[str, Any] = {}
+        nested: list[Plugin] = []
         for key, value in node.items():
             if key in ("type", "id"):
                 continue
             if isinstance(value, (Mapping, Plugin)):
                 below = f"{path}.{key}" if path else key
                 value = self._build(below)
+                nested.append(value)
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
-                values |= parts_of(value, key, {*node, *values} - {key})
+                parts = value.expand()
+                values |= {key: value} if parts == [value] else named_parts(parts, key, {*node, *values} - {key})
                 continue
             values[key] = value
+
+        count = self._count_parts(name, where, nested)
 
         def place(key: str) -> str:
             return self.name(path, key) if self.places and key in node else where
@@ -206,7 +213,22 @@ class Loader:
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
         props.check_all_used()
+        self.parts[id(plugin)] = count
         return plugin
+
+    def _count_parts(self, name: str, where: str, nested: list[Plugin]) -> int:
+        """How many plugins one of the type `name` consists of; raises `SceneError` if they are too many.
+
+        References are built once, but what they refer to is used wherever they stand: levels of two references each
+        would grow exponentially.
+        """
+        is_shape = kind_of(name) in ("shape", "scene")
+        counted = [plugin for plugin in nested if not is_shape or plugin.kind == "shape"]
+        parts = 1 + sum(self.parts.get(id(plugin), 1) for plugin in counted)
+        most = MAX_NODES if is_shape else MAX_PARTS
+        if parts > most:
+            raise SceneError(f"{where}: more than {most} plugins in one; each counts wherever it is referred to")
+        return parts
 
     def _own_name(self, path: str) -> str:
         """The name of a node: its ``id`` entry if it has one, else its path."""
@@ -217,9 +239,20 @@ class Loader:
         return path
 
 
-def parts_of(plugin: Plugin, key: str, taken: set[str]) -> dict[str, Plugin]:
-    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`; usually itself, as `key`."""
-    parts = plugin.expand()
-    if parts == [plugin]:
-        return {key: plugin}
+def node_count(node: Mapping[str, Any], known: dict[int, int], depth: int) -> int:
+    """The number of nodes of a description, each counted wherever it stands; `known` has those counted before.
+
+    What is nested too deep, such as a dict in itself, counts as one node.
+    """
+    if depth > MAX_DEPTH:
+        return 1
+    if id(node) not in known:
+        nested = (value for value in node.values() if isinstance(value, Mapping))
+        known[id(node)] = 1  # if the node contains itself
+        known[id(node)] = 1 + sum(node_count(value, known, depth + 1) for value in nested)
+    return known[id(node)]
+
+
+def named_parts(parts: list[Plugin], key: str, taken: set[str]) -> dict[str, Plugin]:
+    """The plugins that stand in the place of a nested one, by name: see `Plugin.expand`."""
     return {f"{key}.{i}" if part.id() in taken else part.id(): part for i, part in enumerate(parts)}

@@ -40,7 +40,6 @@ LACKING = {
     ),
     "specfilm": "it holds spectra, and djpt computes colours; take 'hdrfilm'",
     "stokes": "it shows polarisation, which djpt doesn't compute; take the integrator nested in it",
-    "timed_sunsky": "it varies with a ray's time; take 'sunsky' at several times and average the images",
 }
 """The plugins that djpt lacks: why, and what to do."""
 

@@ -100,7 +100,7 @@ class Properties(Entries):
         return number
 
     def integer(self, key: str, default: int = REQUIRED, *, low: int | None = None, high: int | None = None) -> int:
-        """A whole number from `low` to `high`, both included."""
+        """A whole number of 32 bits from `low` to `high`, both included."""
         value = self._take(key, default)
         if key not in self._values:
             return default
@@ -109,6 +109,8 @@ class Properties(Entries):
         except SceneError as error:
             raise self.error(key, str(error)) from None
         self._check_range(key, number, low, high, False, False)
+        if not -(2**31) <= number < 2**32:
+            raise self.error(key, f"must fit into 32 bits, found {describe(number)}")
         return number
 
     def boolean(self, key: str, default: bool = REQUIRED) -> bool:

@@ -10,14 +10,13 @@ from __future__ import annotations
 import os
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import FileError
-from djpt.files import read_bytes, writing
+from djpt.files import as_path, read_bytes, writing
 
 __all__ = ["TensorField", "read_tensors", "tensor_fields", "write_tensors"]
 
@@ -109,7 +108,7 @@ def write_tensors(path: str | os.PathLike[str], tensors: dict[str, Any], align: 
         head += struct.pack("<HBQ", array.ndim, TYPES.index(array.dtype.name) + 1, size + len(body))
         head += struct.pack(f"<{array.ndim}Q", *array.shape)
         body += array.astype(array.dtype.newbyteorder("<")).tobytes()
-    with writing(Path(path)) as temporary:
+    with writing(as_path(path)) as temporary:
         temporary.write_bytes(head + body)
     return len(head) + len(body)
 

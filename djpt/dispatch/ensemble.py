@@ -20,14 +20,27 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 import drjit as dr
+import numpy as np
 
+from djpt.description.frozen import recording
 from djpt.description.plugin import Plugin
 from djpt.dispatch.lookup import Flat, Members, Numbers, Rows
 from djpt.dispatch.tables import Buffer, channels_of
 from djpt.kernels import if_stmt, opaque
 from djpt.types import Bool, UInt32
 
-__all__ = ["Attached", "Detached", "Ensemble", "Group", "Leaf", "Lookup", "TableLeaf", "is_attached", "structure"]
+__all__ = [
+    "Attached",
+    "Detached",
+    "Ensemble",
+    "Group",
+    "Leaf",
+    "Lookup",
+    "TableLeaf",
+    "is_attached",
+    "may_vanish",
+    "structure",
+]
 
 P = TypeVar("P", bound=Plugin)
 
@@ -73,6 +86,9 @@ class Lookup(Protocol):
 
     def attaches(self, leaf: Leaf) -> bool:
         """Whether looked-up values of `leaf` are AD leaves, or depend on some."""
+
+    def vanishing_members(self, leaf: Leaf) -> list[int]:
+        """The members of the group whose values of `leaf` are AD leaves that may make a factor of paths vanish."""
 
     def plain(self) -> Lookup:
         """A lookup of the same values that attaches none."""
@@ -149,6 +165,9 @@ class Detached:
     def attaches(self, leaf: Leaf) -> bool:
         return False
 
+    def vanishing_members(self, leaf: Leaf) -> list[int]:
+        return []
+
     def plain(self) -> Detached:
         return self
 
@@ -160,6 +179,7 @@ class Attached:
         """`overrides` maps (id of a plugin, attribute) to the attached value; all other values are detached."""
         self._overrides = overrides
         self._flats: dict[int, tuple[Leaf, Any]] = {}
+        self._vanishing: dict[tuple[int, str], bool] = {}
         self._plain = Attached({}) if overrides else self
 
     def plain(self) -> Attached:
@@ -171,6 +191,14 @@ class Attached:
 
     def attaches(self, leaf: Leaf) -> bool:
         return any((id(owner), leaf.attribute) in self._overrides for owner in leaf.owners)
+
+    def vanishing_members(self, leaf: Leaf) -> list[int]:
+        return [k for k, owner in enumerate(leaf.owners) if self._vanishes((id(owner), leaf.attribute))]
+
+    def _vanishes(self, place: tuple[int, str]) -> bool:
+        if place not in self._vanishing:
+            self._vanishing[place] = place in self._overrides and may_vanish(self._overrides[place])
+        return self._vanishing[place]
 
     def prepare(self, leaves: Iterable[Leaf]) -> None:
         """Build the buffers of some leaves, which loops that Dr.Jit records can't do."""
@@ -192,6 +220,22 @@ class Attached:
             table = Buffer(rows, leaf.identity()) if isinstance(leaf, TableLeaf) else Flat(rows)
             self._flats[id(leaf)] = (leaf, table)
         return self._flats[id(leaf)][1]
+
+
+NEARLY = 2e-3
+"""The distance from 0 or 1 within which a value may make a factor too small to divide by."""
+
+
+def may_vanish(value: Any) -> bool:
+    """Whether one of the numbers is nearly 0 or 1, so that a factor of paths, itself or its complement, may vanish.
+
+    While a frozen function is recorded numbers can't be read: then it is true.
+    """
+    if recording():
+        return True
+    # A literal becomes memory first: read from it, it would be a part of a kernel.
+    distance = np.abs(np.array(opaque(value)))
+    return bool(np.any((distance < NEARLY) | (np.abs(distance - 1) < NEARLY)))
 
 
 class Group(Generic[P]):
@@ -275,6 +319,13 @@ class Ensemble(Generic[P]):
     def leaves(self) -> list[Leaf]:
         """All values of all groups."""
         return [leaf for group in self.groups for leaf in group.leaves()]
+
+    def vanishing(self, lookup: Lookup) -> list[int]:
+        """The numbers of the plugins that compute with AD leaves which may make a factor of paths vanish."""
+        found = {
+            group.indices[k] for group in self.groups for leaf in group.leaves() for k in lookup.vanishing_members(leaf)
+        }
+        return sorted(found)
 
     def __len__(self) -> int:
         return len(self.plugins)

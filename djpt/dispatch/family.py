@@ -13,7 +13,7 @@ import numpy as np
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.followed import followed
-from djpt.dispatch.lookup import Members, Numbers, choose
+from djpt.dispatch.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, runs
 from djpt.errors import SceneError
 from djpt.records import Record
 from djpt.records.homes import Home, only
@@ -181,6 +181,13 @@ class Pointer(Record, Generic[P]):
         return Members([i for i, plugin in enumerate(self.plugins) if of(plugin)], len(self.plugins)).contain(
             dr.minimum(self.index, len(self.plugins))
         )
+
+    def vanishes(self) -> Bool:
+        """True where AD leaves of the plugin may make a factor of paths vanish; if such plugins are many, anywhere."""
+        found = self.ensemble.vanishing(self.lookup)
+        if len(found) == len(self.plugins) or len(runs(found)) > MAX_CHAIN:
+            return Bool(True)
+        return is_one_of(self.index, found)
 
     def each(self, method: Callable[[P, Bool], Any], otherwise: Any) -> Any:
         """The results ``method(plugin, mine)`` per lane, `mine` being the lanes of the plugin; else `otherwise`.

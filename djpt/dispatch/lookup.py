@@ -18,7 +18,7 @@ from djpt.description.frozen import recording
 from djpt.kernels import float_in, one_by_one, opaque, own_copy
 from djpt.types import Bool, Int32, UInt32
 
-__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "choose", "is_one_of"]
+__all__ = ["MAX_CHAIN", "Flat", "Members", "Numbers", "Rows", "choose", "is_one_of", "runs"]
 
 MAX_CHAIN = 16
 """Longest select chain; beyond it a table is gathered."""

@@ -16,6 +16,9 @@ from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 __all__ = ["PhaseFunctionPtr"]
 
+LEAST = 1e-30
+"""The inverse of smaller numbers may overflow."""
+
 Sampled = tuple[Vector3f, Color3f, Float]
 """A direction, its weight and its density."""
 
@@ -104,6 +107,7 @@ class PhaseFunctionPtr(Pointer[PhaseFunction]):
         value, _ = phase.eval_pdf(ctx, mi, wo, active)
         if dr.grad_enabled(value):
             plain = dr.detach(value)
-            attached = dr.select(plain != 0, weight * value * dr.rcp(plain), weight)
+            attached = value * dr.select(dr.abs(plain) > LEAST, weight * dr.rcp(plain), dr.rcp(pdf))
+            attached = dr.select(pdf > 0, attached, weight)
             weight = dr.replace_grad(weight, attached)  # type: ignore[func-returns-value, assignment]
         return wo, weight, pdf

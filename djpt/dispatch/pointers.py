@@ -170,7 +170,8 @@ class BSDFPtr(Pointer[BSDF]):
         """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
 
         What `sample` computes may have cancelled terms of value and density, and differentiates as if the
-        direction moved along. Delta lobes, which `eval` doesn't know, keep the derivative of their weight.
+        direction moved along. Where the value is 0, no ratio shows the density: that of the sample is taken. Delta
+        lobes, which `eval` doesn't know, keep the derivative of their weight.
         """
         if isinstance(self.lookup, Detached):
             return weight
@@ -178,9 +179,14 @@ class BSDFPtr(Pointer[BSDF]):
         if not dr.grad_enabled(weight, value):
             return weight
         fixed, plain = dr.detach(weight), dr.detach(value)
-        smooth = dr.select(plain != 0, fixed * value * dr.rcp(plain), fixed)
+        smooth = value * dr.select(dr.abs(plain) > LEAST, fixed * dr.rcp(plain), dr.rcp(bs.pdf))
+        smooth = dr.select(bs.pdf > 0, smooth, fixed)
         change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, smooth)
         return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
+
+
+LEAST = 1e-30
+"""The inverse of smaller numbers may overflow."""
 
 
 def flags_of(bsdf: BSDF, index: int | None) -> int:

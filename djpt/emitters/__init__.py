@@ -17,5 +17,6 @@ if TYPE_CHECKING:
     from djpt.emitters.projector import Projector as Projector
     from djpt.emitters.spot import SpotLight as SpotLight
     from djpt.emitters.sunsky import SunSky as SunSky
+    from djpt.emitters.timed_sunsky import TimedSunSky as TimedSunSky
 else:
     __getattr__, __dir__, __all__ = lazily(__name__)

@@ -36,6 +36,8 @@ class Emitter(EmitterQuestions):
     kind: ClassVar[str] = "emitter"
     on_shape: ClassVar[bool] = False
     """Whether it must be nested in a shape; the scene then sets `shape`."""
+    in_time: ClassVar[bool] = False
+    """Whether the light depends on the time of a ray: rays of cameras then have one."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
@@ -51,10 +52,16 @@ class PointLight(Emitter):
             position = props.vector("position", (0, 0, 0))
         else:
             position = props.transform("to_world").matrix[:3, 3]
+        self._given = np.array(position, np.float64)
         self.position: Any = Point3f(*(float(x) for x in position))
         self.intensity = props.texture("intensity", 1.0, low=0.0)
         if not self.intensity.is_constant:
             raise props.error("intensity", "can't vary: this light has no surface")
+
+    def exact_position(self) -> NDArray[np.float64]:
+        """The position (3,): in double precision as it was given, unless it has been edited."""
+        now = as_array(dr.detach(self.position)).ravel()
+        return self._given if np.array_equal(self._given.astype(np.float32), now) else now
 
     def power(self) -> float:
         return 4 * math.pi * mean_of(self.intensity)

@@ -68,7 +68,8 @@ class EmitterQuestions(Endpoint):
         if has_flag(self.flags(), delta):  # type: ignore[attr-defined]
             return self.sample_direction(it, Point2f(0.5), active)[1]
         frame = Frame3f.from_normal(ds.n)
-        si = SurfaceInteraction3f(p=ds.p, n=ds.n, uv=ds.uv, sh_frame=frame)
+        time = it.time if isinstance(it, Interaction3f) else ds.time
+        si = SurfaceInteraction3f(p=ds.p, n=ds.n, uv=ds.uv, sh_frame=frame, time=time)
         if self.is_environment():
             si.wi = -ds.d
         else:

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.kernels import opaque
-from djpt.rfilters.base import ReconstructionFilter
+from djpt.rfilters.base import ReconstructionFilter, is_wide
 from djpt.types import Array4f, Bool, Color3f, Float, Int32, Point2f, ScalarArray2i, ScalarArray2u, TensorXf, UInt32
 
 __all__ = ["ImageBlock"]
@@ -240,6 +240,13 @@ class ImageBlock:
 
     def _footprint(self, pos: Point2f, whole: bool) -> tuple[list[tuple[UInt32, Float, Bool]], Float]:
         """The pixels in reach of a sample, each with its weight and whether it is there; the sum of all weights."""
+        assert self._rfilter is not None
+        taps = 2 * self._rfilter.border_size() + 1
+        if is_wide(taps):
+            raise RenderError(
+                f"ImageBlock: the filter reaches {taps} pixels along an axis; blocks take narrower ones, images that "
+                "'render' makes any"
+            )
         columns, rows = self._extent()
         left, across = self._taps(pos.x, self._offset[0], columns, whole)
         top, down = self._taps(pos.y, self._offset[1], rows, whole)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.films.base import Film
-from djpt.kernels import as_float
+from djpt.kernels import as_float, while_loop
+from djpt.rfilters.base import is_wide
 from djpt.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, UInt32
 
 __all__ = ["Splats"]
@@ -44,6 +45,9 @@ class Splats:
         if not film.filters:
             self._add(row * self._columns + column, color, active)
             return
+        if is_wide(film.taps):
+            self._add_widely(x, y, color, active)
+            return
         reach, weight = film.taps // 2, film.rfilter().eval
         # Before the first column and row the numbers wrap around to large ones.
         column, row, steps = column - reach, row - reach, range(2 * reach + 1)
@@ -54,6 +58,31 @@ class Splats:
             for i, wx in zip(steps, in_x, strict=True):
                 inside = (column + i < self._columns) & (row + j < self._rows)
                 self._add((row + j) * self._columns + (column + i), color * (wx * wy), active & inside)
+
+    def _add_widely(self, x: Float, y: Float, color: Color3f, active: Bool) -> None:
+        """Add a colour at a place in pixels by loops over the pixels in reach, too many to be unrolled."""
+        weight, taps = self._film.rfilter().eval, dr.opaque(UInt32, self._film.taps)
+        reach = taps // 2
+        column, row, edge = UInt32(x) - reach, UInt32(y) - reach, Float(reach) - 0.5
+        left, top = x - dr.floor(x) + edge, y - dr.floor(y) + edge
+        lanes = dr.width(x, y)
+
+        def along(i: UInt32, in_x: Float, in_y: Float) -> tuple[UInt32, Float, Float]:
+            return i + 1, in_x + weight(left - Float(i)), in_y + weight(top - Float(i))
+
+        start = (dr.zeros(UInt32, lanes), dr.zeros(Float, lanes), dr.zeros(Float, lanes))
+        _, in_x, in_y = while_loop(start, lambda i, in_x, in_y: i < taps, along, label="wide splat weights")
+        color = color * dr.rcp(in_x * in_y)
+
+        def visit(n: UInt32) -> tuple[UInt32]:
+            j = n // taps
+            i = n - j * taps
+            inside = (column + i < self._columns) & (row + j < self._rows)
+            part = color * (weight(left - Float(i)) * weight(top - Float(j)))
+            self._add((row + j) * self._columns + (column + i), part, active & inside)
+            return (n + 1,)
+
+        while_loop((dr.zeros(UInt32, lanes),), lambda n: n < taps * taps, visit, label="wide splat")
 
     def _add(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
         whole = [Int64(dr.round(c)) for c in color]

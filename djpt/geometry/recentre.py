@@ -24,4 +24,4 @@ def recentre(ray: Ray3f, low: Point3f, high: Point3f) -> tuple[Ray3f, Float]:
     inv = dr.rsqrt(dr.squared_norm(ray.d))
     t0 = (dr.dot(to_center, ray.d) * inv - radius) * inv
     t0 = dr.select((t0 > 0) & (t0 < ray.maxt) & dr.isfinite(t0), t0, 0)
-    return Ray3f(dr.fma(ray.d, t0, ray.o), ray.d, maxt=ray.maxt - t0, medium=ray.medium), t0
+    return ray.replaced(o=dr.fma(ray.d, t0, ray.o), maxt=ray.maxt - t0), t0

@@ -165,16 +165,23 @@ class Unrolled:
     # ---- queries -------------------------------------------------------------------
 
     def closest(
-        self, ray: Ray3f, skip: Sequence[bool] | None = None, skipping: Bool | None = None
+        self,
+        ray: Ray3f,
+        skip: Sequence[bool] | None = None,
+        skipping: Bool | None = None,
+        among: Sequence[bool] | None = None,
     ) -> tuple[Float, UInt32]:
         """Distance and face number of the first hit with 0 < t < maxt; infinity on a miss.
 
-        Shapes marked in `skip` are ignored by the lanes where `skipping` is true.
+        Shapes marked in `skip` are ignored by the lanes where `skipping` is true; `among` marks the shapes that are
+        tested at all (default: every one).
         """
         projected = ProjectedRay(ray)
         t, number = ray.maxt, UInt32(0)
         found = Bool(False)
         for i, shape in enumerate(self.shapes):
+            if among is not None and not among[i]:
+                continue
             hit = shape.intersect(projected, t, self.face_number[i])
             ok = hit.hit
             if skip is not None and skip[i] and skipping is not None:
@@ -200,9 +207,9 @@ class Unrolled:
         """All face numbers of some shapes."""
         return [n for s in shapes for n in self.face_number[s]]
 
-    def any_hit(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
-        """Whether anything is hit with 0 < t < maxt."""
-        return self._any(ray, [True] * len(self.shapes)) & active
+    def any_hit(self, ray: Ray3f, active: Bool | bool = True, among: Sequence[bool] | None = None) -> Bool:
+        """Whether anything is hit with 0 < t < maxt; `among` marks the shapes that are tested (default: every one)."""
+        return self._any(ray, [True] * len(self.shapes) if among is None else among) & active
 
     def blocked(self, ray: Ray3f) -> Bool:
         """Like `any_hit`, for a segment between a surface point and a light that shines on it."""

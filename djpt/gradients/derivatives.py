@@ -27,16 +27,17 @@ from djpt.kernels import begin_trace
 from djpt.llvm.lanes import small_blocks
 from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.schedules.base import ModeOf, Schedule
+from djpt.schedules.canvas import image_of_rows
 from djpt.schedules.job import Band, Job
 from djpt.schedules.passes import (
     image_of_samples,
     one_ahead,
     ranges,
     register_spp,
-    stored_image,
     stored_passes,
     stored_pixels,
-    summed_image,
+    stored_rows,
+    summed_rows,
 )
 from djpt.schedules.reconstruction import add_samples, collected, sample_adjoints
 from djpt.schedules.sinks import blank_sums, sample_buffers
@@ -73,7 +74,7 @@ def differentiable(
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
     seed = job.seed if seed_grad is None else gradient_seed(job.seed, seed_grad)
-    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0)
+    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0, interruption=None)
     derivative = derivative_of(samples, schedule, parameters)
 
     def primal() -> TensorXf:
@@ -245,8 +246,8 @@ class ReplayDerivative:
 
         with dr.suspend_grad():
             if self.schedule.carries_sums(job):
-                return summed_image(job, sums_of_pass)
-            return stored_image(job, samples)
+                return image_of_rows(job, summed_rows(job, sums_of_pass))
+            return image_of_rows(job, stored_rows(job, samples))
 
 
 class AttachedDerivative:

@@ -18,9 +18,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
+from djpt.gradients.aside import begun, blank
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
-from djpt.integrators.base import PathIntegrator
+from djpt.integrators.base import PathIntegrator, PathState
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.kernels import wide
 from djpt.media.differentials import own_stream
@@ -33,7 +34,17 @@ from djpt.schedules.job import Job
 from djpt.schedules.lanes import Lanes
 from djpt.types import Bool, Color3f, Float, UInt32
 
-__all__ = ["Detour", "attached_extinction", "detour_past", "needed", "no_detour", "run", "scattered", "turned_off"]
+__all__ = [
+    "Detour",
+    "attached_extinction",
+    "detour_past",
+    "needed",
+    "no_detour",
+    "observed",
+    "run",
+    "scattered",
+    "turned_off",
+]
 
 FIRST, AGAIN, ASIDE = 0, 1, 2
 """The walks of a sample."""
@@ -81,7 +92,9 @@ def detour_past(
 ) -> Detour:
     """The detour of a path after a segment: from there, or the one that is `known`."""
     point, weight = scene.media.scattering_point(ray, flown, length, scene.lookup, active)
-    weight = dr.select(active, path.throughput * weight, 0)
+    # A factor that is set aside, see `djpt.gradients.aside`, belongs to what comes to the camera, too.
+    assert path.aside is not None
+    weight = dr.select(active, path.throughput * path.aside * weight, 0)
     mass = dr.max(weight)
     total = known.total + mass
     takes = (mass > 0) & (own_stream(ray, path.throughput.x).next_1d() * total < mass)
@@ -95,9 +108,15 @@ def detour_past(
     )
 
 
+def observed(path: PathState) -> VolumetricPathState:
+    """The state of a path that begins, and of which detours need to know how far it gets."""
+    assert isinstance(path, VolumetricPathState)
+    return replace(path, scatters=Bool(False), flown=Float(0))
+
+
 def turned_off(detour: Detour) -> VolumetricPathState:
     """The state of a path that begins with a detour."""
-    return replace(detour.path, throughput=Color3f(1), scatters=Bool(True))
+    return replace(detour.path, throughput=Color3f(1), aside=Color3f(1), scatters=Bool(True))
 
 
 @dataclass
@@ -109,6 +128,8 @@ class Lane:
     path: Any
     radiance: Color3f
     """First and third walk: radiance so far. Second walk: radiance still to come."""
+    behind: Color3f | None
+    """See `djpt.gradients.aside`."""
     walk: UInt32
     """`FIRST`, `AGAIN` or `ASIDE`."""
     detour: Detour
@@ -131,12 +152,11 @@ def run(
     integrator, scene, count = job.integrator, job.scene, dr.width(lanes.pixel)
     assert isinstance(integrator, PathIntegrator)
     x, y = job.coordinates(lanes.pixel)
+    _, attached = mode.view(scene, values, numbering)
 
     def begin(k: UInt32) -> tuple[Any, Ray3f, VolumetricPathState]:
         sampler, ray, _ = job.begin(lanes.pixel, k, x, y)
-        path = integrator.begin(scene, sampler)
-        assert isinstance(path, VolumetricPathState)
-        return sampler, ray, replace(path, scatters=Bool(False), flown=Float(0))
+        return sampler, ray, observed(begun(integrator.begin(scene, sampler), attached))
 
     sampler, ray, path = begin(lanes.first)
     start = Lane(
@@ -144,6 +164,7 @@ def run(
         sampler=sampler,
         path=wide(path, count),
         radiance=dr.zeros(Color3f, count),
+        behind=blank(attached, count),
         walk=dr.full(UInt32, FIRST, count),
         detour=wide(no_detour(ray, path), count),
         k=wide(lanes.first, count),
@@ -163,7 +184,7 @@ def run(
         assert v.state.flown is not None
         ended, runs = ~v.active, lane.k < lanes.end
         second, aside = runs & lane.again, runs & (lane.walk == ASIDE)
-        radiance, outgoing = mode.outgoing(lane, v, arrived)
+        radiance, behind, outgoing = mode.outgoing(lane, v, arrived)
         with dr.resume_grad():
             there = scattered(view, lane.detour, radiance * (1 / TAKEN), aside & ended)
             outgoing = dr.select(second, outgoing, 0) + dr.select(aside & ended, there, 0)
@@ -176,15 +197,16 @@ def run(
         k = dr.select(finished, lane.k + lanes.stride, lane.k)
         next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
         delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
-        fresh, camera_ray, begun = begin(k)
+        fresh, camera_ray, restart = begin(k)
         after = dr.select(turns, detour.ray, dr.select(ended, camera_ray, dr.detach(v.ray)))
         walk = dr.select(finished, UInt32(FIRST), dr.select(ended, lane.walk + 1, lane.walk))
         detour.total = dr.select(ended & ~turns, 0, detour.total)
         return Lane(
             ray=after,
             sampler=dr.select(ended & ~turns, fresh, lane.sampler),
-            path=dr.select(turns, turned_off(detour), dr.select(ended, begun, dr.detach(v.state))),
+            path=dr.select(turns, turned_off(detour), dr.select(ended, restart, dr.detach(v.state))),
             radiance=dr.select(finished | turns, 0, radiance),
+            behind=None if behind is None else dr.select(finished | turns, 0, behind),
             walk=walk,
             detour=detour,
             k=k,

@@ -7,12 +7,21 @@ be those of any sampler that a loop of Dr.Jit can carry.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 
-from djpt.gradients.detours import Detour, attached_extinction, detour_past, no_detour, scattered, turned_off
+from djpt.gradients.aside import begun, blank, collected, outgoing_radiance
+from djpt.gradients.detours import (
+    Detour,
+    attached_extinction,
+    detour_past,
+    no_detour,
+    observed,
+    scattered,
+    turned_off,
+)
 from djpt.integrators.base import PathIntegrator
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.integrators.walk import walk
@@ -20,9 +29,32 @@ from djpt.kernels import loop_traced_once, wide
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
 from djpt.scene import Scene
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Point3f, UInt32, Vector3f
 
-__all__ = ["replayed"]
+__all__ = ["Measured", "measured", "replayed"]
+
+
+@dataclass
+class Measured:
+    """What the first walk finds of each path."""
+
+    radiance: Color3f
+    """Its radiance."""
+    behind: Color3f | None
+    """The light behind the factor that is set aside, without it; None if nothing is: see `djpt.gradients.aside`."""
+
+
+@dataclass
+class FirstLoop:
+    """Loop state of the first walk."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32 | None
+    sampler: SampleStream
+    state: Any
+    found: Measured
+    active: Bool
 
 
 @dataclass
@@ -37,11 +69,46 @@ class ReplayLoop:
     """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""
     radiance: Color3f
     """The radiance still to come."""
+    behind: Color3f | None
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
     active: Bool
     detour: Detour | None
     """Where a third walk is to begin; None if no extinction of tracked media has derivatives."""
+
+
+def measured(
+    integrator: PathIntegrator, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+) -> Measured:
+    """Follow one path per lane to its end, and return what `replayed` needs to know of it.
+
+    Unlike the paths of `djpt.integrators.walk.walk` these go on behind black surfaces, where there are derivatives.
+    """
+    lanes = dr.width(ray, sampler)
+    start = FirstLoop(
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
+        sampler=sampler,
+        state=wide(begun(integrator.begin(scene, sampler), scene), lanes),
+        found=Measured(dr.zeros(Color3f, lanes), blank(scene, lanes)),
+        active=Bool(active) & dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: FirstLoop) -> tuple[FirstLoop]:
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        si = integrator.trace(scene, lane.state, way)
+        # What has derivatives decides where paths go on, and so which numbers are drawn.
+        with dr.resume_grad():
+            v = integrator.advance(scene, lane.sampler, lane.state, way, si)
+            here = dr.detach(v.emitted + integrator.arriving(scene, lane.sampler, v))
+        gained, behind = collected(lane.state.aside, lane.found.behind, here)
+        onward, state, found = dr.detach(v.ray), dr.detach(v.state), Measured(lane.found.radiance + gained, behind)
+        return (FirstLoop(onward.o, onward.d, onward.medium, lane.sampler, state, found, v.active),)
+
+    with dr.suspend_grad():
+        (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"{type(integrator).__name__} measured")
+    return end.found
 
 
 def replayed(
@@ -50,11 +117,11 @@ def replayed(
     scene: Scene,
     sampler: SampleStream,
     ray: Ray3f,
-    radiance: Color3f,
+    found: Measured,
     delta: Color3f | None = None,
     active: Bool | bool = True,
 ) -> Color3f:
-    """Follow again the paths whose `radiance` is known, with the same random numbers, and differentiate it.
+    """Follow again the paths of which `found` is known, with the same random numbers, and differentiate it.
 
     Args:
         integrator: Says what happens at a vertex.
@@ -63,27 +130,26 @@ def replayed(
         scene: A view whose lookups are attached.
         sampler: In the state that the first walk began with.
         ray: The camera rays.
-        radiance: What `djpt.integrators.walk.walk` returned.
+        found: What `measured` returned.
         delta: The derivative of the loss with respect to the radiance; in reverse mode only.
         active: Lanes that have a path.
 
     Returns:
         `delta`, or in forward mode the derivative of the radiance.
     """
-    lanes = dr.width(ray, radiance)
-    begun = integrator.begin(scene, sampler)
-    detour = None
+    lanes = dr.width(ray, found.radiance)
+    first, detour = begun(integrator.begin(scene, sampler), scene), None
     if attached_extinction(scene):
-        assert isinstance(begun, VolumetricPathState)
-        begun = replace(begun, scatters=Bool(False), flown=Float(0))
-        detour = wide(no_detour(ray, begun), lanes)
+        first = observed(first)
+        detour = wide(no_detour(ray, first), lanes)
     start = ReplayLoop(
         o=wide(ray.o, lanes),
         d=wide(ray.d, lanes),
         medium=wide(ray.medium, lanes),
         sampler=sampler,
-        state=wide(begun, lanes),
-        radiance=wide(radiance, lanes),
+        state=wide(first, lanes),
+        radiance=wide(found.radiance, lanes),
+        behind=wide(found.behind, lanes),
         delta=wide(Color3f(0) if delta is None else delta, lanes),
         active=Bool(active) & dr.full(Bool, True, lanes),
         detour=detour,
@@ -95,9 +161,8 @@ def replayed(
         with dr.resume_grad():
             v = integrator.advance(scene, lane.sampler, lane.state, way, si)
             here = v.emitted + integrator.arriving(scene, lane.sampler, v)
-            left, weight = lane.radiance - dr.detach(here), dr.detach(v.weight)
-            scattered = v.weight * dr.select(weight != 0, left * dr.rcp(weight), 0)
-            outgoing = here + dr.select(v.active, scattered, 0)
+            left = lane.radiance - dr.detach(here)
+            outgoing, left = outgoing_radiance(v, lane.state, here, left, lane.behind)
             delta = differentiated(mode, outgoing, lane.delta)
         onward, state = dr.detach(v.ray), dr.detach(v.state)
         past = lane.detour
@@ -105,16 +170,17 @@ def replayed(
             assert isinstance(state, VolumetricPathState) and state.flown is not None
             length = dr.select(si.is_valid(), si.t, way.maxt)
             past = detour_past(scene, past, lane.state, way, state.flown, length, lane.active)
-        return (ReplayLoop(onward.o, onward.d, onward.medium, lane.sampler, state, left, delta, v.active, past),)
+        o, d, medium = onward.o, onward.d, onward.medium
+        return (ReplayLoop(o, d, medium, lane.sampler, state, left, lane.behind, delta, v.active, past),)
 
     with dr.suspend_grad():
         (end,) = loop_traced_once(start, lambda lane: lane.active, body, f"{type(integrator).__name__} again")
         if end.detour is None:
             return end.delta
         goes = end.detour.total > 0
-        (found,), _ = walk(integrator, scene, end.sampler, end.detour.ray, goes, state=turned_off(end.detour))
+        (light,), _ = walk(integrator, scene, end.sampler, end.detour.ray, goes, state=turned_off(end.detour))
         with dr.resume_grad():
-            there = scattered(scene, end.detour, dr.detach(found), goes)
+            there = scattered(scene, end.detour, dr.detach(light), goes)
             return differentiated(mode, dr.select(goes, there, 0), end.delta)
 
 

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
 
 from djpt.description.plugin import ParamFlags, Plugin
-from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
+from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf, may_vanish
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
 from djpt.dispatch.tables import Buffer
 from djpt.errors import RenderError
@@ -118,6 +119,12 @@ class Numbering:
             id(leaf): [number.get((id(owner), leaf.attribute)) for owner in leaf.owners] for leaf in leaves
         }
         self.leaves = [leaf for leaf in leaves if any(n is not None for n in self._of_leaf[id(leaf)])]
+        self._values = [dr.detach(p.value) for p in parameters]
+
+    @cached_property
+    def vanishing(self) -> frozenset[int]:
+        """The numbers of the parameters that may make a factor of paths vanish: see `may_vanish`."""
+        return frozenset(i for i, value in enumerate(self._values) if may_vanish(value))
 
     def of(self, leaf: Leaf) -> list[int | None]:
         """The number of the parameter of each member, or None."""
@@ -160,6 +167,9 @@ class Leaves:
 
     def attaches(self, leaf: Leaf) -> bool:
         return any(n is not None for n in self._numbering.of(leaf))
+
+    def vanishing_members(self, leaf: Leaf) -> list[int]:
+        return [k for k, n in enumerate(self._numbering.of(leaf)) if n in self._numbering.vanishing]
 
     def plain(self) -> Detached:
         return self._values

@@ -14,6 +14,7 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
 from djpt.geometry.query import Query
+from djpt.gradients.aside import begun, blank, collected
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
@@ -38,6 +39,8 @@ class Lane:
     medium: UInt32 | None
     shadow: Bool
     pending: Color3f
+    pending_behind: Color3f | None
+    """The part of the pending light that is `behind`, without the factor set aside."""
     next_ray: Ray3f
     active: Bool
     sampler: Any
@@ -45,6 +48,8 @@ class Lane:
     free: UInt64
     """Bit i: set if the shadow ray of vertex i was free."""
     radiance: Color3f
+    behind: Color3f | None
+    """See `djpt.gradients.aside`."""
     again: Bool
     entry: UInt32
     slot: UInt32
@@ -59,18 +64,21 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
     geometry = scene.geometry
     first = lanes.at(lanes.first)
     sampler, ray, _ = job.begin(first.pixel, first.k, first.x, first.y)
-    path, usable = integrator.start(scene), first.left
+    _, attached = mode.view(scene, values, numbering)
+    path, usable = begun(integrator.start(scene), attached), first.left
     start = Lane(
         query=wide(geometry.begin(ray, usable, through_lights=integrator.passes_lights(path)), width),
         medium=wide(ray.medium, width),
         shadow=dr.full(Bool, False, width),
         pending=dr.zeros(Color3f, width),
+        pending_behind=blank(attached, width),
         next_ray=wide(Ray3f(medium=ray.medium), width),
         active=dr.full(Bool, True, width),
         sampler=sampler,
         path=wide(path, width),
         free=dr.zeros(UInt64, width),
         radiance=dr.zeros(Color3f, width),
+        behind=blank(attached, width),
         again=dr.full(Bool, False, width),
         entry=wide(lanes.first, width),
         slot=wide(first.slot, width),
@@ -90,18 +98,25 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
             v = integrator.advance(view, stream, lane.path, ray, si)
             reflected = view.left_by_media(v.shadow_ray, v.reflected)
             visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
+            shines = dr.max(dr.detach(reflected)) > 0
+            if v.lit is not None and dr.grad_enabled(reflected):
+                shines |= v.lit
             light = dr.select(visible, reflected, 0)
         vertex_ray, vertex_state = dr.detach(v.ray), dr.detach(v.state)
-        radiance, delta, sums = mode.visit(lane, leaves, v, light, lane.again & ~shadow)
+        radiance, behind, delta, sums = mode.visit(lane, leaves, v, light, lane.again & ~shadow)
 
         # A shadow ray has ended: its vertex was processed before, and `path.depth` counts it already.
         arrived = shadow & ~hit.is_valid()
         lane.radiance = dr.select(shadow, lane.radiance + dr.select(arrived, lane.pending, 0), radiance)
+        if lane.behind is not None and lane.pending_behind is not None:
+            late = lane.behind + dr.select(arrived, lane.pending_behind, 0)
+            lane.behind = dr.select(shadow, late, behind)
         lane.delta, lane.sums = delta, sums
         free = lane.free | dr.select(arrived, bit(lane.path.depth - 1), 0)
 
         reflected = dr.detach(reflected)
-        lit = ~shadow & ~lane.again & (dr.max(reflected) > 0)
+        pending, pending_behind = collected(lane.path.aside, blank(attached, 1), reflected)
+        lit = ~shadow & ~lane.again & shines
         active = dr.select(shadow, lane.active, v.active)
         next_ray = dr.select(shadow, lane.next_ray, vertex_ray)
         state = dr.select(shadow, lane.path, vertex_state)
@@ -113,19 +128,21 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         more = finished & sample.left & sample.exists
         delta, sums = mode.hand_over(job, lane, finished, sample.slot, more, here.exists)
         fresh, camera_ray, _ = job.begin(sample.pixel, sample.k, sample.x, sample.y)
-        path = state.restarted(ended, integrator.start(scene))
+        path = state.restarted(ended, begun(integrator.start(scene), attached))
         new_ray = dr.select(lit, v.shadow_ray, dr.select(ended, camera_ray, next_ray))
         return Lane(
             query=geometry.begin(new_ray, sample.left, lit, integrator.path_passes_lights(path, lit)),
             medium=new_ray.medium,
             shadow=lit,
-            pending=reflected,
+            pending=pending,
+            pending_behind=pending_behind,
             next_ray=next_ray,
             active=active,
             sampler=dr.select(ended, fresh, dr.select(shadow, lane.sampler, stream)),
             path=path,
             free=dr.select(finished, 0, free),
             radiance=dr.select(finished, 0, lane.radiance),
+            behind=None if lane.behind is None else dr.select(finished, 0, lane.behind),
             again=lane.again ^ ended,
             entry=entry,
             slot=dr.select(finished, sample.slot, lane.slot),

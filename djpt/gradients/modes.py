@@ -12,8 +12,9 @@ from typing import Any, ClassVar, Protocol
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
+from djpt.gradients.aside import collected, outgoing_radiance
 from djpt.gradients.leaves import Accumulator, Leaves, Numbering, Tangents
-from djpt.integrators.base import Vertex
+from djpt.integrators.base import PathState, Vertex
 from djpt.scene import Scene
 from djpt.schedules.job import Job
 from djpt.schedules.sinks import Write
@@ -30,6 +31,9 @@ class Walk(Protocol):
 
     radiance: Color3f
     """First walk: radiance so far. Second walk: radiance still to come."""
+    behind: Color3f | None
+    """Of what is set aside, the light that comes along it, without the factor; None if nothing is set aside."""
+    path: PathState
     slot: UInt32
     delta: Color3f
     """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
@@ -60,27 +64,30 @@ class Mode:
 
     def visit(
         self, walk: Walk, leaves: Leaves, v: Vertex, arrived: Color3f, differentiate: Bool
-    ) -> tuple[Color3f, Color3f, list[Float]]:
-        """Radiance, delta and sums after a vertex; `arrived` is the light of its light sample.
+    ) -> tuple[Color3f, Color3f | None, Color3f, list[Float]]:
+        """Radiance, light `behind`, delta and sums after a vertex; `arrived` is the light of its light sample.
 
         Lanes that `differentiate` are on their second walk.
         """
-        radiance, outgoing = self.outgoing(walk, v, arrived)
+        radiance, behind, outgoing = self.outgoing(walk, v, arrived)
         with dr.resume_grad():
-            return radiance, *self.differentiate(walk, leaves, outgoing, differentiate)
+            return radiance, behind, *self.differentiate(walk, leaves, outgoing, differentiate)
 
-    def outgoing(self, walk: Walk, v: Vertex, arrived: Color3f) -> tuple[Color3f, Color3f]:
-        """The radiance after a vertex, and on the second walk all that depends on parameters there.
+    def outgoing(self, walk: Walk, v: Vertex, arrived: Color3f) -> tuple[Color3f, Color3f | None, Color3f]:
+        """Radiance and light `behind` after a vertex, and on the second walk all that depends on parameters there.
 
         That is Lo = emitted + arrived + L weight / detach(weight), where L is the radiance still to come.
         """
         with dr.resume_grad():
             here = v.emitted + arrived
             passed = dr.detach(here)
-            radiance = dr.select(walk.again, walk.radiance - passed, walk.radiance + passed)
-            weight = dr.detach(v.weight)
-            scattered = v.weight * dr.select(weight != 0, radiance * dr.rcp(weight), 0)
-            return radiance, here + dr.select(v.active, scattered, 0)
+            gained, behind = collected(walk.path.aside, walk.behind, passed)
+            radiance = dr.select(walk.again, walk.radiance - passed, walk.radiance + gained)
+            outgoing, to_come = outgoing_radiance(v, walk.path, here, radiance, walk.behind)
+            if behind is not None:
+                behind = dr.select(walk.again, walk.behind, behind)
+                radiance = dr.select(walk.again, to_come, radiance)
+            return radiance, behind, outgoing
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
         """Delta and sums after a vertex with the attached radiance `outgoing`; gradients must not be suspended."""

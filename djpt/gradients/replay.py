@@ -20,6 +20,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
+from djpt.gradients.aside import begun, blank
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
@@ -42,6 +43,8 @@ class Lane:
     path: PathState
     radiance: Color3f
     """First walk: radiance so far. Second walk: radiance still to come."""
+    behind: Color3f | None
+    """See `djpt.gradients.aside`."""
     again: Bool
     """True on the second walk."""
     k: UInt32
@@ -62,11 +65,13 @@ def run(
     assert isinstance(integrator, PathIntegrator)
     x, y = job.coordinates(lanes.pixel)
     sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
+    _, attached = mode.view(scene, values, numbering)
     start = Lane(
         ray=wide(ray, count),
         sampler=sampler,
-        path=wide(integrator.begin(scene, sampler), count),
+        path=wide(begun(integrator.begin(scene, sampler), attached), count),
         radiance=dr.zeros(Color3f, count),
+        behind=blank(attached, count),
         again=dr.full(Bool, False, count),
         k=wide(lanes.first, count),
         slot=wide(slots, count),
@@ -82,7 +87,7 @@ def run(
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
             arrived = integrator.arriving(view, lane.sampler, v)
         second = lane.again & (lane.k < lanes.end)
-        lane.radiance, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, second)
+        lane.radiance, lane.behind, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, second)
 
         ended = ~v.active
         finished = ended & second
@@ -90,12 +95,13 @@ def run(
         next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
         delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
         fresh, camera_ray, _ = job.begin(lanes.pixel, k, x, y)
-        begun = integrator.begin(scene, fresh)
+        restart = begun(integrator.begin(scene, fresh), attached)
         return Lane(
             ray=dr.select(ended, camera_ray, dr.detach(v.ray)),
             sampler=dr.select(ended, fresh, lane.sampler),
-            path=dr.detach(v.state).restarted(ended, begun),
+            path=dr.detach(v.state).restarted(ended, restart),
             radiance=dr.select(finished, 0, lane.radiance),
+            behind=None if lane.behind is None else dr.select(finished, 0, lane.behind),
             again=lane.again ^ ended,
             k=k,
             slot=next_slot,

@@ -8,10 +8,9 @@ from typing import Any
 import drjit as dr
 
 from djpt.gradients.derivatives import AttachedDerivative, on_grid, over_weights
-from djpt.gradients.lane_replay import replayed
+from djpt.gradients.lane_replay import measured, replayed
 from djpt.gradients.own_rendering import attached_view
 from djpt.integrators.base import PathIntegrator
-from djpt.integrators.walk import walk
 from djpt.schedules.job import Band
 from djpt.schedules.passes import image_of_samples
 from djpt.schedules.reconstruction import sample_adjoints
@@ -67,6 +66,6 @@ class WavefrontDerivative(AttachedDerivative):
         with dr.suspend_grad():
             sampler = job.begun(job.spp)
             ray = job.rays(sampler, 0, job.spp)
-            (radiance,), _ = walk(integrator, scene, sampler.clone(), ray)
-            dr.eval(radiance)
-            return fresh, replayed(integrator, mode, scene, sampler, ray, radiance, delta)
+            found = measured(integrator, scene, sampler.clone(), ray)
+            dr.eval(found)
+            return fresh, replayed(integrator, mode, scene, sampler, ray, found, delta)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import mmap
+import os
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,15 +16,28 @@ import numpy.typing as npt
 
 from djpt.images.resampling import lanczos, resampled, taps_between
 
-__all__ = ["ORDER", "RESERVED", "Layers", "read_attributes", "read_layers", "usual_names", "write_layers"]
+__all__ = [
+    "FILLER",
+    "OF_XYZ",
+    "ORDER",
+    "RESERVED",
+    "Layers",
+    "read_attributes",
+    "read_layers",
+    "usual_names",
+    "write_layers",
+]
 
 Pixels = npt.NDArray[Any]
 
 ORDER = "channelOrder"
 """The attribute in which `djpt.write` stores the order of channels; the format sorts them by name."""
 
+FILLER = "filler"
+"""The attribute by which a header keeps its size when the others change: see `djpt.images.exr_rows`."""
+
 RESERVED = frozenset(
-    f"{ORDER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
+    f"{ORDER} {FILLER} channels chunkCount compression dataWindow displayWindow dwaCompressionLevel envmap lineOrder "
     "maxSamplesPerPixel multiView name pixelAspectRatio preview screenWindowCenter screenWindowWidth tiles type "
     "version view zipCompressionLevel".split()
 )
@@ -69,6 +86,34 @@ def write_layers(
         header["chromaticities"] = OF_XYZ
     planes = {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
     OpenEXR.File(header, planes).write(str(path))
+    require_whole(path)
+
+
+def require_whole(path: Path) -> None:
+    """Raise `OSError` unless a file can be read to its end: OpenEXR misses that a disk is full when it closes a file.
+
+    The offsets of all lines of pixels are written last, behind the header: zeros mean that they weren't. Lines follow
+    each other, each with its number and its size.
+    """
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            place = 8
+            while data[place]:
+                for _ in range(2):  # the name of an attribute, and its type
+                    zero = data.find(b"\0", place)
+                    if zero < 0:
+                        raise ValueError("the header ends too early")
+                    place = zero + 1
+                place += 4 + struct.unpack_from("<i", data, place)[0]
+            (first,) = struct.unpack_from("<Q", data, place + 1)
+            offsets = np.frombuffer(data[place + 1 : first], "<u8")
+            last = int(offsets.max())
+            end = last + 8 + struct.unpack_from("<i", data, last + 4)[0]
+            whole = offsets.min() > 0 and end <= len(data)
+    except (ValueError, IndexError, struct.error):
+        whole = False
+    if not whole:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def read_attributes(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ The linear formats (`exr`, `hdr`, `pfm`, `npy`) carry float32 radiance. The disp
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -18,14 +19,26 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.images.colorimetry import XYZ_TO_RGB
-from djpt.images.exr import ORDER, read_attributes, read_layers, usual_names, write_layers
+from djpt.images.exr import FILLER, ORDER, read_attributes, read_layers, usual_names, write_layers
 from djpt.images.png16 import decode_png16, is_png16
 from djpt.images.srgb import Codes, strips, to_srgb8
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["DISPLAY_FORMATS", "FORMATS", "METADATA", "Format", "Labels", "encode_jpg", "encode_png", "png_metadata"]
+__all__ = [
+    "DISPLAY_FORMATS",
+    "FORMATS",
+    "METADATA",
+    "Format",
+    "Labels",
+    "encode_jpg",
+    "encode_png",
+    "hdr_header",
+    "pfm_header",
+    "png_metadata",
+    "to_rgbe",
+]
 
 Pixels = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
@@ -58,7 +71,7 @@ def _write_exr(path: Path, image: Pixels, labels: Labels) -> None:
 
 def _exr_metadata(path: Path) -> dict[str, str]:
     attributes = read_attributes(path)
-    return {name: value for name, value in attributes.items() if isinstance(value, str) and name != ORDER}
+    return {name: value for name, value in attributes.items() if isinstance(value, str) and name not in (ORDER, FILLER)}
 
 
 def _read_exr(path: Path) -> Pixels:
@@ -85,14 +98,18 @@ def _write_hdr(path: Path, image: Pixels, labels: Labels) -> None:
     most do. Negative values and NaN become 0.
     """
     height, width, _ = image.shape
-    header = f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
     with path.open("wb") as file:
-        file.write(header.encode("ascii"))
+        file.write(hdr_header(width, height))
         for strip in strips(image):
-            file.write(_to_rgbe(image[strip]).data)
+            file.write(to_rgbe(image[strip]).data)
 
 
-def _to_rgbe(image: Pixels) -> Bytes:
+def hdr_header(width: int, height: int) -> bytes:
+    """The header of a file of flat scanlines."""
+    return f"#?RADIANCE\nSOFTWARE=djpt\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii")
+
+
+def to_rgbe(image: Pixels) -> Bytes:
     """Convert linear values (H, W, 3) to mantissas and exponents (H, W, 4)."""
     rgb = np.clip(np.nan_to_num(image, nan=0.0), 0.0, 2.0**126).astype(np.float64)
     largest = rgb.max(axis=2)
@@ -166,11 +183,15 @@ def _rgbe_run_lengths(body: bytes, height: int, width: int) -> Bytes:
 def _write_pfm(path: Path, image: Pixels, labels: Labels) -> None:
     """Write a portable float map: bottom row first; a negative scale means little endian."""
     height, width, count = image.shape
-    header = f"{'PF' if count == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
     with path.open("wb") as file:
-        file.write(header.encode("ascii"))
+        file.write(pfm_header(width, height, count))
         for strip in reversed(strips(image)):
             file.write(np.ascontiguousarray(image[strip][::-1], "<f4").data)
+
+
+def pfm_header(width: int, height: int, channels: int) -> bytes:
+    """The header of a file in little endian."""
+    return f"{'PF' if channels == 3 else 'Pf'}\n{width} {height}\n-1.0\n".encode("ascii")
 
 
 def _read_pfm(path: Path) -> Pixels:
@@ -260,13 +281,23 @@ def _write_jpg(path: Path, image: Pixels, labels: Labels) -> None:
 
 def encode_jpg(file: Path | IO[bytes], pixels: Bytes, quality: int, full_chroma: bool) -> None:
     """Write 8-bit pixels of 1 or 3 channels as JPEG. `quality`: 0 to 100; `full_chroma`: colour of all pixels."""
-    _picture(pixels).save(file, format="JPEG", quality=quality, subsampling=0 if full_chroma else 2)
+    _save(file, pixels, format="JPEG", quality=quality, subsampling=0 if full_chroma else 2)
 
 
 def _write_plain(path: Path, image: Pixels, labels: Labels) -> None:
     """Write the format that the extension names, without compression."""
     name = path.suffix[1:].upper()
-    _picture(_as_bytes(image)).save(path, format="TIFF" if name == "TIF" else name)
+    _save(path, _as_bytes(image), format="TIFF" if name == "TIF" else name)
+
+
+def _save(file: Path | IO[bytes], pixels: Bytes, **options: Any) -> None:
+    """Encode a picture in memory, then write it: Pillow's own writing to files misses that a disk is full."""
+    encoded = io.BytesIO()
+    _picture(pixels).save(encoded, **options)
+    if isinstance(file, Path):
+        file.write_bytes(encoded.getbuffer())
+    else:
+        file.write(encoded.getbuffer())
 
 
 def _as_bytes(image: npt.NDArray[Any]) -> Bytes:

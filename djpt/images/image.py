@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import FileError, near_miss
-from djpt.files import check_target, reason, require_regular, writing
+from djpt.files import as_path, check_target, reason, require_regular, writing
 from djpt.images.exr import RESERVED
 from djpt.images.formats import (
     DISPLAY_FORMATS,
@@ -37,7 +37,7 @@ from djpt.images.srgb import from_srgb, shares, to_srgb8
 if TYPE_CHECKING:
     from djpt.types import TensorXf
 
-__all__ = ["Image", "check_writable", "read", "read_metadata", "read_pixels", "reading", "write"]
+__all__ = ["Image", "check_writable", "checked_labels", "read", "read_metadata", "read_pixels", "reading", "write"]
 
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
@@ -111,28 +111,32 @@ def write(
     The file appears whole or not at all: a failed write leaves an old file as it was.
     Raises `FileError` for an unknown extension, a wrong shape, a path that can't be written.
     """
-    target = Path(path)
+    target = as_path(path)
     form = check_writable(target)
     pixels = _pixels(image, f"'{target}'")
+    if pixels.dtype == np.uint8 and target.suffix.lower() not in DISPLAY_FORMATS:
+        suffix = target.suffix.lower()[1:]
+        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix} holds linear values")
+    labels = checked_labels(target, pixels.shape[2], channels, metadata or {})
+    with writing(target) as temporary:
+        form.encode(temporary, pixels, labels)
+
+
+def checked_labels(target: Path, count: int, channels: Sequence[str] | None, metadata: Mapping[str, Any]) -> Labels:
+    """What a file of `count` channels stores beside its pixels; raises `FileError` if its format can't."""
     suffix = target.suffix.lower()
-    count = pixels.shape[2]
-    if form.channels and count not in form.channels:
+    possible = FORMATS[suffix].channels
+    if possible and count not in possible:
         raise FileError(
-            f"can't write '{target}': {suffix[1:]} holds {_either(form.channels)} channels, found {count}; "
+            f"can't write '{target}': {suffix[1:]} holds {_either(possible)} channels, found {count}; "
             "exr and npy hold any number"
         )
-    if pixels.dtype == np.uint8 and suffix not in DISPLAY_FORMATS:
-        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix[1:]} holds linear values")
     if channels is not None:
         if suffix != ".exr":
             raise FileError(f"can't write '{target}': only exr names its channels")
         if len(set(channels)) != count or len(channels) != count or any(not c or "," in c for c in channels):
             raise FileError(f"can't write '{target}': {count} different channel names needed, found {list(channels)}")
-
-    labels = Labels(channels, _texts(target, metadata or {}))
-
-    with writing(target) as temporary:
-        form.encode(temporary, pixels, labels)
+    return Labels(channels, _texts(target, metadata))
 
 
 def read(path: str | os.PathLike[str]) -> TensorXf:
@@ -153,7 +157,7 @@ def read_pixels(path: str | os.PathLike[str], raw: bool = False) -> npt.NDArray[
 
     `raw`: leave the numbers of png and jpg encoded, in [0, 1].
     """
-    source = Path(path)
+    source = as_path(path)
     form = _format(source, "read")
     with reading(source):
         pixels: npt.NDArray[Any] = form.decode(source)
@@ -168,7 +172,7 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
     From files of other programs, the attributes of type string or the text chunks are read. Raises `FileError`
     as `read` does, and for formats without metadata.
     """
-    source = Path(path)
+    source = as_path(path)
     _format(source, "read")
     decode = METADATA.get(source.suffix.lower())
     if decode is None:
@@ -189,7 +193,7 @@ def reading(source: Path) -> Iterator[None]:
 
 def check_writable(path: str | os.PathLike[str]) -> Format:
     """Raise `FileError` if `path` can't be written, before a long render rather than after it."""
-    target = Path(path)
+    target = as_path(path)
     form = _format(target, "write")
     check_target(target)
     return form

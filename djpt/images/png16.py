@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["decode_png16", "encode_png16", "is_png16"]
+__all__ = ["COLOR_TYPES", "SIGNATURE", "SRGB", "chunk", "decode_png16", "encode_png16", "is_png16", "text_chunk"]
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
@@ -125,7 +125,7 @@ def encode_png16(pixels: Codes, metadata: Mapping[str, str], level: int, srgb: b
     head = struct.pack(">IIBBBBB", width, height, 16, COLOR_TYPES[channels], 0, 0, 0)
     parts = [chunk(b"IHDR", head)]
     if srgb:
-        parts += [chunk(b"gAMA", (45455).to_bytes(4, "big")), chunk(b"sRGB", b"\0")]
+        parts.append(SRGB)
     parts += [text_chunk(name, text) for name, text in metadata.items()]
     parts += [chunk(b"IDAT", zlib.compress(coded.tobytes(), level)), chunk(b"IEND", b"")]
     return SIGNATURE + b"".join(parts)
@@ -142,3 +142,7 @@ def text_chunk(name: str, text: str) -> bytes:
 def chunk(kind: bytes, body: bytes) -> bytes:
     """A chunk with its length and checksum."""
     return struct.pack(">I", len(body)) + kind + body + zlib.crc32(kind + body).to_bytes(4, "big")
+
+
+SRGB = chunk(b"gAMA", (45455).to_bytes(4, "big")) + chunk(b"sRGB", b"\0")
+"""Says that colours are sRGB, for readers that know it (rendering intent: perceptual) and by its gamma for others."""

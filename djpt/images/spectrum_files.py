@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from djpt.errors import FileError
-from djpt.files import read_bytes
+from djpt.files import as_path, read_bytes
 
 __all__ = ["read_pairs"]
 
@@ -16,7 +16,7 @@ def read_pairs(filename: str | os.PathLike[str]) -> tuple[list[float], list[floa
     Raises:
         FileError: The file can't be read, or a line has other than two numbers.
     """
-    name = os.fspath(filename)
+    name = as_path(filename)
     try:
         lines = [line.split("#")[0].split() for line in read_bytes(name).decode("utf-8").splitlines()]
     except UnicodeError:

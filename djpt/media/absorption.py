@@ -47,8 +47,16 @@ class AbsorbingBody(Medium):
     def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
         return Bool(True), Float(0), Float(dr.inf)
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
-        return Flight(Float(dr.inf), Bool(False), self.transmittance(ray, length, None, active), Color3f(1))
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        active: Bool,
+    ) -> Flight:
+        return Flight(Float(dr.inf), Bool(False), self.transmittance(ray, length, None, active), Color3f(1), Color3f(0))
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         # Rays that meet nothing are infinitely long: whatever they are in has no end.

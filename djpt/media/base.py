@@ -26,14 +26,17 @@ class Medium(Plugin):
     """Matter between surfaces, which absorbs and scatters light.
 
     Lengths are in units of the world, coefficients per unit of length. Per length light meets matter sigma_t times,
-    and is scattered sigma_s times = albedo sigma_t.
+    and is scattered sigma_s times = albedo sigma_t. Per length, too, a medium that glows adds its `emission` to the
+    radiance, whatever its extinction: a thin flame of length d has the radiance emission * d.
 
     A class says how large the coefficients are, by `get_majorant`, `get_scattering_coefficients` and
     `intersect_aabb`, as in Mitsuba. All methods below "in kernels" run once per class, with per-lane values (see
     `djpt.dispatch.ensemble`).
 
     Parameters of all media: a nested phase function (any key; default `isotropic`), `sample_emitters` (default true:
-    light sampling at points in the medium).
+    light sampling at points in the medium), `emission` (radiance per unit of length that the medium adds, the same
+    in all directions: a number, rgb or volume >= 0; default: none). It is met by paths; light sampling doesn't look for
+    it.
     """
 
     kind: ClassVar[str] = "medium"
@@ -45,6 +48,8 @@ class Medium(Plugin):
     m_has_spectral_extinction: bool = True
     phase: Any = None
     """The phase function, a plugin of kind `phase`; None if nothing is scattered."""
+    emission: Any = None
+    """The radiance that the medium adds per unit of length, a volume; None if it doesn't glow."""
 
     def __init__(self, props: Properties | None = None) -> None:
         super().__init__(props)
@@ -54,12 +59,15 @@ class Medium(Plugin):
             Properties("isotropic", f"{props.node}.phase_function", {}, f"{props.id()}.phase_function")
         )
         self.m_sample_emitters = props.boolean("sample_emitters", True)
+        self.emission = props.volume("emission", low=0.0) if "emission" in props else None
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         accept_scripts(cls, CONVERSIONS)
 
     def traverse(self, callback: TraversalCallback) -> None:
+        if self.emission is not None:
+            callback.put("emission", self.emission)
         if self.phase is not None:
             callback.put("phase_function", self.phase)
 
@@ -80,6 +88,10 @@ class Medium(Plugin):
     def has_spectral_extinction(self) -> bool:
         """Whether the extinction may differ between the channels."""
         return self.m_has_spectral_extinction
+
+    def emits(self) -> bool:
+        """Whether the medium glows."""
+        return self.emission is not None
 
     def of_extinction(self) -> Sequence[Plugin]:
         """The plugins whose values the tracked extinction depends on: by default the medium and all its children."""
@@ -137,13 +149,22 @@ class Medium(Plugin):
 
     # ---- in kernels: flights, as integrators ask for them ----------------------------------
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        active: Bool,
+    ) -> Flight:
         """Sample how far light gets on a segment of a ray with a unit direction; by default by delta tracking.
 
         Where `active`, numbers are drawn from `stream`. `channel` is the one that samples distances in closed form;
-        None if the extinction of no medium differs between channels.
+        None if the extinction of no medium differs between channels. `throughput` is the path's so far: how much the
+        channels matter.
         """
-        return tracking.fly(self, ray, length, stream, active)
+        return tracking.fly(self, ray, length, throughput, stream, active)
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         """The share of light that is left after a segment of a ray with a unit direction; by default by ratio tracking.
@@ -164,6 +185,10 @@ class Medium(Plugin):
     def extinction_at(self, mi: MediumInteraction3f, u: Float, active: Bool | bool = True) -> Color3f:
         """sigma_t at a point, or an estimate of it from a uniform number."""
         return self.get_scattering_coefficients(mi, active)[2]
+
+    def emission_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
+        """The radiance that the medium adds per unit of length at a point; asked only if it glows."""
+        return self.emission.eval(mi, active)
 
     def albedo_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         """The scattered share of the light that meets matter at a point."""

@@ -29,11 +29,13 @@ class Flight:
 
     Factors that `value` and `pdf` share are left out of both.
     """
+    emitted: Color3f
+    """The light that the medium adds on the segment, as far as it reaches the segment's start: an estimate."""
 
     @staticmethod
     def none() -> Flight:
         """A segment without a medium."""
-        return Flight(Float(dr.inf), Bool(False), Color3f(1), Color3f(1))
+        return Flight(Float(dr.inf), Bool(False), Color3f(1), Color3f(1), Color3f(0))
 
 
 def of_channel(color: Color3f, channel: UInt32 | None) -> Float:

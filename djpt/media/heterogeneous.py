@@ -41,7 +41,8 @@ class Heterogeneous(Medium):
 
     Parameters: `sigma_t` (extinction per unit length: a volume, usually a `gridvolume`, >= 0, default 1), `scale` (a
     factor of it, default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
-    `has_spectral_extinction` (default true; false: `sigma_t` is grey), a phase function and `sample_emitters`.
+    `has_spectral_extinction` (default true; false: `sigma_t` is grey), a phase function, `sample_emitters` and
+    `emission`. Nothing glows outside of the box of `sigma_t`.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {
@@ -49,7 +50,7 @@ class Heterogeneous(Medium):
         **dict.fromkeys(("low", "high", "cell_x", "cell_y", "cell_z", "cell_origin", "counts", "largest"), HIDDEN),
     }
     tables: ClassVar[Mapping[str, ParamFlags]] = {"maxima": HIDDEN}
-    children = ("albedo", "sigma_t", "phase")
+    children = ("albedo", "sigma_t", "emission", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction", "has_cells")
 
     def __init__(self, props: Properties) -> None:

@@ -11,7 +11,7 @@ from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.errors import SceneError
-from djpt.kernels import as_float, minimum
+from djpt.kernels import as_float, maximum, minimum
 from djpt.media.base import Medium
 from djpt.media.flight import FAR, Flight, of_channel
 from djpt.media.scaling import as_scale
@@ -23,6 +23,9 @@ from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["Homogeneous"]
 
+THIN = 0.05
+"""Up to this optical depth four terms of the series of exp are exact in single precision."""
+
 
 class Homogeneous(Medium):
     """Fog: sigma_t is the same everywhere, and light is left as exp(-sigma_t t).
@@ -32,11 +35,11 @@ class Homogeneous(Medium):
     Parameters: `sigma_t` (extinction per unit length: a number or rgb, >= 0, default 1), `scale` (a factor of it,
     default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
     `has_spectral_extinction` (default true; false: `sigma_t` is grey, and a colour's first channel counts), a phase
-    function and `sample_emitters`.
+    function, `sample_emitters` and `emission` (the same everywhere).
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.Differentiable}
-    children = ("albedo", "sigma_t", "phase")
+    children = ("albedo", "sigma_t", "emission", "phase")
     statics: ClassVar[Sequence[str]] = ("m_sample_emitters", "m_has_spectral_extinction")
     m_is_homogeneous = True
     is_tracked = False
@@ -49,6 +52,8 @@ class Homogeneous(Medium):
         self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
         if not self.sigma_t.is_constant:
             raise SceneError(f"{props.node}: 'sigma_t' must be the same everywhere; a 'heterogeneous' medium varies")
+        if self.emission is not None and not self.emission.is_constant:
+            raise SceneError(f"{props.node}: 'emission' must be the same everywhere; a 'heterogeneous' medium varies")
 
     def traverse(self, callback: TraversalCallback) -> None:
         callback.put("scale", self.scale, ParamFlags.Differentiable)
@@ -88,9 +93,21 @@ class Homogeneous(Medium):
 
     # ---- flights -------------------------------------------------------------------------
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, active: Bool) -> Flight:
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        active: Bool,
+    ) -> Flight:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
         fixed = dr.detach(sigma_t)
+        differentiated = dr.grad_enabled(sigma_t)
+        if differentiated:
+            # Derivatives by a thin medium are those of scattering that is hardly ever sampled, or never.
+            fixed = dr.maximum(fixed, dr.rcp(minimum(maximum(length, 1 / FAR), FAR)))
         coloured = self.has_spectral_extinction()
         t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
         scattered = active & (t < length)
@@ -98,13 +115,23 @@ class Homogeneous(Medium):
         stream.next_1d(scattered)
         albedo = self.albedo.eval(MediumInteraction3f.on(ray, t), scattered)
         value, pdf = dr.select(scattered, albedo, 1), Color3f(1)
-        if coloured or dr.grad_enabled(sigma_t):
+        if coloured or differentiated:
             flown = minimum(dr.select(scattered, t, length), FAR)
-            density = dr.exp(-flown * sigma_t) * dr.select(scattered, sigma_t, 1)
-            pdf = dr.detach(density)
-            value = value * density if coloured else value * density * dr.rcp(pdf)
-            pdf = pdf if coloured else Color3f(1)
-        return Flight(t, scattered, value, pdf)
+            value = value * (dr.exp(-flown * sigma_t) * dr.select(scattered, sigma_t, 1))
+            pdf = dr.exp(-flown * fixed) * dr.select(scattered, fixed, 1)
+        if not coloured:
+            value, pdf = value * dr.rcp(pdf), Color3f(1)
+        emitted = self.glow(ray, sigma_t, minimum(length, FAR)) if self.emits() else Color3f(0)
+        return Flight(t, scattered, value, pdf, emitted)
+
+    def glow(self, ray: Ray3f, sigma_t: Color3f, length: Float) -> Color3f:
+        """The light of a whole segment: emission (1 - exp(-sigma_t length)) / sigma_t."""
+        x = sigma_t * length
+        thin = x < THIN
+        # The difference from 1 loses its digits where little is absorbed.
+        series = length * (1 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24))))
+        reached = dr.select(thin, series, (1 - dr.exp(-x)) * dr.rcp(dr.select(thin, 1, sigma_t)))
+        return self.emission_at(MediumInteraction3f.on(ray, Float(0))) * reached
 
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)

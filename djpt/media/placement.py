@@ -105,9 +105,18 @@ class Media:
         return any(medium.phase is not None for medium in self.plugins)
 
     @property
+    def emit(self) -> bool:
+        """True if some of them glow."""
+        return any(medium.emits() for medium in self.plugins)
+
+    @property
     def are_coloured(self) -> bool:
         """True if the extinction of some of them may differ between channels."""
         return any(medium.has_spectral_extinction() for medium in self.plugins)
+
+    def are_attached(self, lookup: Lookup) -> bool:
+        """Whether some of them, or of their phase functions, compute with AD leaves."""
+        return any(lookup.attaches(leaf) for ensemble in self.ensembles for leaf in ensemble.leaves())
 
     def number_of(self, medium: Any) -> UInt32:
         """The numbers of media as scripts give them: a medium or None for all lanes, or a `MediumPtr`."""
@@ -182,7 +191,15 @@ class Media:
         """True where a ray's medium isn't the vacuum."""
         return medium < self.vacuum
 
-    def fly(self, ray: Ray3f, length: Float, channel: UInt32 | None, stream: SampleStream, lookup: Lookup) -> Flight:
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        lookup: Lookup,
+    ) -> Flight:
         """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
         from djpt.media.flight import Flight
 
@@ -192,9 +209,9 @@ class Media:
             mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
             medium, leaves = tracked_and_attached(group, slot, lookup)
             if leaves is None:
-                flown = medium.fly(ray, length, channel, stream, mine)
+                flown = medium.fly(ray, length, channel, throughput, stream, mine)
             else:
-                flown = tracking.fly(medium, ray, length, stream, mine, leaves)
+                flown = tracking.fly(medium, ray, length, throughput, stream, mine, leaves)
             flight = dr.select(mine, flown, flight)
         return flight
 

@@ -50,38 +50,89 @@ class Track:
     active: Bool
     u: Float | None = None
     """The number that the last collision took for its estimate of sigma_t; None if there are no derivatives."""
+    shown: tuple[Float, ...] = ()
+    """A place of the flight so far, uniformly distributed: of media that glow and have weights."""
+    shown_weight: tuple[Color3f, ...] = ()
+    """The weight at that place."""
 
 
 def fly(
-    medium: Medium, ray: Ray3f, length: Float, stream: SampleStream, active: Bool, leaves: Medium | None = None
+    medium: Medium,
+    ray: Ray3f,
+    length: Float,
+    throughput: Color3f,
+    stream: SampleStream,
+    active: Bool,
+    leaves: Medium | None = None,
 ) -> Flight:
     """Sample how far light gets on a segment of a ray with a unit direction, by delta tracking.
 
-    If sigma_t differs between channels, a collision is real with the mean of their probabilities. `leaves` is the
-    medium with values that have derivatives: those by the transmittance and by the albedo are then attached.
+    If sigma_t differs between channels, a collision is real with the mean of their probabilities, each counted as much
+    as light is left in its channel: so the mean of the path's throughput stays as it is, and no channel outgrows it.
+    (P. Kutz et al., "Spectral and Decomposition Tracking for Rendering Heterogeneous Volumes", SIGGRAPH 2017, call
+    such probabilities history-aware.) The light of a medium that glows is read at one place of the flight, uniformly
+    distributed: flights reach a place as light comes from it. `leaves` is the medium with values that have derivatives:
+    those by transmittance, albedo and emission are then attached.
     """
     start, end = span(medium, ray, length, active)
     majorants, coloured = medium.majorants(ray), medium.has_spectral_extinction()
+    importance = dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
 
     def step(track: Track) -> tuple[Track]:
         t, meets, share, u = collision(medium, majorants, ray, end, track)
-        probability = dr.mean(share) if coloured else share.x
+        probability = dr.mean(importance * track.weight * share) if coloured else share.x
         real = meets & (track.stream.next_1d(meets) < probability)
         weight = track.weight
         if coloured:
             weight = weight * dr.select(real, share * dr.rcp(probability), (1 - share) * dr.rcp(1 - probability))
             weight = dr.select(meets, weight, track.weight)
         last = None if track.u is None else dr.select(meets, u, track.u)
-        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), last),)
+        shown, shown_weight = place_shown(track, start, t) if track.shown else ((), ())
+        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), last, shown, shown_weight),)
 
-    track = run(step, start, end, stream, active, "delta tracking", Float(0) if leaves is not None else None)
+    places, u = coloured and medium.emits(), None if leaves is None else Float(0)
+    track = run(step, start, end, stream, active, "delta tracking", u, places)
+    emitted = glow(medium, ray, start, track, stream, active, leaves) if medium.emits() else Color3f(0)
     weight = track.weight
     if leaves is not None:
         assert track.u is not None
         more = collided(leaves, ray, track.t, track.u, track.collided)
         weight = weight * passed(leaves, ray, start, track.t, active) * dr.select(track.collided, more, 1)
     albedo = (leaves or medium).albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
-    return Flight(track.t, track.collided, dr.select(track.collided, weight * albedo, weight), Color3f(1))
+    value = dr.select(track.collided, weight * albedo, weight)
+    return Flight(track.t, track.collided, value, Color3f(1), emitted)
+
+
+def place_shown(track: Track, start: Float, t: Float) -> tuple[tuple[Float, ...], tuple[Color3f, ...]]:
+    """A place of a flight that has come to `t`, uniformly distributed, and the weight there."""
+    step = t - track.t
+    # In proportion to its length the last step replaces all before.
+    share = step * dr.rcp(t - start)
+    u = track.stream.next_1d(track.active)
+    here = track.active & (u < share)
+    place = dr.select(here, dr.fma(u * dr.rcp(share), step, track.t), track.shown[0])
+    return (place,), (dr.select(here, track.weight, track.shown_weight[0]),)
+
+
+def glow(
+    medium: Medium,
+    ray: Ray3f,
+    start: Float,
+    track: Track,
+    stream: SampleStream,
+    active: Bool,
+    leaves: Medium | None,
+) -> Color3f:
+    """An estimate of the light that a medium adds on a flight, from one place of it; attached if there are `leaves`."""
+    flown = dr.select(active, track.t - start, 0)
+    if track.shown:
+        place, weight = track.shown[0], track.shown_weight[0]
+    else:
+        place, weight = dr.fma(stream.next_1d(active), flown, start), Color3f(1)
+    if leaves is not None:
+        weight = weight * passed(leaves, ray, start, place, flown > 0)
+    emission = (leaves or medium).emission_at(MediumInteraction3f.on(ray, place), flown > 0)
+    return dr.select(flown > 0, emission * weight * flown, 0)
 
 
 def transmittance(
@@ -156,8 +207,12 @@ def run(
     active: Bool,
     label: str,
     u: Float | None = None,
+    places: bool = False,
 ) -> Track:
-    """Make steps until the segment is through, and leave the stream where they have left it."""
+    """Make steps until the segment is through, and leave the stream where they have left it.
+
+    With `places` the track has places to be `shown`.
+    """
     lanes = dr.width(start, end, stream, active)
     first = Track(
         t=wide(start, lanes),
@@ -166,6 +221,8 @@ def run(
         stream=stream,
         active=(active & (start < end)) | dr.full(Bool, False, lanes),
         u=wide(u, lanes),
+        shown=(wide(start, lanes),) if places else (),
+        shown_weight=(dr.ones(Color3f, lanes),) if places else (),
     )
     # What a tracker reads has no derivatives: see `djpt.media.differentials`.
     with dr.suspend_grad():

@@ -144,6 +144,8 @@ class DirectionSample3f(PositionSample3f):
         )
         if scene is not None:
             ds.home = {scene: ()}
+        if "time" in si.__dict__:
+            ds.time = si.time
         return ds
 
     def shown(self) -> Sequence[str]:

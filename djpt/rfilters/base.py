@@ -9,7 +9,10 @@ from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.description.plugin import Plugin
 from djpt.types import Bool, Float
 
-__all__ = ["ReconstructionFilter", "tap_centers"]
+__all__ = ["ReconstructionFilter", "is_wide", "tap_centers"]
+
+UNROLLED = 33
+"""The most taps along an axis that kernels unroll: those of a gaussian with a `stddev` of 4."""
 
 
 class ReconstructionFilter(Plugin):
@@ -54,6 +57,11 @@ class ReconstructionFilter(Plugin):
     def has_formula(self) -> bool:
         """Whether `eval` is `formula`."""
         return type(self).eval is ReconstructionFilter.eval
+
+
+def is_wide(taps: int) -> bool:
+    """Whether a filter with this many taps along an axis is evaluated in loops."""
+    return taps > UNROLLED
 
 
 def tap_centers(count: int) -> list[float]:

@@ -27,11 +27,15 @@ MINIMAX = (
     -6.821193280e-11,
 )
 
+MOST = 64.0
+"""The largest standard deviation: beyond, a pixel would read more than 500^2 samples for each one of its own."""
+
 
 class Gaussian(ReconstructionFilter):
     """max(0, exp(-x^2 / (2 stddev^2)) - exp(-radius^2 / (2 stddev^2))) with radius = 4 stddev.
 
-    Parameters: `stddev` (pixels, default 0.5).
+    Parameters: `stddev` (pixels, in (0, 64], default 0.5). The time that the film takes grows with its square: above 4
+    all samples are stored and read again by each pixel in reach.
 
     The exponential is a polynomial in y = x^2 / stddev^2, much faster than `dr.exp`. It is the
     minimax fit of degree 9 that Mitsuba uses, so that filtered images can be compared pixel by
@@ -43,7 +47,7 @@ class Gaussian(ReconstructionFilter):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.stddev = props.float("stddev", 0.5, low=0.0, low_open=True, high=4.0)
+        self.stddev = props.float("stddev", 0.5, low=0.0, low_open=True, high=MOST)
         self.reach = 4 * self.stddev
 
     def formula(self, m: Arithmetic, x: Any) -> Any:

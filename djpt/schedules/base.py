@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from djpt.dispatch.ensemble import Detached
 from djpt.errors import RenderError
+from djpt.schedules.canvas import Summed, image_of_rows
 from djpt.schedules.job import Band, Job
-from djpt.schedules.passes import stored_image
+from djpt.schedules.passes import stored_rows
 from djpt.types import Float, TensorXf, UInt32
 
 if TYPE_CHECKING:
@@ -29,12 +30,19 @@ class Schedule:
 
     name: ClassVar[str]
 
+    in_bands: ClassVar[bool] = True
+    """Whether the image is computed from top to bottom, and there are `rows`; if not, all of it at once."""
+
     def image(self, job: Job) -> TensorXf:
-        """The image of a job, (height, width, channels), without derivatives.
+        """The image of a job, (height, width, channels), without derivatives."""
+        return image_of_rows(job, self.rows(job))
+
+    def rows(self, job: Job) -> Iterator[Summed]:
+        """The sums of a job's image, top to bottom, in bands: the memory of one band is enough for an image.
 
         By default all samples are stored, band by band and pass by pass.
         """
-        return stored_image(job, self.samples)
+        return stored_rows(job, self.samples)
 
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         """The samples begin <= k < end of a band's pixels: per channel an array [k - begin][pixel]."""

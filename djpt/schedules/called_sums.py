@@ -16,7 +16,7 @@ from djpt.integrators.base import Integrator
 from djpt.llvm.calls import Code, call, reason_against
 from djpt.llvm.compiler import compiled
 from djpt.llvm.lanes import lane_count
-from djpt.rfilters.base import ReconstructionFilter
+from djpt.rfilters.base import ReconstructionFilter, is_wide
 from djpt.rfilters.tent import Tent
 from djpt.schedules.job import image_channels
 from djpt.schedules.reconstruction import Read
@@ -94,7 +94,13 @@ def function(taps: Taps, rfilter: ReconstructionFilter) -> Code:
 
 def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
     """Whether samples can be added by calls."""
-    return rfilter.has_formula and taps.channels <= len(CHANNELS) and asked_for() != "steps" and works()
+    return (
+        rfilter.has_formula
+        and not is_wide(taps.count)
+        and taps.channels <= len(CHANNELS)
+        and asked_for() != "steps"
+        and works()
+    )
 
 
 @cache

@@ -32,6 +32,11 @@ def choose(name: str, job: Job) -> Schedule:
         require_lanes(name, job)
         return schedule("wavefront")
     possible, has_tree = job.integrator.schedules, job.scene.geometry.triangles is not None
+    if name == "machine" and name not in possible and "flat" in possible:
+        raise RenderError(
+            f"the integrator '{type(job.integrator).__name__}' goes through media by loops of its own, "
+            "which the schedule 'machine' can't interrupt: use schedule='flat'"
+        )
     if name in ("flat", "machine") and name not in possible:
         raise RenderError(
             f"the integrator '{type(job.integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"

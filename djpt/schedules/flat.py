@@ -11,6 +11,7 @@ so many channels that sums per tap would not fit.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,14 +24,15 @@ from djpt.llvm.lanes import small_blocks
 from djpt.records import Ray3f
 from djpt.schedules.base import ModeOf, Schedule
 from djpt.schedules.called_sums import CalledSums, reader, usable
+from djpt.schedules.canvas import Summed
 from djpt.schedules.free_lanes import run_free
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import Lanes, interleaved, layered
-from djpt.schedules.passes import filtered_image, summed_image
+from djpt.schedules.passes import filtered_rows, summed_rows
 from djpt.schedules.reconstruction import Rows, by_pixels, collect
 from djpt.schedules.sinks import CalledFilmSums, FilmSums, Finished, Sink, Store, Sums, blank_sums, sample_buffers
 from djpt.schedules.tap_function import Taps
-from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.gradients.leaves import Numbering
@@ -44,14 +46,14 @@ class Flat(Schedule):
 
     name = "flat"
 
-    def image(self, job: Job) -> TensorXf:
+    def rows(self, job: Job) -> Iterator[Summed]:
         if not job.film.filters:
-            return summed_image(job, radiance_sums)
+            return summed_rows(job, radiance_sums)
         if usable(Taps(job.film.taps, job.channel_count()), job.film.rfilter()):
-            return filtered_image(job, called_film_sums, spread=spread_called)
+            return filtered_rows(job, called_film_sums, spread=spread_called)
         if by_pixels(job, job.channel_count() + 1):
-            return filtered_image(job, film_sums)
-        return super().image(job)
+            return filtered_rows(job, film_sums)
+        return super().rows(job)
 
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         lanes = layered(job, band, begin, end)

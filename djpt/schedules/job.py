@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 
@@ -13,6 +13,7 @@ from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.films import Film
 from djpt.integrators.base import Integrator
+from djpt.process.interruption import Interruption
 from djpt.records import Ray3f
 from djpt.samplers import SampleIndex, Sampler, SampleStream
 from djpt.samplers.seeds import Seed, opaque_seed
@@ -53,6 +54,11 @@ class Job:
     progress: Progress | None = None
     pass_spp: int = 0
     """Samples per pixel of one pass; 0: as many as suit the schedule. It changes time and memory, never the image."""
+    interruption: Interruption | None = None
+    """The signals that end the render; None: whatever Python makes of them."""
+
+    splits_freely: ClassVar[bool] = True
+    """Whether passes of any size make the same image."""
 
     width: int = field(init=False)
     height: int = field(init=False)
@@ -68,11 +74,18 @@ class Job:
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size()]
         self._inverse_crop = Point2f(*inverse)
         self.camera = camera(self.sensor)
+        self._shutter_open = dr.opaque(Float, self.sensor.shutter_open())
+        self._shutter_open_time = dr.opaque(Float, self.sensor.shutter_open_time())
         self._weight = None if self.sensor.weight == 1 else dr.opaque(Float, self.sensor.weight)
 
     def with_scene(self, scene: Scene) -> Job:
         """The same job over another view of the scene."""
         return replace(self, scene=scene)
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody waits for the ends of passes."""
+        return self.progress is not None or self.interruption is not None
 
     @property
     def samples(self) -> int:
@@ -87,13 +100,14 @@ class Job:
         """Names of the channels of the developed image, without those that aren't filtered."""
         return image_channels(self.film, self.integrator)
 
-    def centre_rays(self) -> Ray3f:
-        """The rays through the centre of the lens and the centres of the crop's pixels, row by row."""
-        width, height = self.film.crop_size()
-        pixel, columns = dr.arange(UInt32, width * height), dr.opaque(UInt32, width)
+    def centre_rays(self, first_row: int, rows: int) -> Ray3f:
+        """The rays through the centre of the lens and the centres of some rows of the crop's pixels, row by row."""
+        width, _ = self.film.crop_size()
+        columns = dr.opaque(UInt32, width)
+        pixel = dr.arange(UInt32, width * rows) + dr.opaque(UInt32, width * first_row)
         row = pixel // columns
         position = Point2f(Float(pixel - row * columns) + 0.5, Float(row) + 0.5)
-        return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5))
+        return self._camera_ray(pixel, position, Point2f(0.5), Point2f(0.5), Float(0.5))
 
     def stream(self, pixel: UInt32, k: UInt32) -> SampleStream:
         """The random numbers of the k-th sample of a pixel of the grid."""
@@ -116,16 +130,23 @@ class Job:
         """A camera ray by the next numbers of a stream, and its film offset."""
         offset = stream.next_2d()
         aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
+        # Mitsuba's order of numbers. What nothing asks for isn't computed.
+        moment = stream.next_1d() if self.sensor.shutter_open_time() > 0 else Float(0.5)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
-        return self._camera_ray(pixel, position, offset, aperture), offset
+        return self._camera_ray(pixel, position, offset, aperture, moment), offset
 
-    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f) -> Ray3f:
-        """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel."""
+    def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f, moment: Float) -> Ray3f:
+        """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel.
+
+        `moment` says when, in shares of the time for which the shutter is open.
+        """
         if self.sensor.by_pixel:
             ray = self.camera.ray_of_pixel(pixel, offset, aperture)
         else:
             ray = self.camera.ray_through(position * self._inverse_crop, aperture)
         ray.medium = self.scene.camera_medium
+        if self.scene.in_time:
+            ray.time = dr.fma(moment, self._shutter_open_time, self._shutter_open)
         return ray
 
     def on_film(self, column: Float, row: Float) -> Point2f:
@@ -174,7 +195,7 @@ def camera(sensor: Sensor) -> Sensor:
 
 def require_countable(width: int, height: int, spp: int) -> None:
     """Raise `RenderError` if there are too many samples."""
-    if width * height * spp > MAX_SAMPLES:
+    if spp >= MAX_SAMPLES or width * height * spp > MAX_SAMPLES:
         raise RenderError(
             f"{width} x {height} pixels at {spp} spp are more than 2^32 samples; "
             "render fewer spp under several seeds and average the images"

@@ -1,4 +1,4 @@
-"""Passes: which samples are computed when, and how they add up to an image.
+"""Passes: which samples are computed when, and how they add up to the rows of an image.
 
 Passes bound memory and let progress be shown. They split the grid into bands of rows and the samples
 of each pixel into ranges; sums are carried from pass to pass, so that the image is the same, bit for bit,
@@ -16,24 +16,26 @@ from djpt.description.frozen import recording
 from djpt.errors import RenderError
 from djpt.kernels import while_loop
 from djpt.llvm.lanes import small_blocks
-from djpt.schedules.canvas import Canvas
+from djpt.schedules.canvas import Summed, image_of_rows
 from djpt.schedules.job import Band, Job
+from djpt.schedules.memory import holds_all_sums
+from djpt.schedules.pace import Pace
 from djpt.schedules.reconstruction import Rows, Spread, add_box, add_samples, collected
 from djpt.types import Event, Float, TensorXf, UInt32
 
 __all__ = [
     "AddToFilm",
     "Samples",
-    "filtered_image",
+    "filtered_rows",
     "image_of_samples",
     "one_ahead",
     "ranges",
     "register_spp",
     "report",
-    "stored_image",
     "stored_passes",
     "stored_pixels",
-    "summed_image",
+    "stored_rows",
+    "summed_rows",
 ]
 
 T = TypeVar("T")
@@ -60,75 +62,111 @@ Samples = Callable[[Job, Band, int, int], list[Float]]
 """Computes the samples begin <= k < end of a band: per channel an array [k - begin][pixel]."""
 
 
-# ---- images ----------------------------------------------------------------------------------
+# ---- finished rows ---------------------------------------------------------------------------
 
 
-def stored_image(job: Job, samples: Samples, pixels: int = 0, spp: int = 0) -> TensorXf:
-    """The image from samples that are stored, by bands of `pixels` and passes of `spp` samples per pixel; 0: few."""
+def stored_rows(job: Job, samples: Samples, pixels: int = 0, spp: int = 0) -> Iterator[Summed]:
+    """Rows from samples that are stored, by bands of `pixels` and passes of `spp` samples per pixel; 0: few."""
     pixels, spp = pixels or stored_pixels(job), spp or stored_spp(job)
     if job.film.filters:
 
         def add(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
             return add_samples(job, band, computed(samples, job, band, begin, end), begin, end, sums)
 
-        return filtered_image(job, add, pixels, spp)
+        return filtered_rows(job, add, pixels, spp)
 
     def add_unweighted(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
         return add_box(job, band, computed(samples, job, band, begin, end), begin, end, sums)
 
-    return unfiltered_image(job, add_unweighted, pixels, spp)
+    return unfiltered_rows(job, add_unweighted, pixels, spp)
 
 
-def summed_image(job: Job, add: AddToFilm) -> TensorXf:
-    """The image from samples that `add` adds up in registers, lane by lane, without a filter."""
-    return unfiltered_image(job, add, SUMMED_PIXELS, register_spp(job))
+def summed_rows(job: Job, add: AddToFilm) -> Iterator[Summed]:
+    """Rows from samples that `add` adds up in registers, lane by lane, without a filter."""
+    return unfiltered_rows(job, add, SUMMED_PIXELS, register_spp(job))
 
 
-def unfiltered_image(job: Job, add: AddToFilm, pixels: int, spp: int) -> TensorXf:
-    """The image from plain sums, by bands of `pixels` and passes of `spp` samples per pixel."""
-    canvas, weight = Canvas(job, job.channel_count()), dr.opaque(Float, job.spp)
-    for band, sums in sums_of_bands(job, add, pixels, spp):
-        canvas.develop(Rows(band.first_row, band.rows, total(job, band, sums)), weight)
-    return canvas.image()
+def unfiltered_rows(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[Summed]:
+    """Rows from plain sums, by bands of `pixels` and passes of `spp` samples per pixel."""
+    for band, sums, count in sums_of_bands(job, add, pixels, spp):
+        yield Rows(band.first_row, band.rows, total(job, band, sums)), dr.opaque(Float, count)
 
 
-def filtered_image(job: Job, add: AddToFilm, pixels: int = 0, spp: int = 0, spread: Spread | None = None) -> TensorXf:
-    """The image from sums for a filter, by bands of `pixels` and passes of `spp` samples per pixel; 0: many.
+def filtered_rows(
+    job: Job, add: AddToFilm, pixels: int = 0, spp: int = 0, spread: Spread | None = None
+) -> Iterator[Summed]:
+    """Rows from sums for a filter, by bands of `pixels` and passes of `spp` samples per pixel; 0: many.
 
     `spread` reads the sums that `add` makes: see `collected`.
     """
-    canvas = Canvas(job, job.channel_count())
     bands = sums_of_bands(job, add, pixels or FILTERED_PIXELS, spp or register_spp(job))
-    for rows in collected(job, bands, job.channel_count() + 1, spread):
-        canvas.develop(rows, rows.sums[-1])
-    return canvas.image()
+    for rows in collected(job, ((band, sums) for band, sums, _ in bands), job.channel_count() + 1, spread):
+        yield rows, rows.sums[-1]
 
 
 def image_of_samples(job: Job, samples: list[Float]) -> TensorXf:
     """The image from all samples at once."""
-    band, canvas = Band(0, job.height), Canvas(job, len(samples))
+    band = Band(0, job.height)
     if not job.film.filters:
         sums = add_box(job, band, samples, 0, job.spp, None)
-        canvas.develop(Rows(0, job.height, sums), dr.opaque(Float, job.spp))
-        return canvas.image()
+        return image_of_rows(job, [(Rows(0, job.height, sums), dr.opaque(Float, job.spp))])
     sums = add_samples(job, band, samples, 0, job.spp, None)
-    for rows in collected(job, [(band, sums)], len(samples) + 1):
-        canvas.develop(rows, rows.sums[-1])
-    return canvas.image()
+    finished = collected(job, [(band, sums)], len(samples) + 1)
+    return image_of_rows(job, ((rows, rows.sums[-1]) for rows in finished))
 
 
 # ---- sums ------------------------------------------------------------------------------------
 
 
-def sums_of_bands(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[tuple[Band, list[Float]]]:
-    """The lanes' sums of all samples, band by band."""
+def sums_of_bands(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[tuple[Band, list[Float], int]]:
+    """The lanes' sums band by band, of as many samples per pixel as are given with them.
+
+    Ends early if what exists is asked for: see `Job.interruption`.
+    """
+    if job.interruption is not None and job.interruption.keeps and holds_all_sums(job):
+        yield from sums_of_passes(job, add, pixels, spp)
+        return
+    pace = Pace(job, spp)
     for band in one_ahead(job.bands(pixels)):
         sums = None
-        for begin, end in ranges(job.spp, job.pass_spp or spp):
+        for begin, end in one_ahead(pace.passes(band.rows * job.width)):
             sums = add(job, band, begin, end, sums)
             report(job, (band.first_row * job.spp + band.rows * end) * job.width)
+            if ends_here(job) and end < job.spp:
+                return
         assert sums is not None
-        yield band, sums
+        yield band, sums, job.spp
+        if ends_here(job):
+            return
+
+
+def sums_of_passes(job: Job, add: AddToFilm, pixels: int, spp: int) -> Iterator[tuple[Band, list[Float], int]]:
+    """The same with passes over all bands, one after the other, so that all pixels have some samples at any time.
+
+    The sums of all lanes are held meanwhile. The first sample of each pixel is always taken.
+    """
+    held: list[tuple[Band, list[Float] | None, int]] = [(band, None, 0) for band in job.bands(pixels)]
+    done = 0
+    for begin, end in Pace(job, spp).passes(job.width * job.height):
+        for i, (band, sums, count) in enumerate(one_ahead(held)):
+            if ends_here(job):
+                if begin:
+                    break
+                end = 1 if job.splits_freely else end
+            held[i] = band, add(job, band, begin, end, sums), end
+            done += band.rows * job.width * (end - count)
+            report(job, done)
+        if ends_here(job):
+            break
+    for i, (band, sums, count) in enumerate(held):
+        assert sums is not None
+        held[i] = band, None, 0
+        yield band, sums, count
+
+
+def ends_here(job: Job) -> bool:
+    """Whether the image is to be made from what has been computed."""
+    return job.interruption is not None and job.interruption.ends_kept
 
 
 def total(job: Job, band: Band, sums: list[Float]) -> list[Float]:
@@ -206,13 +244,18 @@ def one_ahead(items: Iterable[T]) -> Iterator[T]:
 
 
 def report(job: Job, done: int) -> None:
-    """Tell the caller's progress function; waits for the kernel, so that the number is true.
+    """Tell the caller's progress function; waits for the kernel if somebody is told, so that the number is true.
 
     Raises:
         RenderError: The integrator was asked to stop.
+        KeyboardInterrupt: A signal has come, and nothing is to be kept; `djpt.Terminated` for SIGTERM.
     """
     if job.integrator.should_stop():
         raise RenderError(f"{job.integrator.id()}: the rendering was cancelled")
-    if job.progress is not None:
+    if job.is_watched:
         dr.sync_thread()
+    if job.interruption is not None:
+        job.interruption.done, job.interruption.total = done, job.samples
+        job.interruption.check()
+    if job.progress is not None:
         job.progress(done, job.samples)

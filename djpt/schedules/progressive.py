@@ -15,7 +15,8 @@ from djpt.schedules.base import Schedule
 from djpt.schedules.canvas import picture
 from djpt.schedules.job import Job
 from djpt.schedules.light_walk import walk_light
-from djpt.schedules.passes import ranges, report
+from djpt.schedules.pace import Pace
+from djpt.schedules.passes import ends_here, one_ahead, report
 from djpt.schedules.wave import Wave
 from djpt.types import Bool, TensorXf
 
@@ -29,21 +30,27 @@ class Progressive(Schedule):
     """Runs a `PassIntegrator` pass by pass, and adds the image of its `from_camera`."""
 
     name = "progressive"
+    in_bands = False
 
     def image(self, job: Job) -> TensorXf:
         integrator, walks = job.integrator, JobWalks(job)
         assert isinstance(integrator, PassIntegrator)
         width, height = job.film.crop_size()
         state = integrator.begin(walks)
-        for begin, end in ranges(job.spp, max(1, PASS_PATHS // (width * height))):
+        for begin, end in one_ahead(Pace(job, max(1, PASS_PATHS // (width * height))).passes(width * height)):
             state = integrator.add_pass(walks, state, begin, end)
             report(job, end * width * height)
+            if ends_here(job):
+                walks.spp = end
+                break
         channels = job.channels(integrator.color(walks, state), Bool(False), [])
         dr.eval(channels)
         image = picture(channels, width, height)
         if integrator.from_camera is None:
             return image
-        return Wave().image(replace(job, integrator=integrator.from_camera, progress=None)) + image
+        spp = job.sampler.round_count(walks.spp)
+        seen = replace(job, integrator=integrator.from_camera, spp=spp, progress=None, interruption=None)
+        return Wave().image(seen) + image
 
 
 class JobWalks:

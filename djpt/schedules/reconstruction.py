@@ -3,12 +3,14 @@
 Every sample adds w L and w, w = f(dx) f(dy), to all pixels within the filter's radius. Adding
 from the samples' side would need atomics, whose order (and so rounding) changes from run to
 run. Instead a lane keeps sums of its own for all targets in its reach, and afterwards every
-pixel collects the sums that its neighbourhood holds for it, in a fixed order. There are two ways
+pixel collects the sums that its neighbourhood holds for it, in a fixed order. There are three ways
 to cut the work, with the same interface:
 
 * *By pixels*: a lane is a source pixel with taps x taps sums. Each sample is read once.
 * *By rows*: a lane is a target column in a source row with one sum per target row. Samples are
   read once per column in reach, but `taps` times fewer sums are needed: for many channels.
+* *By targets*: a lane is a target pixel with one sum, and loops over all samples in reach: for filters
+  so wide that kernels can't unroll their taps (`djpt.schedules.wide_filter`).
 
 Film offsets aren't stored: they are the first two numbers of each sample's stream. The order
 of additions depends on the image alone, not on passes or bands.
@@ -22,8 +24,9 @@ from dataclasses import dataclass, replace
 import drjit as dr
 
 from djpt.kernels import while_loop
-from djpt.rfilters.base import tap_centers
+from djpt.rfilters.base import is_wide, tap_centers
 from djpt.schedules.job import Band, Job
+from djpt.schedules.wide_filter import add_to_targets, gather_from_targets, reached_rows
 from djpt.types import Bool, Float, Int32, Point2f, UInt32
 
 __all__ = [
@@ -54,7 +57,10 @@ def by_pixels(job: Job, channels: int) -> bool:
 
 def add_samples(job: Job, band: Band, samples: list[Float], begin: int, end: int, sums: Sums | None) -> Sums:
     """Add the samples begin <= k < end of a band (per channel [k - begin][pixel]) to the lanes' sums."""
-    add = add_by_pixels if by_pixels(job, len(samples) + 1) else add_by_rows
+    if is_wide(job.film.taps):
+        add = add_to_targets
+    else:
+        add = add_by_pixels if by_pixels(job, len(samples) + 1) else add_by_rows
     return add(job, band, samples, begin, end, sums)
 
 
@@ -83,7 +89,7 @@ def collected(
     sums, in the layout of `add_samples` if None.
     """
     if spread is None:
-        spread = spread_from_pixels if by_pixels(job, channels) else spread_from_rows
+        spread = way_to_spread(job, channels)
     reach, open_rows = job.film.taps // 2, None
     for band, sums in bands:
         reached = started(job, band, open_rows, channels)
@@ -94,18 +100,25 @@ def collected(
             yield replace(open_rows, count=finished)
 
 
+def way_to_spread(job: Job, channels: int) -> Spread:
+    """The function that reads the sums of `add_samples`."""
+    if is_wide(job.film.taps):
+        return spread_from_targets
+    return spread_from_pixels if by_pixels(job, channels) else spread_from_rows
+
+
 def started(job: Job, band: Band, above: Rows | None, channels: int) -> Rows:
     """The rows that a band reaches, with what the bands above have added to them."""
-    reach = job.film.taps // 2
-    first, end = max(0, band.first_row - reach), min(job.height, band.first_row + band.rows + reach)
-    pixels = (end - first) * job.width
+    reached = reached_rows(job, band)
+    first, count = reached.first_row, reached.rows
+    pixels = count * job.width
     if above is None:
-        return Rows(first, end - first, [dr.opaque(Float, 0, pixels) for _ in range(channels)])
+        return Rows(first, count, [dr.opaque(Float, 0, pixels) for _ in range(channels)])
     slot = dr.arange(UInt32, pixels) + dr.opaque(UInt32, (first - above.first_row) * job.width)
     there = slot < dr.opaque(UInt32, above.count * job.width)
     sums = [dr.gather(Float, channel, slot, there) for channel in above.sums]
     dr.eval(sums)
-    return Rows(first, end - first, sums)
+    return Rows(first, count, sums)
 
 
 def pixels_of(job: Job, band: Band) -> tuple[UInt32, Int32, Int32, Point2f]:
@@ -274,6 +287,16 @@ def spread_from_rows(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> S
     return result
 
 
+# ---- by targets ---------------------------------------------------------------------------
+
+
+def spread_from_targets(job: Job, band: Band, sums: Sums, rows_in_reach: Rows) -> Sums:
+    """Add the sums that the pixels in reach have collected themselves."""
+    result = [total + part for total, part in zip(rows_in_reach.sums, sums, strict=True)]
+    dr.eval(result)
+    return result
+
+
 # ---- without a filter, and backwards ----------------------------------------------------------
 
 
@@ -301,6 +324,8 @@ def sample_adjoints(job: Job, band: Band, image: list[Float], begin: int, end: i
     divided by the sum of weights. delta_s = sum over pixels j of w_j(s) image_j. Layout [k - begin][pixel] per channel.
     """
     taps = job.film.taps
+    if is_wide(taps):
+        return gather_from_targets(job, band, image, begin, end)
     reach = taps // 2
     pixel, column, row, corner = pixels_of(job, band)
     pixels = dr.width(pixel)

@@ -7,13 +7,16 @@ vertex by vertex.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import drjit as dr
 
+from djpt.schedules.canvas import Summed
 from djpt.schedules.flat import Flat
 from djpt.schedules.job import Band, Job
 from djpt.schedules.lanes import grouped
-from djpt.schedules.passes import stored_image
-from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
+from djpt.schedules.passes import stored_rows
+from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["Wave"]
 
@@ -23,8 +26,8 @@ class Wave(Flat):
 
     name = "wave"
 
-    def image(self, job: Job) -> TensorXf:
-        return stored_image(job, self.samples)
+    def rows(self, job: Job) -> Iterator[Summed]:
+        return stored_rows(job, self.samples)
 
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         layer, pixel = grouped(job, band, end - begin)

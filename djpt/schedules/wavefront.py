@@ -6,6 +6,7 @@ for again, or in another order: what the film needs of them is kept.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -14,10 +15,11 @@ import drjit as dr
 from djpt.kernels import wide
 from djpt.records import Ray3f
 from djpt.samplers import Sampler
+from djpt.schedules.canvas import Summed
 from djpt.schedules.job import Band, Job
-from djpt.schedules.passes import stored_image
+from djpt.schedules.passes import stored_rows
 from djpt.schedules.wave import Wave
-from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["Wavefront", "WavefrontJob"]
 
@@ -30,6 +32,8 @@ class WavefrontJob(Job):
 
     The wavefronts follow from the image alone, so that the numbers do, too: `pass_spp` has no effect.
     """
+
+    splits_freely = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,7 +97,7 @@ class Wavefront(Wave):
 
     name = "wavefront"
 
-    def image(self, job: Job) -> TensorXf:
+    def rows(self, job: Job) -> Iterator[Summed]:
         assert isinstance(job, WavefrontJob)
         job = replace(job)  # which keeps numbers of its own
         sampler, share = job.begun(job.share), job.share
@@ -103,7 +107,7 @@ class Wavefront(Wave):
                 sampler.advance()
             return traced(job, sampler, begin, end - begin)
 
-        return stored_image(job, samples, job.pixels, share)
+        return stored_rows(job, samples, job.pixels, share)
 
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         """All samples of the image, which must be asked for at once."""

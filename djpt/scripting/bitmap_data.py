@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import IO, Any, overload
 
 import drjit as dr
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from djpt.description.numeric import describe
 from djpt.errors import SceneError
+from djpt.files import as_path
 from djpt.images.stored import Stored, load_stored, stored_from_stream
 from djpt.scripting.bitmap_formats import CHANNELS, BitmapKinds, FileFormat, PixelFormat, pixel_format_of
 from djpt.scripting.bitmap_layers import described
@@ -96,7 +96,7 @@ class BitmapData(BitmapKinds):
 
     def _read(self, path: str | os.PathLike[str], format: FileFormat = FileFormat.Auto) -> None:
         """Read a file."""
-        self._from_file(load_stored(Path(path), format.suffix))
+        self._from_file(load_stored(as_path(path), format.suffix))
 
     def _receive(self, stream: IO[bytes], format: FileFormat = FileFormat.Auto) -> None:
         """Read a stream."""

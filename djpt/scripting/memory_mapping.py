@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import Plugin
 from djpt.errors import FileError
+from djpt.files import as_path
 
 __all__ = ["MemoryMappedFile"]
 
@@ -31,7 +32,7 @@ class MemoryMappedFile(Plugin):
         self, filename: str | os.PathLike[str], size: Any = None, *, write: bool = False, array: Any = None
     ) -> None:
         super().__init__()
-        self._path, self._temporary = os.fspath(filename), False
+        self._path, self._temporary = str(as_path(filename)), False
         array = size if array is None and isinstance(size, np.ndarray) else array
         if isinstance(size, bool):
             size, write = None, size

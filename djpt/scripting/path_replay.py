@@ -7,7 +7,8 @@ from typing import Any
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.gradients.lane_replay import replayed
+from djpt.dispatch.ensemble import Attached
+from djpt.gradients.lane_replay import measured, replayed
 from djpt.integrators.base import PathIntegrator
 from djpt.integrators.prb import PRB
 from djpt.integrators.prb_basic import PRBBasic
@@ -41,8 +42,14 @@ class PathReplay(RBIntegrator, PathIntegrator):
         active: Bool | bool,
         **kwargs: Any,
     ) -> tuple[Color3f, Bool, list[Float], Any]:
-        """The result of all samples: see `ADIntegrator.sample`. The state is the radiance."""
+        """The result of all samples: see `ADIntegrator.sample`.
+
+        The state is the radiance; before a second run, a `Measured`: what the second run needs to know of each path.
+        """
         scene = scene.choosing_emitters(self.emitter_choice)
+        if mode == dr.ADMode.Primal and isinstance(scene.lookup, Attached):
+            found = measured(self, scene, sampler, ray, active)
+            return found.radiance, Bool(True), [], found
         if mode == dr.ADMode.Primal:
             (radiance,), valid = walk(self, scene, sampler, ray, active)
             return radiance, valid, [], radiance

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from djpt.errors import ArgumentError
-from djpt.files import writing
+from djpt.files import as_path, shortened, writing
 from djpt.images import colorimetry
 from djpt.images.color import LUMINANCE, RGB_TO_XYZ
 from djpt.images.spectrum_files import read_pairs
@@ -187,11 +186,12 @@ def spectrum_to_file(filename: str | os.PathLike[str], wavelengths: Sequence[flo
     check_suffix(filename)
     if len(wavelengths) != len(values):
         raise ArgumentError(f"spectrum_to_file(): {len(wavelengths)} wavelengths, but {len(values)} values")
-    with writing(Path(filename)) as temporary:
+    with writing(as_path(filename)) as temporary:
         temporary.write_text("".join(f"{w:.9g} {v:.9g}\n" for w, v in zip(wavelengths, values, strict=True)), "utf-8")
 
 
 def check_suffix(filename: str | os.PathLike[str]) -> None:
     """Raise an `ArgumentError` unless a name ends in .spd."""
-    if not os.fspath(filename).lower().endswith(".spd"):
-        raise ArgumentError(f"'{os.fspath(filename)}': spectra are stored in text files whose names end in .spd")
+    path = as_path(filename)
+    if path.suffix.lower() != ".spd":
+        raise ArgumentError(f"'{shortened(path)}': spectra are stored in text files whose names end in .spd")

@@ -15,6 +15,7 @@ from typing import IO, Any
 
 from djpt.description.plugin import Plugin
 from djpt.errors import FileError
+from djpt.files import as_path
 
 __all__ = ["DummyStream", "FileStream", "MemoryStream", "Stream"]
 
@@ -276,7 +277,7 @@ class FileStream(Stream):
     ERead, EReadWrite, ETruncReadWrite = Mode.ERead, Mode.EReadWrite, Mode.ETruncReadWrite
 
     def __init__(self, p: str | os.PathLike[str], mode: Mode = Mode.ERead) -> None:
-        self._path = os.fspath(p)
+        self._path = str(as_path(p))
         try:
             file = open(self._path, MODES[Mode(mode)])  # noqa: SIM115 - the stream closes it
         except OSError as error:

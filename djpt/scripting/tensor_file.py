@@ -62,7 +62,7 @@ class TensorFile:
     def __init__(self, path: str | os.PathLike[str], /) -> None:
         """Read a file. Raises `FileError` if it isn't a tensor file."""
         found, data = tensor_fields(path)
-        self._path, self._size = os.fspath(path), len(data)
+        self._path, self._size = str(path), len(data)
         self._fields = {
             name: StoredTensor(Type.of(field.dtype), field.offset, field.shape, field.read(data))
             for name, field in found.items()

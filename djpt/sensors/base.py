@@ -30,9 +30,9 @@ class Sensor(SampledRays, Endpoint):
     """A camera or meter: the rays of film positions, with a film and a sampler of its own.
 
     Parameters of all sensors: `to_world` (camera to world: the camera looks along its +z, +y is up; no scale; default
-    identity), `shutter_open` and `shutter_close` (0: nothing moves yet, so they change no image), `medium` (the one
-    that rays start in; default: the scene finds it), a nested `film` (default `hdrfilm`) and `sampler` (default
-    `independent`).
+    identity), `shutter_open` and `shutter_close` (default 0: when samples see light that varies with time; no shape
+    moves), `medium` (the one that rays start in; default: the scene finds it), a nested `film` (default `hdrfilm`) and
+    `sampler` (default `independent`).
     """
 
     kind: ClassVar[str] = "sensor"
@@ -46,6 +46,8 @@ class Sensor(SampledRays, Endpoint):
     """The factor from radiance to what the sensor measures; the same for all its rays."""
     by_pixel: ClassVar[bool] = False
     """Whether neighbouring pixels look elsewhere: `ray_of_pixel` then is asked in place of `ray_through`."""
+    has_neighbours: ClassVar[bool] = True
+    """Whether rays have neighbours on the film, to compute footprints from."""
     one_pixel: ClassVar[bool] = False
     """Whether it measures one number: its film then must have one pixel, and has by default."""
 

@@ -22,14 +22,17 @@ if TYPE_CHECKING:
 __all__ = ["look_along", "placed_apart", "require_area"]
 
 
-def look_along(props: Properties, origin: NDArray[np.float64]) -> ScalarTransform4f:
-    """The transform of a sensor at `origin` that looks along the entry `direction`."""
+def look_along(props: Properties, origin: NDArray[np.float64], upwards: int = 1) -> ScalarTransform4f:
+    """The transform of a sensor at `origin` that looks along the entry `direction`.
+
+    `upwards` says which of the two tangents of `coordinate_system` points up.
+    """
     direction = props.vector("direction")
     length = float(np.linalg.norm(direction))
     if length == 0:
         raise props.error("direction", "must not be the zero vector")
     direction = direction / length
-    _, up = coordinate_system(Vector3f(*direction.tolist()))
+    up = coordinate_system(Vector3f(*direction.tolist()))[upwards]
     return ScalarTransform4f.look_at(origin=origin, target=origin + direction, up=np.array(up).ravel())
 
 

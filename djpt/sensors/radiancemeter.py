@@ -26,6 +26,7 @@ class RadianceMeter(Sensor):
     """
 
     one_pixel = True
+    has_neighbours: ClassVar[bool] = False
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("origin", "direction"), ParamFlags.NonDifferentiable)
 
     def __init__(self, props: Properties) -> None:
@@ -35,7 +36,7 @@ class RadianceMeter(Sensor):
             if len(given) == 1:
                 other = "direction" if given == ["origin"] else "origin"
                 raise SceneError(f"{props.node}: '{given[0]}' needs '{other}' as well")
-            self.to_world = look_along(props, props.vector("origin"))
+            self.to_world = look_along(props, props.vector("origin"), upwards=0)
         self.parameters_changed(())
 
     def traverse(self, callback: TraversalCallback) -> None:

@@ -40,6 +40,7 @@ class SampledRays:
     if TYPE_CHECKING:
         weight: float
         uses_aperture: bool
+        has_neighbours: ClassVar[bool]
 
         def film(self) -> Film:
             """See `Sensor`."""
@@ -81,7 +82,10 @@ class SampledRays:
         sample3: Point2f,
         active: Bool | bool = True,
     ) -> tuple[Any, Color3f]:
-        """Sample a ray as `sample_ray` does, with those through the next pixel to the right and the next one below."""
+        """Sample a ray as `sample_ray` does, with those through the next pixel to the right and the next one below.
+
+        A sensor of a single ray has no others: `has_differentials` is false then.
+        """
         at = Point2f(sample2)
         width, height = self.film().crop_size()
         ray, weight = self.sample_ray(time, sample1, at, sample3, active)
@@ -91,7 +95,7 @@ class SampledRays:
         result = importlib.import_module("djpt").RayDifferential3f(ray)
         result.d_x, result.d_y = right.d, below.d
         result.o_x, result.o_y = (ray.o, ray.o) if self.is_pinhole else (right.o, below.o)
-        result.has_differentials = True
+        result.has_differentials = self.has_neighbours
         return result, weight
 
     def sample_direction(

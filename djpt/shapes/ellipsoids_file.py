@@ -38,7 +38,10 @@ def read_ellipsoids(data: bytes, where: str, factor: float, to_world: Table) -> 
     Raises:
         SceneError: no such file.
     """
-    element = read_elements(data, where)[0]
+    elements = read_elements(data, where)
+    if not elements:
+        raise SceneError(f"{where}: the file has no elements; ellipsoids are the rows of the first one")
+    element = elements[0]
     names = list(element.columns)
     if tuple(names[:6]) != FIRST or tuple(names[-7:]) != LAST:
         raise SceneError(

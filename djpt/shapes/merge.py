@@ -24,7 +24,8 @@ class Merge(Shape):
 
     Merged are meshes that have the same BSDF, emitter and sensor (those that a reference names, for instance), that
     agree in having vertex normals, texture coordinates, `face_normals` and `flip_normals`, and that have no
-    attributes. All others stay as they are, and so do shapes that aren't meshes. If all meshes become one, it gets the
+    attributes. All others stay as they are, and so do shapes that aren't meshes. A shape that is referred to several
+    times counts once. If all meshes become one, it gets the
     name of this node; else merged meshes have the name of the first among them.
     """
 
@@ -66,9 +67,9 @@ def mergeable(shape: Shape) -> bool:
 
 
 def merged(shapes: Sequence[Shape]) -> list[Shape]:
-    """The shapes, with meshes that are alike put together in the place of the first of them."""
+    """The shapes, each once, with meshes that are alike put together in the place of the first of them."""
     groups: dict[Hashable, list[Any]] = {}
-    for shape in shapes:
+    for shape in {id(shape): shape for shape in shapes}.values():
         groups.setdefault(likeness(shape) if mergeable(shape) else id(shape), []).append(shape)
     return [group[0] if len(group) == 1 else joined(group) for group in groups.values()]
 

@@ -23,7 +23,7 @@ from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
 from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
-from djpt.shapes.meshes.measures import Measures
+from djpt.shapes.meshes.measures import Measures, is_remote
 from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
@@ -119,11 +119,15 @@ class Mesh(MeshQueries, Shape):
         where = f"{props.node}: {source}" if source else props.node
         if face_normals:
             data.normals = None
+        own = data.positions
         data.transform(self.to_world)
         areas = clean(data, where) if checked else None
         if compute_normals and not face_normals and data.normals is None:
             data.compute_normals()
         self.positions, self.indices = data.positions, data.indices
+        # From far away their digits are lost: float32 keeps seven, of which the distance takes some.
+        placed = own is not data.positions and is_remote(self.positions)
+        self._own_positions = (own, self.positions) if placed else None
         self.normals, self.texcoords = data.normals, data.texcoords
         self.set: MeshSet | None = None
         """The set of the scene's meshes that this one belongs to; set by `MeshSet`."""
@@ -140,6 +144,22 @@ class Mesh(MeshQueries, Shape):
         check_prefix(where, name)
         if hasattr(self, name):
             raise SceneError(f"{where}: '{name}' can't be the name of an attribute: it means something else")
+
+    def exact_positions(self) -> NDArray[np.float64]:
+        """The vertices (V, 3) in world space; of a mesh placed far away in double precision, unless it was edited."""
+        if self._own_positions is None or self._own_positions[1] is not self.positions:
+            return self.positions.astype(np.float64)
+        matrix = self.to_world.matrix
+        placed: NDArray[np.float64] = self._own_positions[0] @ matrix[:3, :3].T + matrix[:3, 3]
+        return placed
+
+    def leave(self, positions: NDArray[np.float32] | None = None) -> None:
+        """Make a copy of a mesh independent of the original's set, and move its vertices if `positions` are given."""
+        self.set, self._first_face, self._own_positions = None, 0, None
+        self.positions = self.positions if positions is None else positions
+        for derived in ("first_face", "vertex_positions"):
+            self.__dict__.pop(derived, None)
+        self._measure()
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""

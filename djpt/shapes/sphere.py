@@ -15,6 +15,7 @@ from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
 from djpt.frame import Frame3f
 from djpt.geometry.axes import AxisPool, ProjectedRay
+from djpt.geometry.large_sphere import intersect_large, is_large
 from djpt.kernels import as_float, as_vector
 from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
 from djpt.shapes.base import Hit, Shape
@@ -42,6 +43,8 @@ class Sphere(Shape):
     canonical = "sphere"
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
+    large = False
+    """Whether the sphere is much larger than its distance from the origin: see `djpt.geometry.large_sphere`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -76,6 +79,10 @@ class Sphere(Shape):
         self._host = (matrix[:3, 3], radius)
         self.center, self.radius = as_vector(matrix[:3, 3]), as_float(radius)
         self.area = as_float(4 * math.pi * radius**2)
+        distance = float(np.linalg.norm(matrix[:3, 3]))
+        # Once large, always large: so an edit back and forth compiles one kernel at most.
+        self.large = self.large or is_large(distance, radius)
+        self.power = as_float(float(matrix[:3, 3] @ matrix[:3, 3]) - radius**2)
         self.axis_x, self.axis_y, self.axis_z = (as_vector(matrix[:3, k] / radius) for k in range(3))
 
     def interval(self, direction: NDArray[np.float64]) -> tuple[float, float]:
@@ -86,6 +93,9 @@ class Sphere(Shape):
     # ---- in kernels ----------------------------------------------------------------
 
     def intersect(self, ray: ProjectedRay, maxt: Float, numbers: Sequence[int]) -> Hit:
+        if self.large:
+            met, distance = intersect_large(ray.ray, self.center, self.radius, self.power)
+            return Hit(met & (distance < maxt), distance, UInt32(numbers[0]))
         # The quadratic is solved from the point of the ray closest to the centre: the
         # discriminant then doesn't cancel for spheres that are small or far away.
         # E. Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, ch. 7, 2019.
@@ -102,7 +112,7 @@ class Sphere(Shape):
         return Hit(hit, Float(dr.reinterpret_array(Float, t)), UInt32(numbers[0]))
 
     def occludes(self, ray: ProjectedRay, numbers: Sequence[int]) -> Bool:
-        if not ray.unbounded:
+        if self.large or not ray.unbounded:
             return super().occludes(ray, numbers)
         # A ray without an end meets the surface if it enters the ball: no square root is needed.
         o, d = ray.ray.o - self.center, ray.ray.d

@@ -6,7 +6,6 @@ import math
 import os
 import struct
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import drjit as dr
@@ -16,7 +15,7 @@ from drjit.scalar import Array3u as ScalarArray3u
 from numpy.typing import NDArray
 
 from djpt.errors import ArgumentError, FileError
-from djpt.files import read_bytes, writing
+from djpt.files import as_path, read_bytes, writing
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 
 __all__ = ["VolumeGrid", "as_grid"]
@@ -143,10 +142,10 @@ class VolumeGrid:
         z, y, x, channels = self._data.shape
         corners = [float(c) for corner in self._box for c in corner]
         data = HEADER.pack(b"VOL", VERSION, FLOAT32, x, y, z, channels, *corners) + self._data.astype("<f4").tobytes()
-        if not isinstance(path, (str, os.PathLike)):
+        if hasattr(path, "write"):
             path.write(data)
             return
-        with writing(Path(path)) as temporary:
+        with writing(as_path(path)) as temporary:
             temporary.write_bytes(data)
 
     def __repr__(self) -> str:

@@ -14,11 +14,12 @@ import observers
 import proof
 import slopes
 import surfaces
+import vapour
 from places import IMAGES
 
 FIGURES = {
     name: getattr(module, name)
-    for module in (proof, box, surfaces, illumination, mist, observers, estimators, slopes, cards)
+    for module in (proof, box, surfaces, illumination, mist, vapour, observers, estimators, slopes, cards)
     for name in module.__all__
 }
 """All figures by name; `cards` comes last, as it is cut from the others."""

@@ -25,7 +25,7 @@ def albedo() -> None:
 
 def smoke() -> None:
     """What the smoke example writes."""
-    with patch.object(sys, "argv", ["smoke.py", "--out", str(IMAGES / "smoke.png")]):
+    with patch.object(sys, "argv", ["smoke.py", "--out", str(IMAGES / "recovered_smoke.png")]):
         runpy.run_path(str(ROOT / "examples" / "smoke.py"), run_name="__main__")
 
 

@@ -157,6 +157,46 @@ def test_albedo_grid() -> None:
     assert agree(found.sum(axis=(1, 2, 3, 4)) * 0.2, difference)
 
 
+@pytest.mark.slow
+def test_black_smoke() -> None:
+    """By the albedo where it is 0, and by all texels with matter: factors vanish, and detours begin behind them."""
+    data, albedo = with_holes(), np.array([0, 0.9], np.float32).reshape(1, 1, 2, 1)
+    tint = {"type": "gridvolume", "data": albedo, "to_world": T().translate([-1, -1, -1]).scale(2)}
+    scene = djpt.load_dict(cloud(data, medium={"albedo": tint, "scale": 2.0}))
+    params, key = djpt.traverse(scene), "cube.interior_medium.albedo.data"
+    by_albedo, by_texels = [], []
+    for seed in range(6):
+        leaves = djpt.TensorXf(data), djpt.TensorXf(albedo)
+        dr.enable_grad(*leaves)
+        params[KEY], params[key] = leaves
+        params.update()
+        dr.backward(dr.mean(djpt.render(scene, params, spp=1, spp_grad=2048, seed=seed), axis=None))
+        by_texels.append((np.array(dr.grad(leaves[0]), np.float64) * (data > 0)).sum())
+        by_albedo.append(np.array(dr.grad(leaves[1]), np.float64).ravel()[0])
+    steps = [means(scene, key, albedo + np.array([0.1 * k, 0]).reshape(1, 1, 2, 1), 100) for k in range(3)]
+    assert agree(np.array(by_albedo), (-3 * steps[0] + 4 * steps[1] - steps[2]) / 0.2)
+    params[key] = djpt.TensorXf(albedo)
+    change = np.where(data > 0, 0.1, 0)
+    difference = means(scene, KEY, data + change, 300, 8192) - means(scene, KEY, data - change, 400, 8192)
+    assert agree(np.array(by_texels), difference / 0.2)
+
+
+def test_smoke_that_only_a_black_wall_would_show() -> None:
+    """The image depends on the wall and not on the smoke, though its paths go on to the smoke."""
+    wall = {"type": "rectangle", "to_world": T().translate([0, 0, -6]).scale(10)}
+    wall["bsdf"] = {"type": "diffuse", "reflectance": 0.0}
+    description = cloud(with_holes(), wall=wall)
+    description["sensor"]["to_world"] = T().look_at([0, 0, -4], [0, 0, -6], [0, 1, 0])
+    scene = djpt.load_dict(description)
+    params, leaves = djpt.traverse(scene), (djpt.TensorXf(with_holes()), djpt.Float(0))
+    dr.enable_grad(*leaves)
+    params[KEY], params["wall.bsdf.reflectance.value"] = leaves
+    params.update()
+    dr.backward(dr.mean(djpt.render(scene, params, spp=1, spp_grad=256), axis=None))
+    by_texels, by_wall = (np.array(dr.grad(leaf)) for leaf in leaves)
+    assert not by_texels.any() and by_wall[0] > 0.1
+
+
 def test_an_edit_compiles_no_kernel() -> None:
     """Neither image nor gradients, and the majorant follows: the new matter is denser by far."""
     data = with_holes()

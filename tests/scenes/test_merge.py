@@ -45,6 +45,13 @@ def test_meshes_of_one_material_become_one() -> None:
     assert "both.vertex_positions" in djpt.traverse(loaded)
 
 
+def test_a_shape_that_is_referred_to_twice_counts_once() -> None:
+    for kind in ({"type": "sphere"}, mesh()):
+        parts = {"once": kind, "a": {"type": "ref", "id": "both.once"}}
+        (shape,) = djpt.load_dict({"type": "scene", "both": {"type": "merge", **parts}}).shapes()
+        assert not isinstance(shape, djpt.Mesh) or shape.face_count() == 4
+
+
 def test_the_picture_is_that_of_the_parts() -> None:
     whole, parts = scene(both={"type": "merge", **PARTS}), scene(**PARTS)
     np.testing.assert_allclose(ours(whole, 8, 3), ours(parts, 8, 3), rtol=1e-4, atol=1e-5)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.limits import MAX_FILES, MAX_NAME, MAX_NODES
+from djpt.description.limits import MAX_FILES, MAX_NAME, MAX_NODES, MAX_PARTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="has no pipes and devices among its files")
 
@@ -160,6 +160,22 @@ def test_nodes_are_counted_wherever_they_stand() -> None:
         djpt.load_dict({"type": "scene", "m": node})
 
 
+def test_levels_of_two_references_each_dont_grow_exponentially() -> None:
+    chain: dict[str, Any] = {"type": "scene", "m12": {"type": "diffuse"}}
+    for i in range(12):
+        below = {"type": "ref", "id": f"m{i + 1}"}
+        chain[f"m{i}"] = {"type": "blendbsdf", "a": below, "b": below}
+    with pytest.raises(djpt.SceneError, match=rf"more than {MAX_PARTS} plugins in one"):
+        djpt.load_dict(chain)
+
+
+def test_a_material_of_many_parts_can_be_used() -> None:
+    below: dict[str, Any] = {"type": "diffuse"}
+    for _ in range(6):
+        below = {"type": "blendbsdf", "weight": 0.5, "a": below, "b": below}
+    assert djpt.load_dict(below).class_name() == "BlendBSDF"
+
+
 def test_objects_of_included_files_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("djpt.description.xml.reader.MAX_NODES", 1000)
     (tmp_path / "m.xml").write_text('<scene version="3.0.0">' + '<bsdf type="diffuse"/>' * 100 + "</scene>")
@@ -186,6 +202,25 @@ def test_names_are_bounded(name: str) -> None:
     with pytest.raises(djpt.SceneError) as caught:
         djpt.load_dict({"type": "obj", "filename": name})
     assert len(str(caught.value)) < 500
+
+
+def test_suggestions_take_no_time_where_names_are_many_and_long() -> None:
+    description: dict[str, Any] = {f"{i:05}{'x' * 900}": {"type": "diffuse"} for i in range(3000)}
+    with pytest.raises(djpt.SceneError, match="nothing has the id 'yxxx") as caught:
+        djpt.load_dict({"type": "scene", **description, "r": {"type": "ref", "id": "y" + "x" * 900}})
+    assert len(str(caught.value)) < 100_000
+
+
+def test_surface_properties_are_counted() -> None:
+    aovs = ",".join(f"a{i}:depth" for i in range(100_000))
+    with pytest.raises(djpt.SceneError, match="'aovs' can have up to 256 variables, found 100000"):
+        djpt.load_dict({"type": "aov", "aovs": aovs})
+
+
+@pytest.mark.parametrize("value", ["true", 1, None, djpt.Float(1)], ids=str)
+def test_trust_is_given_or_not(house: Path, value: Any) -> None:
+    with pytest.raises(djpt.SceneError, match="'trusted' must be True or False"):
+        djpt.load_file(scene(house, ""), trusted=value)
 
 
 # ---- files that claim too much -------------------------------------------------------------
@@ -218,3 +253,11 @@ def test_images_without_pixels(tmp_path: Path, shape: tuple[int, ...]) -> None:
     np.save(path, np.zeros(shape, np.float32))
     with pytest.raises(djpt.SceneError, match="must have at least one pixel"):
         djpt.load_dict({"type": "bitmap", "filename": str(path)})
+
+
+@pytest.mark.parametrize("kind", ["ply", "ellipsoids", "ellipsoidsmesh"])
+def test_a_header_without_elements(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text("ply\nformat ascii 1.0\nend_header\n")
+    with pytest.raises(djpt.SceneError, match=rf"{kind}: a\.ply: (the file has no elements|a mesh needs the elements)"):
+        djpt.load_dict({"type": kind, "filename": str(path)})

@@ -190,7 +190,7 @@ def test_what_a_file_cant_hold(description: Any, message: str, tmp_path: Path) -
 
 
 def test_a_place_that_cant_be_written(tmp_path: Path) -> None:
-    with pytest.raises(djpt.FileError, match=r"can't write '.*none/a\.xml': No such file"):
+    with pytest.raises(djpt.FileError, match=r"can't write '.*none/a\.xml': there is no folder"):
         djpt.write_dict(tmp_path / "none" / "a.xml", {"type": "sphere"})
     (tmp_path / "folder.xml").mkdir()
     with pytest.raises(djpt.FileError, match="can't write"):

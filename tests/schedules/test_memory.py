@@ -102,7 +102,7 @@ except djpt.RenderError as error:
     [
         (8000, "takes about 1.3 GiB; "),
         (20000, "takes about 5.1 GiB; "),
-        (60000, "has more than 2^32 numbers; render it in parts"),
+        (60000, "has more than 2^32 numbers; write it row by row (djpt.render_to_file), render it in parts"),
     ],
 )
 def test_an_image_that_does_not_fit_is_refused(size: int, message: str) -> None:
@@ -110,6 +110,25 @@ def test_an_image_that_does_not_fit_is_refused(size: int, message: str) -> None:
     done = subprocess.run([sys.executable, "-c", LIMITED, str(size)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"sensor.film: an image of {size} x {size} pixels with 3 channels {message}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_the_same_image_is_written_row_by_row(rfilter: str, tmp_path: Path) -> None:
+    """In the same 1.5 GiB of addresses, and with a third of them in memory."""
+    script = (
+        LIMITED.split("try:")[0]
+        + """
+description["sensor"]["film"]["rfilter"] = {"type": sys.argv[3]}
+djpt.render_to_file(djpt.load_dict(description), sys.argv[2], spp=1)
+with open("/proc/self/status") as status:
+    print(next(int(line.split()[1]) for line in status if line.startswith("VmHWM")))
+"""
+    )
+    arguments = [sys.executable, "-c", script, "8000", str(tmp_path / "large.exr"), rfilter]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert int(done.stdout) * 1024 < 0.6 * GIB
 
 
 @pytest.mark.parametrize("schedule", ["flat", "wave"])

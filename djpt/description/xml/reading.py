@@ -16,7 +16,7 @@ from djpt.description.xml.naming import Naming
 from djpt.description.xml.nodes import Node
 from djpt.description.xml.reader import Reader
 from djpt.errors import FileError, SceneError
-from djpt.files import require_regular
+from djpt.files import as_path, require_regular
 
 __all__ = ["read_file", "read_string"]
 
@@ -71,11 +71,13 @@ def _document(reader: Reader, root: Node, where: str, name: str) -> Document:
 
 def confinement(trusted: bool, root: str | os.PathLike[str] | None, default: Path) -> Path | None:
     """The directory that a scene may not leave, without links, or None for a scene that is trusted."""
+    if not isinstance(trusted, bool):
+        raise SceneError(f"'trusted' must be True or False, found {_describe(trusted)}")
     if trusted:
         if root is not None:
             raise SceneError("'root' confines scenes that aren't trusted; set trusted=False, too")
         return None
-    folder = Path(os.path.realpath(default if root is None else root))
+    folder = Path(os.path.realpath(default if root is None else as_path(root)))
     if not folder.is_dir():
         raise FileError(f"'root' must be a folder, found '{folder}'")
     return folder

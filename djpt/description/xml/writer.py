@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,8 @@ from djpt.description.numeric import as_array, as_number, describe
 from djpt.description.plugin import Plugin
 from djpt.description.registry import home_of, kind_of, unknown
 from djpt.description.xml.objects import OBJECTS
-from djpt.errors import FileError, SceneError
+from djpt.errors import SceneError
+from djpt.files import as_path, check_target, writing
 from djpt.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 
 __all__ = ["to_xml", "write_dict"]
@@ -54,18 +53,10 @@ def write_dict(path: str | os.PathLike[str], description: Mapping[str, Any]) -> 
         SceneError: as `to_xml`.
         FileError: the file can't be written.
     """
-    target = Path(os.fspath(path))
-    text = _Writer(description, Path(os.path.realpath(target)).parent).text()
-    real = Path(os.path.realpath(target))
-    temporary = real.with_name(f".{real.stem[:100]}.{secrets.token_hex(4)}{real.suffix}")
-    try:
+    target = as_path(path)
+    text = _Writer(description, check_target(target).parent).text()
+    with writing(target) as temporary:
         temporary.write_text(text, "utf-8")
-        temporary.replace(real)
-    except OSError as error:
-        raise FileError(f"can't write '{target}': {error.strerror or error}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 class _Writer:

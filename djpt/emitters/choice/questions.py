@@ -15,7 +15,7 @@ from djpt.emitters.choice import make_choice
 from djpt.emitters.choice.base import EmitterChoice
 from djpt.emitters.choice.sampling import LightSampling
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
-from djpt.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, Observer, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 
 __all__ = ["LightQuestions"]
@@ -120,7 +120,7 @@ class LightQuestions:
         `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then stretched
         for use in the emitter. With `test_visibility` the weight is 0 behind surfaces, and includes absorption.
         """
-        light = self.light_sampling.sample(Reference(ref.p, ref.n), Point2f(sample), active)
+        light = self.light_sampling.sample(ref, Point2f(sample), active)
         ds, weight = light.ds, light.weight
         if test_visibility:
             weight = self.light_through(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
@@ -134,8 +134,7 @@ class LightQuestions:
 
         Of a mere point the normal isn't known: an `emitter_choice` that looks at it needs more.
         """
-        at = observer(ref)
-        return self.light_sampling.pdf(Reference(at.p, at.n), ds, active)
+        return self.light_sampling.pdf(observer(ref), ds, active)
 
     def eval_emitter_direction(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
         """What arrives from the emitter of `ds` in its direction, whatever stands between.

@@ -11,7 +11,7 @@ from djpt.dispatch.family import Family
 from djpt.dispatch.pointers import EmitterPtr
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice.base import EmitterChoice
-from djpt.records import DirectionSample3f, Ray3f, Reference, SurfaceInteraction3f
+from djpt.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["LightSample", "LightSampling", "MetLight"]
@@ -45,7 +45,7 @@ class LightSampling:
     choice: EmitterChoice
     lookup: Lookup
 
-    def sample(self, ref: Reference, sample: Point2f, active: Bool | bool = True) -> LightSample:
+    def sample(self, ref: Observer, sample: Point2f, active: Bool | bool = True) -> LightSample:
         """Choose an emitter and sample a direction towards it from `ref`.
 
         `sample.x` chooses and is then stretched for use in the emitter. Without emitters the weight is 0.
@@ -62,7 +62,7 @@ class LightSampling:
             ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
         return LightSample(ds, weight)
 
-    def pdf(self, ref: Reference, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+    def pdf(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
         """The density of `sample` at `ds`, per unit solid angle at `ref`."""
         pdf = self._emitter(ds.emitter_index).pdf_direction(ref, ds, active)
         if len(self.emitters) < 2:
@@ -87,7 +87,7 @@ class LightSampling:
         ds = DirectionSample3f.between(ref.p, ray, si)
         pdf = self.pdf(ref, ds)
         radiance = si.emitter().eval(si)
-        return MetLight(radiance, pdf), self.sample(Reference(si.p, si.n), sample, active)
+        return MetLight(radiance, pdf), self.sample(si, sample, active)
 
     def _emitter(self, index: UInt32) -> EmitterPtr:
         return EmitterPtr.into(Family(self.emitters, self.lookup), index)

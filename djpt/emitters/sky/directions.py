@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -13,9 +13,11 @@ from djpt.emitters.sky.tables import table
 from djpt.kernels import maximum
 from djpt.types import Float, Point2f, UInt32, Vector3f
 
-__all__ = ["SkyDirections"]
+__all__ = ["FITTED", "SkyDirections"]
 
 INV_SQRT_TWO = math.sqrt(0.5)
+FITTED = 5
+"""The parameters that were fitted: those after the azimuth, up to `spread_phi`."""
 VALUES = ("azimuth", "glow", "horizon", "mean_z", "spread_z", "spread_phi", "low_z", "high_z", "low_phi", "high_phi")
 
 
@@ -62,23 +64,26 @@ class SkyDirections(Plugin):
             least, most = math.radians(2), math.radians(88)
             # 30 elevations; beyond the first and the last the sky is sampled as there.
             fitted = table("density").at((elevation - least) * (29 / (most - least))).at(turbidity - 1).numbers
-            glow, horizon, mean_z, spread_z, spread_phi = (dr.gather(Float, fitted, UInt32(k)) for k in range(5))
-            found = (
-                azimuth,
-                glow,
-                horizon,
-                mean_z,
-                spread_z,
-                spread_phi,
-                normal_distribution(-mean_z, spread_z),
-                normal_distribution(1 - mean_z, spread_z),
-                normal_distribution(Float(-math.pi), spread_phi),
-                normal_distribution(Float(math.pi), spread_phi),
-            )
+            self._take(azimuth, [dr.gather(Float, fitted, UInt32(k)) for k in range(FITTED)])
             # Copies: what is made opaque here must not be a variable of the caller's.
-            values = [Float(dr.detach(value)) for value in found]
+            values = {name: Float(dr.detach(getattr(self, name))) for name in VALUES}
             dr.make_opaque(values)
-        vars(self).update(zip(VALUES, values, strict=True))
+        vars(self).update(values)
+
+    @staticmethod
+    def of(azimuth: Float, fitted: Sequence[Float]) -> SkyDirections:
+        """The density with parameters of one's own, after the table's `density`, and the sun at an azimuth."""
+        directions = SkyDirections()
+        directions._take(azimuth, fitted)
+        return directions
+
+    def _take(self, azimuth: Float, fitted: Sequence[Float]) -> None:
+        self.azimuth = azimuth
+        self.glow, self.horizon, self.mean_z, self.spread_z, self.spread_phi = fitted[:FITTED]
+        self.low_z = normal_distribution(-self.mean_z, self.spread_z)
+        self.high_z = normal_distribution(1 - self.mean_z, self.spread_z)
+        self.low_phi = normal_distribution(Float(-math.pi), self.spread_phi)
+        self.high_phi = normal_distribution(Float(math.pi), self.spread_phi)
 
     # ---- in kernels --------------------------------------------------------------------
 

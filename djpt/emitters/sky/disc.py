@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -73,7 +74,7 @@ class SunDisc(Plugin):
 
         A disc of another size sends the same power.
         """
-        self.direction, self.color = direction, irradiance * (self.brightness / (2 * math.pi * TRUE_HEIGHT))
+        self.direction, self.color = direction, self._mean_radiance(irradiance)
         dr.make_opaque(self.direction, self.color)
         if self.darkening:
             numbers = table("sun").at(turbidity - 1).numbers
@@ -81,6 +82,15 @@ class SunDisc(Plugin):
             self.polynomials = TensorXf(dr.detach(numbers), (PARTS, PACKETS, 4))
 
     # ---- in kernels --------------------------------------------------------------------
+
+    def moved(self, direction: Vector3f, irradiance: Color3f) -> SunDisc:
+        """The disc in another direction, with another irradiance by the tables."""
+        disc = copy.copy(self)
+        disc.direction, disc.color = direction, self._mean_radiance(irradiance)
+        return disc
+
+    def _mean_radiance(self, irradiance: Color3f) -> Color3f:
+        return irradiance * (self.brightness / (2 * math.pi * TRUE_HEIGHT))
 
     def covers(self, d: Vector3f) -> Bool:
         """Whether a unit vector points to the disc."""

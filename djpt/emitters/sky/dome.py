@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
+from djpt.dispatch.tables import entry_at
 from djpt.emitters.sky.angles import angle, cosine
-from djpt.emitters.sky.tables import table
+from djpt.emitters.sky.tables import Grid, bezier_weights, table
 from djpt.kernels import maximum, minimum
-from djpt.types import Color3f, Float, UInt32
+from djpt.types import Bool, Color3f, Float, UInt32
 
-__all__ = ["SkyDome"]
+__all__ = ["SkyDome", "atmosphere"]
 
 QUANTITIES = ("A", "B", "C", "D", "E", "F", "G", "I", "H", "mean")
 """The order of the table."""
+POINTS = 6
+"""The control points of each quantity's curve."""
 
 
 class SkyDome(Plugin):
@@ -54,14 +57,28 @@ class SkyDome(Plugin):
 
     def set(self, turbidity: Float, albedo: Color3f, elevation: Float) -> None:
         """Take the state of the atmosphere, the colour of the ground, and the sun's elevation in radians."""
-        grid = table("sky").at(turbidity - 1)
-        albedos = Float(dr.tile(dr.ravel(albedo), math.prod(grid.shape[1:]) // 3))
-        # The slope of the cube root at 0 is infinite.
-        share = minimum(maximum(elevation * (2 / math.pi), Float(1e-12)), Float(1))
-        quantities = grid.at(albedos).curve(minimum(dr.cbrt(share), Float(1 - 2**-24))).numbers
+        quantities = atmosphere(turbidity, albedo).curve(curve_position(elevation)).numbers
         dr.eval(quantities)
         colours = [dr.gather(Color3f, quantities, UInt32(index)) for index in range(len(QUANTITIES))]
         dr.make_opaque(colours)
+        self._take(colours)
+
+    @staticmethod
+    def of(controls: Any, elevation: Float, active: Bool | bool = True) -> SkyDome:
+        """The sky at an elevation of the sun per lane.
+
+        `controls` is the table of an `atmosphere` as entries, one colour for each control point and quantity.
+        """
+        dome, position, count = SkyDome(), curve_position(elevation), len(QUANTITIES)
+        weights = bezier_weights(POINTS, position)
+        colours = [
+            sum((entry_at(controls, UInt32(k * count + q), active) * weights[k] for k in range(POINTS)), Color3f(0))
+            for q in range(count)
+        ]
+        dome._take(colours)
+        return dome
+
+    def _take(self, colours: Sequence[Any]) -> None:
         vars(self).update(zip(QUANTITIES, colours, strict=True))
 
     def radiance(self, cos_theta: Float, chord2: Float) -> Color3f:
@@ -79,3 +96,16 @@ class SkyDome(Plugin):
             + self.I * dr.safe_sqrt(cos_theta)
         )
         return self.mean * horizon * about_sun
+
+
+def atmosphere(turbidity: Float, albedo: Color3f) -> Grid:
+    """The curves of all quantities in one state of the atmosphere: control points, quantities, colours."""
+    grid = table("sky").at(turbidity - 1)
+    return grid.at(Float(dr.tile(dr.ravel(albedo), math.prod(grid.shape[1:]) // 3)))
+
+
+def curve_position(elevation: Float) -> Float:
+    """Where an elevation of the sun, in radians, lies on the curves: in [0, 1)."""
+    # The slope of the cube root at 0 is infinite.
+    share = minimum(maximum(elevation * (2 / math.pi), Float(1e-12)), Float(1))
+    return minimum(dr.cbrt(share), Float(1 - 2**-24))

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TimeAndPlace"]
+__all__ = ["TimeAndPlace", "sun_direction"]
 
 EPOCH = 2451545.0
 """The Julian date of noon, universal time, on 1 January 2000."""
+DEGREE = math.pi / 180
 PARALLAX = 6371.01 / 149597890.0
 """The radius of the earth over its distance from the sun."""
 
@@ -51,44 +54,49 @@ class TimeAndPlace:
         return julian_day - 0.5 + self.universal_hours() / 24 - EPOCH
 
     def sun_direction(self) -> NDArray[np.float64]:
-        """The direction of the sun, (3,): z points up, x to the south and y to the west, a left-handed system.
-
-        M. Blanco-Muriel, D. C. Alarcon-Padilla, T. Lopez-Moratalla and M. Lara-Coira, "Computing the Solar Vector",
-        Solar Energy 70(5), 2001: exact to half a minute of arc from 1999 to 2015.
-        """
-        days = self.days()
-        longitude, obliquity = ecliptic(days)
-        right_ascension = math.atan2(math.cos(obliquity) * math.sin(longitude), math.cos(longitude))
-        declination = math.asin(math.sin(obliquity) * math.sin(longitude))
-        sidereal_hours = 6.6974243242 + 0.0657098283 * days + self.universal_hours()
-        hour_angle = math.radians(15 * sidereal_hours + self.longitude) - right_ascension
-        latitude = math.radians(self.latitude)
-
-        zenith = math.acos(
-            math.cos(latitude) * math.cos(hour_angle) * math.cos(declination)
-            + math.sin(declination) * math.sin(latitude)
-        )
-        zenith += PARALLAX * math.sin(zenith)
-        # From the north to the east.
-        azimuth = math.atan2(
-            -math.sin(hour_angle),
-            math.tan(declination) * math.cos(latitude) - math.sin(latitude) * math.cos(hour_angle),
-        )
-        phi = azimuth - math.pi
-        across = math.sin(zenith)
-        return np.array([across * math.cos(phi), across * math.sin(phi), math.cos(zenith)])
+        """The direction of the sun, (3,): see `sun_direction`."""
+        return np.array(sun_direction(self.days(), self.universal_hours(), self.latitude, self.longitude))
 
 
-def ecliptic(days: float) -> tuple[float, float]:
+def sun_direction(days: Any, universal_hours: Any, latitude: Any, longitude: Any) -> tuple[Any, Any, Any]:
+    """The direction of the sun: z points up, x to the south and y to the west, a left-handed system.
+
+    M. Blanco-Muriel, D. C. Alarcon-Padilla, T. Lopez-Moratalla and M. Lara-Coira, "Computing the Solar Vector",
+    Solar Energy 70(5), 2001: exact to half a minute of arc from 1999 to 2015.
+
+    Args:
+        days: the days since noon on 1 January 2000, universal time; floats, or Dr.Jit arrays, like all arguments.
+        universal_hours: the universal time of day in hours.
+        latitude: in degrees.
+        longitude: in degrees.
+    """
+    ecliptic_longitude, obliquity = ecliptic(days)
+    along = dr.sin(ecliptic_longitude)
+    right_ascension = dr.atan2(dr.cos(obliquity) * along, dr.cos(ecliptic_longitude))
+    declination = dr.asin(dr.sin(obliquity) * along)
+    sidereal_hours = 6.6974243242 + 0.0657098283 * days + universal_hours
+    hour_angle = (15 * sidereal_hours + longitude) * DEGREE - right_ascension
+    sin_latitude, cos_latitude = dr.sin(latitude * DEGREE), dr.cos(latitude * DEGREE)
+    cos_hour_angle = dr.cos(hour_angle)
+
+    zenith = dr.safe_acos(cos_latitude * cos_hour_angle * dr.cos(declination) + dr.sin(declination) * sin_latitude)
+    zenith = zenith + PARALLAX * dr.sin(zenith)
+    # From the north to the east.
+    azimuth = dr.atan2(-dr.sin(hour_angle), dr.tan(declination) * cos_latitude - sin_latitude * cos_hour_angle)
+    across = -dr.sin(zenith)
+    return across * dr.cos(azimuth), across * dr.sin(azimuth), dr.cos(zenith)
+
+
+def ecliptic(days: Any) -> tuple[Any, Any]:
     """The sun's longitude along the ecliptic, and the ecliptic's obliquity, in radians, `days` after the epoch."""
     omega = 2.1429 - 0.0010394594 * days
     mean_longitude = 4.8950630 + 0.017202791698 * days
     anomaly = 6.2400600 + 0.0172019699 * days
     longitude = (
         mean_longitude
-        + 0.03341607 * math.sin(anomaly)
-        + 0.00034894 * math.sin(2 * anomaly)
+        + 0.03341607 * dr.sin(anomaly)
+        + 0.00034894 * dr.sin(2 * anomaly)
         - 0.0001134
-        - 0.0000203 * math.sin(omega)
+        - 0.0000203 * dr.sin(omega)
     )
-    return longitude, 0.4090928 - 6.2140e-9 * days + 0.0000396 * math.cos(omega)
+    return longitude, 0.4090928 - 6.2140e-9 * days + 0.0000396 * dr.cos(omega)

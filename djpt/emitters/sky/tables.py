@@ -6,14 +6,16 @@ import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
+from djpt.dispatch.tables import entry_at
 from djpt.kernels import maximum, minimum, own_floats
 from djpt.types import Float, UInt32
 
-__all__ = ["Grid", "table"]
+__all__ = ["Grid", "bezier_weights", "entries_between", "table"]
 
 
 @dataclass
@@ -29,20 +31,42 @@ class Grid:
         `position` has width 1, or one entry for each number of what is left.
         """
         count, rest = self.shape[0], math.prod(self.shape[1:])
-        position = minimum(maximum(position, Float(0)), Float(count - 1))
+        # The ends have the slope of their side.
+        inside = (position >= 0) & (position <= count - 1)
+        position = dr.select(inside, position, minimum(maximum(position, Float(0)), Float(count - 1)))
         first = UInt32(minimum(dr.floor(dr.detach(position)), Float(count - 2)))
         at = dr.fma(first, rest, dr.arange(UInt32, rest))
         low, high = dr.gather(Float, self.numbers, at), dr.gather(Float, self.numbers, at + rest)
         return Grid(dr.lerp(low, high, position - Float(first)), self.shape[1:])
 
+    def swapped(self) -> Grid:
+        """The grid with its first two axes exchanged."""
+        rows, columns, rest = self.shape[0], self.shape[1], math.prod(self.shape[2:])
+        cell = dr.arange(UInt32, rows * columns * rest)
+        column, row, inner = cell // (rows * rest), cell // rest % rows, cell % rest
+        numbers = dr.gather(Float, self.numbers, (row * columns + column) * rest + inner)
+        return Grid(numbers, (columns, rows, *self.shape[2:]))
+
     def curve(self, position: Float) -> Grid:
         """The Bezier curve whose control points stand along the first axis, at a position in [0, 1]."""
         count, rest = self.shape[0], math.prod(self.shape[1:])
         result = Float(0)
-        for k in range(count):
-            weight = math.comb(count - 1, k) * power(position, k) * power(1 - position, count - 1 - k)
+        for k, weight in enumerate(bezier_weights(count, position)):
             result = result + weight * dr.gather(Float, self.numbers, dr.arange(UInt32, rest) + k * rest)
         return Grid(result, self.shape[1:])
+
+
+def entries_between(entries: Any, count: int, position: Float) -> Any:
+    """The linear interpolation of a table of `count` entries at a position between 0 and `count` - 1, per lane."""
+    position = minimum(maximum(position, Float(0)), Float(count - 1))
+    first = UInt32(minimum(dr.floor(position), Float(count - 2)))
+    return dr.lerp(entry_at(entries, first), entry_at(entries, first + 1), position - Float(first))
+
+
+def bezier_weights(count: int, position: Float) -> list[Float]:
+    """The weights of the `count` control points of a Bezier curve at a position in [0, 1]."""
+    last = count - 1
+    return [math.comb(last, k) * power(position, k) * power(1 - position, last - k) for k in range(count)]
 
 
 def power(base: Float, exponent: int) -> Float:

@@ -21,11 +21,16 @@ from djpt.geometry.compiled.placed import Features
 from djpt.geometry.compiled.tree import CompiledTree
 from djpt.geometry.mesh_part import MeshPart
 from djpt.kernels import aligned, as_float, as_vector
+from djpt.process.memory import shortage
 from djpt.types import UInt32
 
 __all__ = ["CompiledTrees"]
 
 PLACED_ROWS = 2
+
+PRIMITIVE = 200
+"""Bytes that building a tree takes for each primitive: its corners, two records, two nodes, and its share of the tree.
+"""
 
 
 @dataclass
@@ -46,6 +51,9 @@ class CompiledTrees:
 
     def fit(self, number: int, part: MeshPart, boxes: NDArray[np.float32]) -> Extent:
         """Build a tree over meshes and placed boxes (P, 6), or fit it to where they are now."""
+        missing = shortage(PRIMITIVE * (part.face_count + len(boxes)))
+        if missing is not None:
+            raise SceneError(f"a tree over {part.face_count} triangles {missing}; use instances, or coarser meshes")
         with workers(part.face_count, None) as team:
             corners = corners_of(part.meshes, team)
         built, cost = self._fitted(number, corners, boxes)

@@ -15,6 +15,8 @@ __all__ = ["check_indices", "clean"]
 
 SMALLEST = 0.5 * float(np.finfo(np.float32).tiny) ** 0.5
 """The least area: the cross product of the edges has a direction in single precision."""
+LEAST_SHARE = 2.0**-48
+"""Of a mesh that is tiny as a whole: the least area as a share of the largest triangle's."""
 
 
 def check_indices(indices: NDArray[np.uint32], vertex_count: int, where: str) -> None:
@@ -49,7 +51,8 @@ def clean(data: MeshData, where: str) -> NDArray[np.float64]:
         lost |= ~finite[data.indices].all(axis=1)
     areas = face_areas(data.positions, data.indices)
     # Also false for NaN.
-    flat = ~(areas >= SMALLEST) & ~lost
+    largest = float(areas.max(initial=0.0, where=np.isfinite(areas)))
+    flat = ~((areas >= min(SMALLEST, LEAST_SHARE * largest)) & (areas > 0)) & ~lost
     if lost.any() or flat.any():
         drop(data, lost, flat, where)
         areas = areas[~(lost | flat)]

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from djpt.shapes.meshes.normals import face_areas
 
-__all__ = ["Measures"]
+__all__ = ["Measures", "is_remote"]
+
+REMOTE = 16
+
+
+def is_remote(positions: NDArray[np.float32]) -> bool:
+    """Whether vertices (V, 3) lie further from the origin than REMOTE times their extent."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    return bool(np.abs(0.5 * (low + high)).max() > REMOTE * (high - low).max())
 
 
 class Measures:

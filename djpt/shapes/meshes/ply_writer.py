@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.errors import FileError
+from djpt.files import as_path, writing
 from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["write_ply"]
@@ -23,18 +22,11 @@ def write_ply(path: str | os.PathLike[str] | IO[bytes], mesh: MeshData) -> None:
     Raises:
         FileError: it can't be written.
     """
-    if not isinstance(path, (str, os.PathLike)):
+    if hasattr(path, "write"):
         path.write(ply_bytes(mesh))
         return
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
+    with writing(as_path(path)) as temporary:
         temporary.write_bytes(ply_bytes(mesh))
-        temporary.replace(target)
-    except OSError as error:
-        raise FileError(f"can't write '{target}': {error.strerror}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def ply_bytes(mesh: MeshData) -> bytes:

@@ -1,0 +1,172 @@
+"""What lights of the sky have in common."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.description.allowed import bounds as within
+from djpt.description.frozen import recording
+from djpt.description.numeric import as_number, non_negative
+from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.properties import Properties
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import number
+from djpt.emitters.oriented import OrientedEmitter
+from djpt.emitters.sky.disc import WAVELENGTHS, SunDisc
+from djpt.emitters.sky.instant import LUMINANCE, Instant
+from djpt.errors import ParameterError
+from djpt.frame import Frame3f
+from djpt.kernels import as_float, as_vector
+from djpt.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Interaction3f,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
+from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
+from djpt.warp import square_to_uniform_disk_concentric
+
+__all__ = ["Daylight"]
+
+HIDDEN = ParamFlags.NonDifferentiable
+
+
+class Daylight(OrientedEmitter):
+    """The sky and the sun, which stands where a subclass says (`at`).
+
+    In the light's space z points up, x to the south and y to the west, as in Mitsuba (a left-handed system). Radiance
+    is in W m^-2 sr^-1 nm^-1: a scene of metres then has physical units. It isn't clamped: some colours of the sun and
+    the sky have negative components in sRGB.
+
+    One of the sun and the sky is chosen. Directions to the sun are uniform over its disc, those to the sky have the
+    density of `djpt.emitters.sky.directions.SkyDirections`.
+
+    Parameters: `turbidity` (1 to 10, default 3: a clear sky; 10 is hazy), `albedo` of the ground (texture in [0, 1]
+    that can't vary, default 0.3), `sun_scale`, `sky_scale` (default 1, not negative), `sun_aperture` (the angle of the
+    disc in degrees, in (0, 180), default 0.5358; its power stays the same), `complex_sun` (default false; true darkens
+    the edge of the disc), `to_world` (a rotation or reflection, default identity).
+    """
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {
+        **OrientedEmitter.values,
+        **dict.fromkeys(("center", "radius", "sky_scale", "sun_scale"), HIDDEN),
+    }
+    children: ClassVar[tuple[str, ...]] = ("disc",)
+
+    irradiance: Any
+    """On the host: the luminance of the light that a horizontal square metre gets."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.turbidity = as_float(props.float("turbidity", 3.0, low=1.0, high=10.0))
+        self.sky_scale = as_float(props.float("sky_scale", 1.0, low=0.0))
+        self.sun_scale = as_float(props.float("sun_scale", 1.0, low=0.0))
+        self.albedo = props.texture("albedo", 0.3, low=0.0, high=1.0)
+        if not self.albedo.is_constant:
+            raise props.error("albedo", "can't vary: it is that of all the ground")
+        aperture = props.float("sun_aperture", 0.5358, low=0.0, high=180.0, low_open=True, high_open=True)
+        self.disc = SunDisc(aperture, props.boolean("complex_sun", False))
+        self.set_bounds(np.zeros(3), 1.0)
+
+    # ---- parameters --------------------------------------------------------------------
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        callback.put("sampling_weight", self.share, attribute="share")
+        callback.put("to_world", self.to_world)
+        for name in ("turbidity", "sky_scale", "sun_scale"):
+            callback.put(name, getattr(self, name), HIDDEN)
+        callback.put("albedo", self.albedo)
+
+    def check_parameter(self, name: str, value: Any) -> Any:
+        if not recording():
+            if name in ("sky_scale", "sun_scale"):
+                non_negative(value)
+            elif name == "turbidity" and not 1 <= as_number(value) <= 10:
+                raise ParameterError(f"must {within(1, 10)}, found {as_number(value):g}")
+        return super().check_parameter(name, value)
+
+    # ---- on the host -------------------------------------------------------------------
+
+    def flags(self, active: Bool | bool = True) -> int:
+        return int(EmitterFlags.Infinite | EmitterFlags.SpatiallyVarying)
+
+    def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
+        self.center, self.radius = as_vector(center), as_float(radius)
+
+    def power(self) -> float:
+        return number(self.irradiance) * WAVELENGTHS * LUMINANCE * math.pi * number(self.radius) ** 2
+
+    def bounds(self) -> LightBounds | None:
+        return None
+
+    # ---- in kernels --------------------------------------------------------------------
+
+    def at(self, time: Float) -> Instant:
+        """The sky at a ray's time."""
+        raise NotImplementedError
+
+    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
+        now, local = self.at(si.time), self.world_to_local(-si.wi)
+        return now.radiance(local, now.disc.covers(local))
+
+    def sample_direction(
+        self, it: Observer, sample: Point2f, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        time = it.time if isinstance(it, Interaction3f) else Float(0)
+        local, pdf, weight, radiance = self.at(time).sample(sample)
+        d = self.local_to_world(local)
+        ds = DirectionSample3f.of(
+            # A stand-in for the point at infinity; visibility rays use `d` (see `Scene.shadow_ray`).
+            it.p + d,
+            -d,
+            Point2f(0),
+            d,
+            Float(dr.inf),
+            pdf,
+            weight,
+            Bool(False),
+            UInt32(0),
+        )
+        return ds, radiance * weight
+
+    def pdf_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        now, local = self.at(ds.time), self.world_to_local(ds.d)
+        return now.pdf(local, now.disc.covers(local))
+
+    def sample_emission(
+        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
+    ) -> EmissionSample:
+        return self.emission_at(Float(0), position_sample, direction_sample)
+
+    def emission_at(self, time: Float, position_sample: Point2f, direction_sample: Point2f) -> EmissionSample:
+        """Sample a ray that leaves the sky at a time: see `sample_emission`."""
+        local, pdf, weight, radiance = self.at(time).sample(direction_sample)
+        # From a disk as wide as the scene, in front of it.
+        at = square_to_uniform_disk_concentric(position_sample)
+        d = self.local_to_world(-local)
+        across = Frame3f.from_normal(d).to_world(Vector3f(at.x, at.y, 0))
+        area = math.pi * dr.square(self.radius)
+        return EmissionSample(
+            ray=Ray3f(dr.fma(across - d, self.radius, self.center), d),
+            weight=radiance * (weight * area),
+            n=d,
+            uv=Point2f(0),
+            cos=Float(1),
+            pdf_position=dr.rcp(area),
+            pdf_direction=pdf,
+            finite=Bool(False),
+            delta=Bool(False),
+        )
+
+    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
+        now, local = self.at(Float(0)), self.world_to_local(-d)
+        return dr.rcp(math.pi * dr.square(self.radius)), now.pdf(local, now.disc.covers(local))
