@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -20,6 +20,9 @@ from djpt.records import Ray3f
 from djpt.records.flags import PhaseFunctionFlags, has_flag
 from djpt.records.media import MediumInteraction3f
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Heterogeneous"]
 
@@ -90,6 +93,11 @@ class Heterogeneous(Medium):
         return as_float(non_negative(value)) if name == "scale" else value
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
+        self._place()
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.scale = as_float(float(self.scale[0]) / frame.scale)
         self._place()
 
     def without_derivatives(self) -> Sequence[Plugin]:

@@ -32,6 +32,7 @@ from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.geometry.mesh_set import MeshSet
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Mesh"]
 
@@ -155,11 +156,16 @@ class Mesh(MeshQueries, Shape):
 
     def leave(self, positions: NDArray[np.float32] | None = None) -> None:
         """Make a copy of a mesh independent of the original's set, and move its vertices if `positions` are given."""
+        super().leave()
         self.set, self._first_face, self._own_positions = None, 0, None
         self.positions = self.positions if positions is None else positions
         for derived in ("first_face", "vertex_positions"):
             self.__dict__.pop(derived, None)
         self._measure()
+
+    def move_into(self, frame: Frame) -> None:
+        self.leave(frame.point(self.exact_positions()).astype(np.float32))
+        self.move_nested(frame)
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""
