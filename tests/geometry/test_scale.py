@@ -173,14 +173,44 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
     assert twin(djpt.load_dict(PLACED["balls"](Place(1e-6)) | {"ball": own})) is None
 
 
-def test_materials_with_lengths_are_moved_and_not_scaled() -> None:
-    """Absorption per unit of length, and the heights of bump maps."""
-    height = {"type": "checkerboard"}
-    materials = (
-        {"type": "dielectric", "absorption": 0.5},
-        {"type": "bumpmap", "height": height, "b": {"type": "diffuse"}},
-    )
-    for bsdf in materials:
-        for place, is_carried in ((Place(1e-6), False), (Place(1.0, 1e4 * DIRECTION), True)):
-            scene = PLACED["balls"](place) | {"ball": place.ball((-1.1, 0, 1), bsdf=bsdf)}
-            assert (twin(djpt.load_dict(scene)) is not None) == is_carried
+@pytest.mark.parametrize("name", ["glow", "lengths"])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_what_is_per_length_is_converted(name: str, scale: float) -> None:
+    """Emission and absorption, and the heights of bump maps."""
+    scenes = [PLACED[name](place) for place in (Place(), Place(scale))]
+    at_unit, scaled = (image(scene, spp=64).mean(axis=(0, 1)) for scene in scenes)
+    assert [twin(djpt.load_dict(scene)) is not None for scene in scenes] == [False, True]
+    assert at_unit.min() > 0.01
+    np.testing.assert_allclose(scaled, at_unit, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "unit"),
+    [
+        ("lengths", "floor.bsdf.scale", 1),
+        ("lengths", "ball.bsdf.absorption.value", -1),
+        ("glow", "ball.interior_medium.emission.value.value", -1),
+    ],
+)
+def test_edits_and_gradients_of_lengths(name: str, key: str, unit: int) -> None:
+    """Edits reach what has been converted, and so do gradients, also a second time."""
+    images, gradients = [], []
+    for scale in (1.0, 2.0**-20):
+        description = PLACED[name](Place(scale))
+        if name == "glow":
+            description["integrator"]["type"] = "prbvolpath"
+        scene = djpt.load_dict(description)
+        djpt.render(scene, spp=1)
+        params = djpt.traverse(scene)
+        params[key] = 2 * params[key]
+        params.update()
+        images.append(np.array(djpt.render(scene, seed=1)))
+        dr.enable_grad(params[key])
+        params.update()
+        for _ in range(2):
+            dr.clear_grad(params[key])
+            dr.backward(dr.mean(djpt.render(scene, params, seed=1), axis=None))
+        gradients.append(float(dr.ravel(dr.grad(params[key]))[0]) * scale**unit)
+    assert gradients[0] != 0
+    assert gradients[1] == pytest.approx(gradients[0], rel=5e-3)
+    np.testing.assert_allclose(images[1].mean(), images[0].mean(), rtol=2e-3)
