@@ -79,8 +79,10 @@ class Emitter(EmitterQuestions):
         self.move_nested(frame)
 
     def move_nested(self, frame: Frame) -> None:
+        # Some emitters list it as a child, too.
+        shape = frame.carried(self.shape)
         super().move_nested(frame)
-        self.shape = frame.carried(self.shape)
+        self.shape = shape
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -61,7 +61,7 @@ class Carrier:
     # ---- plugins -------------------------------------------------------------------------
 
     def carried(self, plugin: Any) -> Any:
-        """A plugin in the frame: a copy, always the same, or itself if nothing differs there or it is such a copy.
+        """A plugin in the frame: a copy, always the same, or itself if nothing in it differs there.
 
         Raises:
             Rooted: it can't be moved.
@@ -70,8 +70,8 @@ class Carrier:
             return plugin
         if id(plugin) not in self._copies:
             copied = self.copied(plugin)
-            # Before it moves: shapes and their emitters refer to each other. What is in the frame stays as it is.
-            self._copies[id(plugin)], self._copies[id(copied)] = (plugin, copied), (copied, copied)
+            # Before it moves: shapes and their emitters refer to each other.
+            self._copies[id(plugin)] = plugin, copied
             try:
                 copied.move_into(self)
             except Rooted:
