@@ -60,6 +60,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
     """
 
     kind: ClassVar[str] = "scene"
+    units: Any = None
+    """Of a scene in a working frame: what lengths and points are in its description (`djpt.working_frame.units`)."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

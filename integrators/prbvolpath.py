@@ -15,7 +15,7 @@ class PRBVolumetricPath(VolumetricPath):
     the extinction of homogeneous media.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     default_max_depth = 6
 

@@ -64,7 +64,7 @@ class ParticleTracer(PassIntegrator):
     Computation of Pixel Intensities", 1993; the correction for shading normals is that of E. Veach, 1997, 5.3.2.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     starts_at_lights = True
 

@@ -51,11 +51,13 @@ def made(scene: Scene) -> tuple[Carrier, Scene] | None:
     frame = working_frame(scene)
     if frame is None:
         return None
-    from djpt.working_frame.carrying import Carrier  # which most scenes don't need
+    # Most scenes don't need these.
+    from djpt.working_frame.carrying import Carrier
+    from djpt.working_frame.units import Units
 
     carrier = Carrier(frame)
     view = copy.copy(scene)
-    view.is_view = True
+    view.is_view, view.units = True, Units(frame)
     try:
         view._shapes = [carrier.carried(shape) for shape in scene._shapes]
         view._emitters = [carrier.carried(emitter) for emitter in scene._emitters]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.working_frame.twin import twin
-from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere
+from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere, path
 
 DIRECTION = np.array([0.6, -0.64, 0.48])
 
@@ -159,6 +159,29 @@ def test_records_stay_in_the_users_units() -> None:
     assert float(hit.t[0]) == pytest.approx(3e-6, rel=1e-5)
     depth = np.array(djpt.render(scene, integrator=djpt.load_dict({"type": "depth"}), spp=1))
     assert depth.max() < 1e-4
+
+
+@pytest.mark.parametrize("unfiltered", [False, True])
+def test_aovs_stay_in_the_users_units(unfiltered: bool) -> None:
+    """Beside light that is that of unit size; channels of lengths and places are converted."""
+    names = ("depth", "distance", "position", "dp_du", "sh_normal", "uv", "shape_index", "albedo")
+    aovs = ",".join(f"{name}:{name}" for name in names)
+    integrator = {"type": "aov", "aovs": aovs, "unfiltered": unfiltered, "light": path(4)}
+    images = {}
+    for place in (Place(), Place(2.0**-20), Place(1.0, 1e4 * DIRECTION)):
+        scene = djpt.load_dict(PLACED["balls"](place, integrator=integrator))
+        images[place.scale, place.offset[0] > 0] = np.array(djpt.render(scene, seed=1))
+    assert twin(scene) is not None
+    channels = [name.partition(".")[0] for name in djpt.channel_names(scene)]
+    units = np.array([2.0**-20 if name in ("depth", "distance", "position", "dp_du") else 1 for name in channels])
+    at_unit, small, far = images.values()
+    np.testing.assert_array_equal(small, at_unit * units.astype(np.float32))
+    same = np.array([name != "position" for name in channels])
+    close = np.isclose(far[..., same], at_unit[..., same], rtol=1e-3, atol=1e-3)
+    assert close.mean() > 0.99
+    # In the foreground no pixel is partly empty.
+    positions = [pixels[-4:, :, ~same] for pixels in (far, at_unit)]
+    np.testing.assert_allclose(positions[0], positions[1] + 1e4 * DIRECTION, rtol=1e-6)
 
 
 def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:

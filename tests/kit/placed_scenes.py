@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 
-__all__ = ["PLACED", "Place", "closed_room", "huge_sphere"]
+__all__ = ["PLACED", "Place", "closed_room", "huge_sphere", "path"]
 
 Description = dict[str, Any]
 
