@@ -233,7 +233,7 @@ def make_job(
         raise RenderError("the scene has no emitter: the image would be black")
     integrator.check_scene(scene, sensor)
     integrator.resume()
-    if integrator.shows_no_lengths():
+    if integrator.fits_any_frame():
         scene, sensor = carried(scene, sensor)
     spp = sampler.round_count(spp or sampler.sample_count())
     width, height = sensor.film().crop_size()

@@ -60,6 +60,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
     """
 
     kind: ClassVar[str] = "scene"
+    units: Any = None
+    """Of a scene in a working frame: what lengths and points are in its description (`djpt.working_frame.units`)."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -188,8 +190,8 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         self._refresh_twin(changed)
 
     def _refresh_twin(self, changed: Sequence[Plugin]) -> None:
-        """Let the twin follow an edit; it shares materials and textures, and has copies of all else."""
-        if self.twin and all(plugin.kind in ("bsdf", "texture") for plugin in changed):
+        """Let the twin follow an edit; it shares most materials and textures, and has copies of all else."""
+        if self.twin and all(plugin.kind in ("bsdf", "texture") and self.twin[0].shares(plugin) for plugin in changed):
             self.twin[1].refresh(changed)
         elif self.twin or any(isinstance(plugin, Shape) for plugin in changed):
             self.twin = ()

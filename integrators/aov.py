@@ -55,6 +55,9 @@ VARIABLES: dict[str, tuple[str, Variable]] = {
 }
 """Name of a variable -> names of its channels, and its value."""
 
+LENGTHS = ("depth", "distance", "dp_du", "dp_dv")
+"""The variables that are lengths, or consist of some."""
+
 DIFFERENTIALS = ("duv_dx", "duv_dy")
 """Mitsuba's variables that need ray differentials, which djpt's cameras don't make."""
 
@@ -79,6 +82,8 @@ class AOV(NestingIntegrator):
     Nested integrators under any key render their images first, filtered in either case; without one
     the image has AOV channels only. `distance` and `unfiltered` are djpt's own, all else is Mitsuba's.
     """
+
+    in_any_frame = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -122,7 +127,17 @@ class AOV(NestingIntegrator):
     def seen(self, si: SurfaceInteraction3f, ray: Ray3f) -> list[Float]:
         """The channels of all variables at a surface point."""
         valid = si.is_valid()
-        return [dr.select(valid, c, 0) for _, kind in self.variables for c in VARIABLES[kind][1](si, ray)]
+        return [dr.select(valid, c, 0) for _, kind in self.variables for c in channels_of(kind, si, ray)]
+
+
+def channels_of(kind: str, si: SurfaceInteraction3f, ray: Ray3f) -> list[Float]:
+    """The channels of a variable, in the units of the scene's description."""
+    channels, units = VARIABLES[kind][1](si, ray), si.scene.units
+    if units is not None and kind == "position":
+        return vector(units.point(si.p))
+    if units is not None and kind in LENGTHS:
+        return [units.length(c) for c in channels]
+    return channels
 
 
 def parse(text: str, node: str) -> list[tuple[str, str]]:

@@ -65,9 +65,9 @@ class Integrator(Plugin):
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
-    lengthless: ClassVar[bool] = False
-    """True if its images show light and no coordinates: scenes may then be rendered in a frame of another unit. Counts
-    for the class that says so, not for those derived from it."""
+    in_any_frame: ClassVar[bool] = False
+    """True if its images show no coordinates but those that it converts by `Scene.units`: scenes may then be rendered
+    in a frame of another unit. Counts for the class that says so, not for those derived from it."""
 
     from_script: ClassVar[bool] = False
     """Whether the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
@@ -87,9 +87,9 @@ class Integrator(Plugin):
         """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""
         return "flat" in self.schedules
 
-    def shows_no_lengths(self) -> bool:
-        """Whether its class is known to be `lengthless`."""
-        return bool(vars(type(self)).get("lengthless", False))
+    def fits_any_frame(self) -> bool:
+        """Whether it, and what is nested in it, is known to render the same `in_any_frame`."""
+        return bool(vars(type(self)).get("in_any_frame", False))
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""

@@ -24,12 +24,15 @@ class Depth(Integrator):
     Mitsuba measures from the near plane too: add near_clip / cos for the distance from the camera.
     """
 
+    in_any_frame = True
+
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
         pi = scene.closest_hit(ray, active)
         valid = pi.is_valid()
-        return Color3f(dr.select(valid, pi.t, 0)), valid, []
+        t = pi.t if scene.units is None else scene.units.length(pi.t)
+        return Color3f(dr.select(valid, t, 0)), valid, []
 
 
 register_integrator("depth", Depth)

@@ -39,13 +39,12 @@ class Moment(NestingIntegrator):
     `djpt.variance` computes the variance of each pixel from such an image.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         if not self.nested:
             raise props.error("moment", "needs a nested integrator")
-
-    def shows_no_lengths(self) -> bool:
-        return type(self) is Moment and all(integrator.shows_no_lengths() for _, integrator in self.nested)
 
     def aov_names(self) -> Sequence[str]:
         first = [

@@ -45,6 +45,9 @@ class NestingIntegrator(Integrator):
         for _, integrator in self.nested:
             integrator.check_scene(scene, sensor)
 
+    def fits_any_frame(self) -> bool:
+        return super().fits_any_frame() and all(integrator.fits_any_frame() for _, integrator in self.nested)
+
     def samples(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> list[tuple[Color3f, Bool, list[Float]]]:

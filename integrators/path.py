@@ -37,7 +37,7 @@ class Path(UnidirectionalPath):
     Mitsuba's `path`, number by number.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

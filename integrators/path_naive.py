@@ -45,7 +45,7 @@ class PathNaive(UnidirectionalPath):
     J. Kajiya, "The Rendering Equation", SIGGRAPH 1986.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     samples_lights = False
 

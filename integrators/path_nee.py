@@ -38,7 +38,7 @@ class PathNEE(UnidirectionalPath):
     Application", 1967.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -66,7 +66,7 @@ class ParticleTracer(PassIntegrator):
     `djpt.materials.adjoint`.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     starts_at_lights = True
 

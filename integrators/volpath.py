@@ -53,7 +53,7 @@ class VolumetricPath(UnidirectionalPath):
     rays through homogeneous media is computed, where Mitsuba estimates it by random numbers.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     schedules = ("flat", "wave")
     follows_media = True

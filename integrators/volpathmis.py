@@ -22,7 +22,7 @@ class VolumetricPathMIS(VolumetricPath):
     Scattering Path Integral Formulation of Light Transport", SIGGRAPH 2019.
     """
 
-    lengthless = True
+    in_any_frame = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
@@ -16,6 +16,9 @@ from djpt.kernels import as_float
 from djpt.materials.perturbed import PerturbedBSDF
 from djpt.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["BumpMap"]
 
@@ -46,6 +49,11 @@ class BumpMap(PerturbedBSDF):
         self.nested_texture.used_by("bsdf")
         self.nested_texture.restrict(Allowed(), f"{props.node}: the heights")
         self.scale = as_float(props.float("scale", 1.0))
+
+    def move_into(self, frame: Frame) -> None:
+        """The heights are lengths."""
+        self.move_nested(frame)
+        self.nested_texture = frame.rescaled(self.nested_texture, 1)
 
     def normal(self, si: SurfaceInteraction3f, active: Bool | bool) -> Vector3f:
         n = si.sh_frame.n

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -17,6 +17,9 @@ from djpt.materials.ior import check_eta, ior
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.textures.base import Texture
 from djpt.types import Bool, Color3f, Float, Point2f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["REFLECTION", "TRANSMISSION", "Dielectric", "optional_texture", "tint"]
 
@@ -54,6 +57,10 @@ class Dielectric(DeltaBSDF):
         self.absorption = props.texture("absorption", low=0.0) if self.absorbs else None
         if self.absorption is not None and not self.absorption.is_constant:
             raise props.error("absorption", "must be a number or an rgb colour: it fills a body, not a surface")
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.absorption = frame.rescaled(self.absorption, -1)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         return check_eta(value) if name == "eta" else value

@@ -17,6 +17,7 @@ from djpt.types import Float
 
 if TYPE_CHECKING:
     from djpt.description.properties import Properties
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 
@@ -168,6 +169,25 @@ class Plugin(Holder):
 
     def stand_alone(self) -> None:
         """Prepare for questions outside of a scene: called if the plugin is the root of a description."""
+
+    def move_into(self, frame: Frame) -> None:
+        """Move this plugin, a copy that was made for this, into a working frame, in which its scene is rendered.
+
+        By default only what is nested in it moves: right for plugins that look at no places and have no lengths. A
+        class that has some overrides it. Plugins of scripts whose classes don't keep their scenes out of frames.
+
+        Raises:
+            Rooted: It isn't known what the plugin does in other coordinates.
+        """
+        self.move_nested(frame)
+
+    def move_nested(self, frame: Frame) -> None:
+        """Put the nested plugins as they are in the working frame in the place of those that differ there."""
+        for name in self.children:
+            nested = getattr(self, name)
+            moved = frame.carried(nested)
+            if moved is not nested:
+                setattr(self, name, moved)
 
     def as_property(self) -> Any:
         """The result of a script's ``props[key]`` for this plugin: the plugin, or the value that it stands for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,10 @@ from djpt.records import (
     has_flag,
 )
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
+from djpt.working_frame.contract import Rooted
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Emitter"]
 
@@ -65,6 +69,20 @@ class Emitter(EmitterQuestions):
         flags = self.flags()
         beyond = has_flag(flags, EmitterFlags.Infinite) or has_flag(flags, EmitterFlags.DeltaDirection)
         return bool(beyond) and not self.on_shape
+
+    # ---- working frames ----------------------------------------------------------------
+
+    def move_into(self, frame: Frame) -> None:
+        """By default light from infinity or from a shape has no place or length of its own; no other can be moved."""
+        if not (self.from_infinity or self.on_shape):
+            raise Rooted(f"{self.id()}: it isn't known where it is")
+        self.move_nested(frame)
+
+    def move_nested(self, frame: Frame) -> None:
+        # Some emitters list it as a child, too.
+        shape = frame.carried(self.shape)
+        super().move_nested(frame)
+        self.shape = shape
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from djpt.errors import SceneError
 from djpt.kernels import as_vector
 from djpt.transforms import ScalarTransform4f, as_transform
 from djpt.types import Point2f, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["OnImage", "OrientedEmitter"]
 
@@ -56,6 +59,12 @@ class OrientedEmitter(Emitter):
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "to_world" in keys:
             self._place()
+
+    def move_nested(self, frame: Frame) -> None:
+        """Move the light's place, too: it has no size."""
+        super().move_nested(frame)
+        self.to_world = frame.moved_unscaled(self.to_world)
+        self._place()
 
     def _place(self) -> None:
         """Compute the light's position and the unit vectors of its axes, which kernels read."""

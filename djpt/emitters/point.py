@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -28,6 +28,9 @@ from djpt.records import (
 )
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["PointLight", "from_point", "towards_point"]
 
@@ -62,6 +65,11 @@ class PointLight(Emitter):
         """The position (3,): in double precision as it was given, unless it has been edited."""
         now = as_array(dr.detach(self.position)).ravel()
         return self._given if np.array_equal(self._given.astype(np.float32), now) else now
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.position = Point3f(*frame.point(self.exact_position()).tolist())
+        self.intensity = frame.rescaled(self.intensity, 2)
 
     def power(self) -> float:
         return 4 * math.pi * mean_of(self.intensity)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -29,6 +29,9 @@ from djpt.records import (
 from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Projector"]
 
@@ -74,6 +77,10 @@ class Projector(OrientedEmitter):
         super().parameters_changed(keys)
         if "irradiance" in keys:
             self._measure()
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.irradiance = frame.rescaled(self.irradiance, 2)
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -29,6 +29,9 @@ from djpt.records import (
 )
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["SpotLight"]
 
@@ -79,6 +82,10 @@ class SpotLight(OrientedEmitter):
             beam, cutoff = number(self.beam_width), number(self.cutoff_angle)
             if beam > cutoff:
                 raise ParameterError(f"{self.id()}: beam_width {beam:g} must be at most cutoff_angle, {cutoff:g}")
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.intensity = frame.rescaled(self.intensity, 2)
 
     # ---- on the host -------------------------------------------------------------------
 

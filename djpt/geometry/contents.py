@@ -134,8 +134,7 @@ class Contents:
             if instance in changed or original in changed:
                 original.place(AxisPool())
                 # The copy keeps its axes, which belong to the unrolled set.
-                own = {key: getattr(copied, key) for key in ("_axes",) if hasattr(copied, key)}
-                copied.__dict__.update(placed(instance, original).__dict__ | own)
+                copied.__dict__.update(placed(instance, original).__dict__ | {"_axes": copied._axes})
                 result.append(copied)
         return result
 

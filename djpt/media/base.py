@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -18,6 +18,10 @@ from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.working_frame.contract import Rooted
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Medium"]
 
@@ -70,6 +74,17 @@ class Medium(Plugin):
             callback.put("emission", self.emission)
         if self.phase is not None:
             callback.put("phase_function", self.phase)
+
+    # ---- working frames ----------------------------------------------------------------
+
+    def move_into(self, frame: Frame) -> None:
+        """By default media can't be moved: each class knows what it does per unit of length."""
+        raise Rooted(f"{self.id()}: it isn't known what it does per unit of length")
+
+    def move_nested(self, frame: Frame) -> None:
+        """Move the phase function and other children, and convert the emission."""
+        super().move_nested(frame)
+        self.emission = frame.rescaled(self.emission, -1)
 
     # ---- what is known when kernels are traced ---------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -20,6 +20,9 @@ from djpt.records import Ray3f
 from djpt.records.flags import PhaseFunctionFlags, has_flag
 from djpt.records.media import MediumInteraction3f
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Heterogeneous"]
 
@@ -95,6 +98,11 @@ class Heterogeneous(Medium):
 
     def of_extinction(self) -> Sequence[Plugin]:
         return [self, self.sigma_t, self.phase] if self._is_of_flakes() else [self, self.sigma_t]
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.scale = as_scale(self.scale / frame.scale)
+        self._place()
 
     def _is_of_flakes(self) -> bool:
         """Whether the extinction depends on the direction."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -20,6 +20,9 @@ from djpt.records.flags import PhaseFunctionFlags, has_flag
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Homogeneous"]
 
@@ -63,6 +66,10 @@ class Homogeneous(Medium):
 
     def check_parameter(self, name: str, value: Any) -> Any:
         return as_scale(value) if name == "scale" else value
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.scale = as_scale(self.scale / frame.scale)
 
     def of_extinction(self) -> Sequence[Plugin]:
         return []

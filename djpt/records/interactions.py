@@ -24,6 +24,9 @@ class SceneView(Protocol):
     near_share: Float
     """The share of a camera ray's `maxt` between the camera and its near plane."""
 
+    units: Any
+    """What lengths and points are in the scene's description, if this is a scene in a working frame; else None."""
+
     def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
         """The `djpt.dispatch.pointers.BSDFPtr` of the shape at `si`."""
 

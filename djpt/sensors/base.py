@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from djpt.samplers.base import Sampler
 from djpt.sensors.sampling import SampledRays
 from djpt.transforms import ScalarTransform4f, as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.working_frame.contract import Rooted
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Sensor"]
 
@@ -105,6 +109,12 @@ class Sensor(SampledRays, Endpoint):
         """The film."""
         return self._film
 
+    def take_film(self, film: Film) -> None:
+        """Take another film."""
+        if film is not self._film:
+            self._film = film
+            self.parameters_changed(("film",))
+
     def resize_film(self, width: int, height: int) -> None:
         """Take a film of another size, like the present one in all else."""
         self._film = copy.copy(self._film)  # it may be another sensor's as well
@@ -144,6 +154,16 @@ class Sensor(SampledRays, Endpoint):
     def m_film(self) -> Film:
         """Mitsuba's name of what `film` returns."""
         return self._film
+
+    # ---- working frames ----------------------------------------------------------------
+
+    def move_into(self, frame: Frame) -> None:
+        """By default sensors can't be moved: each class knows where it stands, and which lengths it has."""
+        raise Rooted(f"{self.id()}: it isn't known where it is")
+
+    def move_nested(self, frame: Frame) -> None:
+        """Move the medium and the shape that the sensor stands in; each class moves what else it has nested."""
+        self._medium, self.shape = frame.carried(self._medium), frame.carried(self.shape)
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -18,6 +18,9 @@ from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along, placed_apart, require_area
 from djpt.types import Bool, Point2f
 from djpt.warp import square_to_uniform_disk_concentric
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Distant"]
 
@@ -75,6 +78,13 @@ class Distant(Sensor):
 
     def viewpoint(self) -> None:
         return None
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self._shape = frame.carried(self._shape)
+        if self._point is not None:
+            self._point = frame.point(self._point)
+        # What is nested follows as soon as the sensor is told how large the scene is.
 
     def set_bounds(self, center: NDArray[np.float64], radius: float) -> None:
         self._center, self._radius = center, radius

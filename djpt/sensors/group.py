@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from djpt.records import Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import placed_apart
 from djpt.types import Bool, Point2f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["SensorGroup"]
 
@@ -43,6 +46,12 @@ class SensorGroup(Sensor):
         """Look at the sensors again before the next ray: one of them has changed."""
         self._cameras: Ensemble[Sensor] | None = None
         self._lookup = Detached()
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self._carriers = [frame.carried(carrier) for carrier in self._carriers]
+        self.sensors = [frame.carried(sensor) for sensor in self.sensors]
+        self.forget()
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -18,6 +18,9 @@ from djpt.sensors.base import Sensor
 from djpt.sensors.placement import require_area
 from djpt.types import Bool, Color3f, Float, Point2f
 from djpt.warp import square_to_cosine_hemisphere
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["IrradianceMeter"]
 
@@ -45,6 +48,10 @@ class IrradianceMeter(Sensor):
         super().__init__(props)
         if self.film().filters:
             warnings.warn(f"{self.id()}: an irradiance meter needs a film with a box filter", stacklevel=2)
+
+    def move_into(self, frame: Frame) -> None:
+        """It has no place or length but the shape's."""
+        self.move_nested(frame)
 
     def viewpoint(self) -> None:
         return None

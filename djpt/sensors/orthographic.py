@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -18,6 +18,9 @@ from djpt.records import DirectionSample3f, Ray3f
 from djpt.sensors.projective import ProjectiveCamera
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Orthographic"]
 
@@ -53,6 +56,11 @@ class Orthographic(ProjectiveCamera):
         axes = axes / np.linalg.norm(axes, axis=0)
         if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW:
             raise SceneError("may scale along its own axes but must leave them at right angles, found a shear")
+
+    def move_lens(self, frame: Frame) -> None:
+        self._focus_distance *= frame.scale
+        # Along the axis the near plane has been scaled already.
+        self.to_world = self.to_world.scale([frame.scale, frame.scale, 1])
 
     def place(self) -> None:
         corner, step = self.crop_window(1.0)

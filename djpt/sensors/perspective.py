@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -15,6 +15,9 @@ from djpt.description.registry import register_sensor
 from djpt.records import Ray3f
 from djpt.sensors.projective import Central
 from djpt.types import Bool, Float, Point2f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Perspective"]
 
@@ -45,6 +48,9 @@ class Perspective(Central):
     def traverse_lens(self, callback: TraversalCallback) -> None:
         for name in ("x_fov", *OFFSETS):
             callback.put(name, getattr(self, name))
+
+    def move_lens(self, frame: Frame) -> None:
+        self._focus_distance *= frame.scale
 
     def check_parameter(self, name: str, value: Any) -> Any:
         return Float(as_number(value)) if name in OFFSETS else super().check_parameter(name, value)

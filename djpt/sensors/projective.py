@@ -6,7 +6,7 @@ import importlib
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -21,6 +21,9 @@ from djpt.kernels import as_float, as_vector
 from djpt.records import DirectionSample3f
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Central", "ProjectiveCamera", "horizontal_fov"]
 
@@ -69,6 +72,16 @@ class ProjectiveCamera(Sensor):
                 f"{self.id()}.near_clip: must be less than far_clip ({self._far_clip:g}), found {self._near_clip:g}"
             )
         self.place()
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.to_world = frame.moved_unscaled(self.to_world)
+        self._near_clip, self._far_clip = self._near_clip * frame.scale, self._far_clip * frame.scale
+        self.move_lens(frame)
+        self.place()
+
+    def move_lens(self, frame: Frame) -> None:
+        """Convert the lengths that the class adds to those of a working frame."""
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
@@ -14,6 +14,9 @@ from djpt.records import RAY_EPSILON, Ray3f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along
 from djpt.types import Bool, Point2f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["RadianceMeter"]
 
@@ -42,6 +45,11 @@ class RadianceMeter(Sensor):
     def traverse(self, callback: TraversalCallback) -> None:
         super().traverse(callback)
         callback.put("to_world", self.to_world)
+
+    def move_into(self, frame: Frame) -> None:
+        self.move_nested(frame)
+        self.to_world = frame.moved_unscaled(self.to_world)
+        self.parameters_changed(())
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         direction = self.to_world.matrix[:3, 2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
@@ -18,6 +18,9 @@ from djpt.records import DirectionSample3f, Ray3f
 from djpt.sensors.projective import Central
 from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["ThinLens"]
 
@@ -57,6 +60,10 @@ class ThinLens(Central):
         callback.put("aperture_radius", self.aperture_radius)
         callback.put("focus_distance", self._focus_distance, attribute="_focus_distance")
         callback.put("x_fov", self.x_fov)
+
+    def move_lens(self, frame: Frame) -> None:
+        self.aperture_radius = Float(self.aperture_radius[0] * frame.scale)
+        self._focus_distance = Float(self._focus_distance[0] * frame.scale)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if name not in LENS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -20,6 +20,9 @@ from djpt.records import DirectionSample3f, PositionSample3f
 from djpt.shapes.questions import ShapeQuestions
 from djpt.transforms import as_transform
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Face", "Hit", "Shape", "towards"]
 
@@ -72,6 +75,8 @@ class Shape(ShapeQuestions):
     """Of meshes: how many triangles have one number in `SurfaceInteraction3f.prim_index`."""
     in_pieces: ClassVar[bool] = False
     """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.pieces`."""
+    _axes: Any = None
+    """The axes that `place` found last in the pool of its scene; None at first, and for shapes without any."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -129,6 +134,27 @@ class Shape(ShapeQuestions):
         for nested in (self._emitter, self._sensor):
             if nested is not None and nested.shape is None:
                 nested.set_shape(self)
+
+    # ---- working frames ----------------------------------------------------------
+
+    def move_into(self, frame: Frame) -> None:
+        """By default the `to_world` moves, which places the shape and all its lengths."""
+        self.leave()
+        self.move_nested(frame)
+        self.to_world = frame.moved(self.to_world)
+
+    def move_nested(self, frame: Frame) -> None:
+        self._bsdf = frame.carried(self.bsdf())
+        self._emitter, self._sensor = frame.carried(self._emitter), frame.carried(self._sensor)
+        self._interior, self._exterior = frame.carried(self._interior), frame.carried(self._exterior)
+        for nested in (self._emitter, self._sensor):
+            if nested is not None:
+                nested.shape = self
+
+    def leave(self) -> None:
+        """Forget the original's scene, in a copy that is made for another one."""
+        self.forget_alone()
+        self._axes = None
 
     # ---- on the host: where the shape is -----------------------------------------
 

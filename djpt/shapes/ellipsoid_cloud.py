@@ -97,7 +97,7 @@ class Cloud(Shape):
             size = dr.width(values)
             if size != width * self.count:
                 raise ParameterError(f"{self.id()}.{name}: must be {width * self.count} numbers, found {size}")
-        axes = self._axes()
+        axes = self._half_axes()
         if not (np.abs(np.linalg.det(axes)) > 0).all():
             raise ParameterError(f"{self.id()}.data: scales must be positive, and quaternions not 0")
 
@@ -106,7 +106,7 @@ class Cloud(Shape):
     def _table(self) -> NDArray[np.float64]:
         return np.array(dr.detach(self.numbers), np.float64).reshape(-1, WIDTH)
 
-    def _axes(self) -> NDArray[np.float64]:
+    def _half_axes(self) -> NDArray[np.float64]:
         """The maps from the unit ball to the ellipsoids about the origin, (N, 3, 3)."""
         data, extents = self._table(), np.full(self.count, self.extent)
         if self.extent_adaptive_clamping:

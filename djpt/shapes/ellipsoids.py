@@ -47,7 +47,7 @@ class Ellipsoids(Cloud):
     def _placed(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Centres (N, 3) and maps (N, 3, 3) in world space."""
         linear, shift = self.to_world.matrix[:3, :3], self.to_world.matrix[:3, 3]
-        return self._table()[:, :3] @ linear.T + shift, linear @ self._axes()
+        return self._table()[:, :3] @ linear.T + shift, linear @ self._half_axes()
 
     def place(self, pool: AxisPool) -> None:
         """Do nothing: there are no axes of a plane."""

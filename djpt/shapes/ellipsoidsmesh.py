@@ -59,7 +59,7 @@ class EllipsoidsMesh(Cloud, Mesh):
     def _wrap(self) -> None:
         """Put the shells about the ellipsoids."""
         vertices, faces = self.shell
-        placed = self._table()[:, None, :3] + np.einsum("nij,vj->nvi", self._axes(), vertices)
+        placed = self._table()[:, None, :3] + np.einsum("nij,vj->nvi", self._half_axes(), vertices)
         first = np.arange(self.count, dtype=np.uint32)[:, None, None] * np.uint32(len(vertices))
         self.positions = np.ascontiguousarray(placed.reshape(-1, 3), np.float32)
         self.indices = np.ascontiguousarray((faces[None] + first).reshape(-1, 3), np.uint32)

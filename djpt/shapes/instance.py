@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.shapegroup import ShapeGroup
 from djpt.transforms import ScalarTransform4f
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Instance"]
 
@@ -65,6 +68,9 @@ class Instance(Shape):
 
     def effective_primitive_count(self) -> int:
         return self.group.primitive_count()
+
+    def move_nested(self, frame: Frame) -> None:
+        self.group = frame.carried(self.group)
 
     def place(self, pool: AxisPool) -> None:
         """Do nothing: what kernels read of an instance belongs to the scene's geometry."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import IO, TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import drjit as dr
 import numpy as np
@@ -24,7 +23,6 @@ from djpt.shapes.meshes.cleaning import check_indices, clean
 from djpt.shapes.meshes.data import MeshData, unit
 from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
 from djpt.shapes.meshes.measures import Measures, is_remote
-from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
 from djpt.shapes.questions import ShapeType
@@ -32,6 +30,7 @@ from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.geometry.mesh_set import MeshSet
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Mesh"]
 
@@ -155,11 +154,16 @@ class Mesh(MeshQueries, Shape):
 
     def leave(self, positions: NDArray[np.float32] | None = None) -> None:
         """Make a copy of a mesh independent of the original's set, and move its vertices if `positions` are given."""
+        super().leave()
         self.set, self._first_face, self._own_positions = None, 0, None
         self.positions = self.positions if positions is None else positions
         for derived in ("first_face", "vertex_positions"):
             self.__dict__.pop(derived, None)
         self._measure()
+
+    def move_into(self, frame: Frame) -> None:
+        self.leave(frame.point(self.exact_positions()).astype(np.float32))
+        self.move_nested(frame)
 
     def join(self, meshes: MeshSet, first_face: int) -> None:
         """Join a set, in which the mesh's faces are numbered from `first_face` on."""
@@ -366,14 +370,6 @@ class Mesh(MeshQueries, Shape):
     def area(self) -> Float:
         """The area of all triangles."""
         return as_float(self._measures.area)
-
-    def write_ply(self, filename: str | os.PathLike[str] | IO[bytes] = "", stream: IO[bytes] | None = None) -> None:
-        """Write the mesh as it is now, in world space, to a binary PLY file or stream, with all its attributes.
-
-        Raises:
-            FileError: the file can't be written.
-        """
-        write_ply(filename if stream is None else stream, self.data())
 
     def data(self) -> MeshData:
         """The mesh on the host, in world space."""

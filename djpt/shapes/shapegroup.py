@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,9 @@ from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.types import Float
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["ShapeGroup"]
 
@@ -58,6 +63,14 @@ class ShapeGroup(Shape):
 
     def effective_primitive_count(self) -> int:
         return 0
+
+    def move_into(self, frame: Frame) -> None:
+        """The group keeps its own space: only instances move. But what covers the shapes is seen from the frame."""
+        self.leave()
+        self.named = [(key, frame.copied(shape)) for key, shape in self.named]
+        for shape in self.shapes:
+            shape.leave()
+            shape.move_nested(frame)
 
     def place(self, pool: AxisPool) -> None:
         for shape in self.shapes:

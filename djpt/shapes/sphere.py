@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -23,6 +24,9 @@ from djpt.shapes.questions import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Sphere"]
 
@@ -72,6 +76,10 @@ class Sphere(Shape):
             if problem:
                 raise ParameterError(f"{self.id()}.to_world: {problem}")
         return value
+
+    def move_into(self, frame: Frame) -> None:
+        super().move_into(frame)
+        self.__dict__.pop("large", None)
 
     def place(self, pool: AxisPool) -> None:
         matrix = self.to_world.matrix

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from drjit.scalar import Array3f as ScalarPoint3f
 from drjit.scalar import Array3i as ScalarArray3i
@@ -17,6 +17,10 @@ from djpt.errors import RenderError
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Color3f, Float, Vector3f
+from djpt.working_frame.contract import Rooted
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["Volume"]
 
@@ -46,6 +50,14 @@ class Volume(Plugin):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         accept_scripts(cls, CONVERSIONS)
+
+    # ---- working frames ----------------------------------------------------------------
+
+    def move_into(self, frame: Frame) -> None:
+        """By default only what is the same everywhere can be moved."""
+        if not self.is_constant:
+            raise Rooted(f"{self.id()}: it isn't known how it varies in space")
+        self.move_nested(frame)
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -27,6 +27,9 @@ from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.volumes.base import Volume
 from djpt.volumes.cells import maxima_of_cells
 from djpt.volumes.voxels import as_voxels, check_voxels, load_voxels
+
+if TYPE_CHECKING:
+    from djpt.working_frame.contract import Frame
 
 __all__ = ["GridVolume"]
 
@@ -76,6 +79,10 @@ class GridVolume(Volume):
             self._box = ScalarTransform4f().translate(box.min).scale(box.extents())
         self.channels = int(self.data.shape[3])
         self._allowed = Allowed()
+        self._place()
+
+    def move_into(self, frame: Frame) -> None:
+        self.to_world = frame.moved(self.to_world)
         self._place()
 
     # ---- on the host -------------------------------------------------------------------

@@ -1,251 +1,130 @@
-"""Copies of plugins in a working frame: what has a place or a length is moved and scaled, all else is shared."""
+"""Copies of plugins in a working frame."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
-import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from djpt.description.plugin import Plugin
-from djpt.description.registry import lookup
-from djpt.media.scaling import as_scale
-from djpt.shapes.mesh import Mesh
 from djpt.transforms import ScalarTransform4f
-from djpt.types import Float, Point3f
-from djpt.working_frame.frame import Rooted, WorkingFrame
-from djpt.working_frame.rescaled import Rescaled
+from djpt.working_frame.contract import Rooted
+from djpt.working_frame.frame import WorkingFrame
+from djpt.working_frame.rescaled import rescaled
 
 __all__ = ["Carrier"]
 
+OWN = ("shape", "emitter", "sensor")
+"""Kinds of plugins that a scene tells how large it is: they can't be shared with a scene in another frame."""
+
 
 class Carrier:
-    """Makes copies of plugins in a working frame, one of each.
+    """The `djpt.working_frame.contract.Frame` that plugins move into: it makes one copy of each.
 
-    Radiance and irradiance stay as they are, the intensity of lights without size follows the square of the scale, and
-    what media do per unit of length its inverse.
+    A copy in which nothing has changed is dropped, and the plugin shared by both scenes.
     """
 
     def __init__(self, frame: WorkingFrame) -> None:
-        self.frame = frame
-        self._copies: dict[int, tuple[Any, Any]] = {}
+        self._frame = frame
+        # The originals are kept, so that their ids stay taken.
+        self._copies: dict[int, tuple[Plugin, Plugin]] = {}
 
-    def plugin(self, plugin: Any) -> Any:
-        """The copy of a shape, emitter, sensor or medium; any other plugin itself, and None for None.
+    # ---- the map -------------------------------------------------------------------------
+
+    @property
+    def scale(self) -> float:
+        """The length of the unit in the frame: a power of two."""
+        return self._frame.scale
+
+    def point(self, p: Any) -> NDArray[np.float64]:
+        """Points (3,) or (N, 3) of the scene, in the frame."""
+        return self._frame.point(p)
+
+    def moved(self, to_world: ScalarTransform4f) -> ScalarTransform4f:
+        """The `to_world` in the frame of something that has a size."""
+        return self._frame.transform @ to_world
+
+    def moved_unscaled(self, to_world: ScalarTransform4f) -> ScalarTransform4f:
+        """The `to_world` in the frame of something without a size."""
+        matrix = np.array(to_world.matrix)
+        matrix[:3, 3] = self.point(matrix[:3, 3])
+        return ScalarTransform4f(matrix)
+
+    def rescaled(self, plugin: Any, power: int) -> Any:
+        """A texture or volume times a power of the scale; itself for a scale of 1, and None for None."""
+        return plugin if plugin is None or self.scale == 1 else rescaled(plugin, self.scale**power)
+
+    # ---- plugins -------------------------------------------------------------------------
+
+    def carried(self, plugin: Any) -> Any:
+        """A plugin in the frame: a copy, always the same, or itself if nothing in it differs there.
 
         Raises:
-            Rooted: it can't be carried.
+            Rooted: it can't be moved.
         """
-        if plugin is None or plugin.kind not in ("shape", "emitter", "sensor", "medium", "volume"):
+        if not isinstance(plugin, Plugin):
             return plugin
         if id(plugin) not in self._copies:
-            if not type(plugin).__module__.startswith("djpt."):
-                raise Rooted(f"{plugin.id()} is a script's")
-            copied = copy.copy(plugin)
-            # The original is kept, so that its id stays taken. (Shapes and their emitters refer to each other.)
+            copied = self.copied(plugin)
+            # Before it moves: shapes and their emitters refer to each other.
             self._copies[id(plugin)] = plugin, copied
             try:
-                getattr(self, f"_{plugin.kind}")(copied)
+                copied.move_into(self)
             except Rooted:
                 del self._copies[id(plugin)]
                 raise
+            if plugin.kind not in OWN and is_equal(plugin, copied):
+                self._copies[id(plugin)] = plugin, plugin
         return self._copies[id(plugin)][1]
 
-    def possible(self, plugins: Iterable[Any]) -> list[Any]:
+    def copied(self, plugin: Any) -> Any:
+        """A copy of a plugin that hasn't moved.
+
+        Raises:
+            Rooted: it is a script's, whose class doesn't say how it moves.
+        """
+        kind = type(plugin)
+        mover = next(base for base in kind.__mro__ if "move_into" in vars(base))
+        if is_own(mover) and not is_own(kind):
+            raise Rooted(f"{plugin.id()} is a script's")
+        return copy.copy(plugin)
+
+    def shares(self, plugin: Plugin) -> bool:
+        """Whether the frame has no copy of a plugin: an edit of it then reaches the frame by itself."""
+        return self._copies.get(id(plugin), (plugin, plugin))[1] is plugin
+
+    def possible(self, plugins: Iterable[Plugin]) -> list[Any]:
         """The copies of those plugins that can be carried."""
         copies = []
         for plugin in plugins:
             with suppress(Rooted):
-                copies.append(self.plugin(plugin))
+                copies.append(self.carried(plugin))
         return copies
 
     def again(self, sensor: Any) -> Any:
-        """A new copy of a sensor.
+        """A sensor in the frame as it is now, with its film.
 
         Raises:
-            Rooted: it can't be carried.
+            Rooted: it can't be moved.
         """
-        for stale in (sensor, *getattr(sensor, "sensors", ())):
-            if stale.shape is None:
-                self._copies.pop(id(stale), None)
-        copied = self.plugin(sensor)
-        copied._film = sensor._film
+        for plugin, _ in list(self._copies.values()):
+            if plugin.kind == "sensor" and getattr(plugin, "shape", None) is None:
+                del self._copies[id(plugin)]
+        copied = self.carried(sensor)
+        copied.take_film(sensor.film())
         return copied
 
-    def _moved(self, to_world: ScalarTransform4f) -> ScalarTransform4f:
-        return self.frame.transform @ to_world
 
-    def _turned(self, to_world: ScalarTransform4f) -> ScalarTransform4f:
-        """The place of something without a size, moved with the scene."""
-        matrix = np.array(to_world.matrix)
-        matrix[:3, 3] = self.frame.point(matrix[:3, 3])
-        return ScalarTransform4f(matrix)
-
-    # ---- by kind -----------------------------------------------------------------------
-
-    def _shape(self, shape: Any) -> None:
-        from djpt.shapes.shapegroup import ShapeGroup
-
-        for derived in ("_alone", "_axes", "large"):
-            shape.__dict__.pop(derived, None)
-        if isinstance(shape, ShapeGroup):
-            shape.named = [(key, apart(member)) for key, member in shape.named]
-            for _, member in shape.named:
-                self._require_carried(member)
-            return
-        if hasattr(shape, "group"):
-            shape.group = self.plugin(shape.group)
-        else:
-            self._require_carried(shape)
-            for name in ("_emitter", "_sensor", "_interior", "_exterior"):
-                setattr(shape, name, self.plugin(getattr(shape, name)))
-            for nested in (shape._emitter, shape._sensor):
-                if nested is not None:
-                    nested.shape = shape
-        if isinstance(shape, Mesh):
-            move_mesh(shape, self.frame)
-        else:
-            shape._axes = None
-            shape.to_world = self._moved(shape.to_world)
-
-    def _require_carried(self, shape: Any) -> None:
-        """Raise `Rooted` if a shape's material looks at places or lengths."""
-        require_placeless(shape.bsdf())
-        if self.frame.scale != 1 and (shape.bsdf().absorbs or has_heights(shape.bsdf())):
-            raise Rooted(f"the material of {shape.id()} has a length")
-
-    def _emitter(self, emitter: Any) -> None:
-        if emitter.shape is not None:
-            emitter.shape = self.plugin(emitter.shape)
-        for name in emitter.children:
-            if name != "shape":
-                require_placeless(getattr(emitter, name))
-        way = EMITTERS.get(emitter_type(emitter))
-        if way is None and not (emitter.from_infinity or emitter.on_shape):
-            raise Rooted(f"{emitter.id()} isn't known")
-        if way is not None:
-            way(self, emitter)
-
-    def point_light(self, light: Any) -> None:
-        """Move a light at a point."""
-        light.position = Point3f(*self.frame.point(light.exact_position()).tolist())
-        light.intensity = Rescaled.of(light.intensity, self.frame.scale**2)
-
-    def spot(self, light: Any) -> None:
-        """Move a light at a point that has a direction."""
-        light.to_world = self._turned(light.to_world)
-        light.parameters_changed(("to_world",))
-        light.intensity = Rescaled.of(light.intensity, self.frame.scale**2)
-
-    def projector(self, light: Any) -> None:
-        """Move a projector."""
-        light.to_world = self._turned(light.to_world)
-        light.parameters_changed(("to_world",))
-        light.irradiance = Rescaled.of(light.irradiance, self.frame.scale**2)
-
-    def _sensor(self, sensor: Any) -> None:
-        sensor._medium = self.plugin(sensor._medium)
-        if type(sensor).__name__ not in SENSORS:
-            raise Rooted(f"{sensor.id()} isn't known")
-        if sensor.shape is not None:
-            sensor.shape = self.plugin(sensor.shape)
-            return
-        if hasattr(sensor, "sensors"):
-            sensor._carriers = [self.plugin(carrier) for carrier in sensor._carriers]
-            sensor.sensors = [self.plugin(nested) for nested in sensor.sensors]
-            sensor.forget()
-            return
-        if hasattr(sensor, "target"):
-            self._target(sensor)
-        scale = self.frame.scale
-        sensor.to_world = self._turned(sensor.to_world)
-        for name in LENGTHS:
-            value = getattr(sensor, name, None)
-            if value is not None:
-                setattr(sensor, name, Float(value[0] * scale) if dr.is_array_v(value) else value * scale)
-        if type(sensor).__name__ == "Orthographic":
-            sensor.to_world = sensor.to_world.scale([scale, scale, 1])
-        sensor.parameters_changed(())
-
-    def _target(self, sensor: Any) -> None:
-        """Move what a distant sensor looks at."""
-        sensor._shape = self.plugin(sensor._shape)
-        if sensor._point is not None:
-            sensor._point = self.frame.point(sensor._point)
-
-    def _medium(self, medium: Any) -> None:
-        if type(medium).__name__ not in MEDIA:
-            raise Rooted(f"{medium.id()} isn't known")
-        require_placeless(medium.phase)
-        if medium.emits() and self.frame.scale != 1:
-            raise Rooted(f"{medium.id()} glows per unit of length")
-        medium.scale = as_scale(medium.scale / self.frame.scale)
-        for name in ("albedo", "sigma_t", "emission"):
-            setattr(medium, name, self.plugin(getattr(medium, name)))
-        medium.parameters_changed(())
-
-    def _volume(self, volume: Any) -> None:
-        if volume.is_constant:
-            require_placeless(volume)
-            return
-        if type(volume).__name__ != "GridVolume":
-            raise Rooted(f"{volume.id()} isn't known")
-        volume.to_world = self._moved(volume.to_world)
-        volume.parameters_changed(("to_world",))
+def is_own(kind: type) -> bool:
+    """Whether a class is one of djpt's own."""
+    return kind.__module__.startswith("djpt.")
 
 
-LENGTHS = ("_near_clip", "_far_clip", "_focus_distance", "aperture_radius")
-"""The lengths that sensors have."""
-SENSORS = ("Perspective", "ThinLens", "Orthographic", "RadianceMeter", "IrradianceMeter", "Distant", "Batch")
-MEDIA = ("Homogeneous", "Heterogeneous")
-"""The classes of sensors and media that can be carried."""
-
-EMITTERS: dict[str, Callable[[Carrier, Any], None]] = {
-    "point": Carrier.point_light,
-    "spot": Carrier.spot,
-    "projector": Carrier.projector,
-}
-"""How lights without a size are carried."""
-
-
-def emitter_type(emitter: Any) -> str:
-    """The name among EMITTERS of a light without a size, or an empty one."""
-    return next((name for name in EMITTERS if type(emitter) is lookup("emitter", name)), "")
-
-
-def apart(shape: Any) -> Any:
-    """A copy of a shape of a group, in the group's own space, that can belong to another scene."""
-    copied = copy.copy(shape)
-    copied.__dict__.pop("_alone", None)
-    if isinstance(copied, Mesh):
-        copied.leave()
-    else:
-        copied._axes = None
-    return copied
-
-
-def move_mesh(mesh: Mesh, frame: WorkingFrame) -> None:
-    """Move a copy of a mesh, which becomes its own."""
-    mesh.leave(frame.point(mesh.exact_positions()).astype(np.float32))
-
-
-def require_placeless(plugin: Any) -> None:
-    """Raise `Rooted` if a plugin, or one nested in it, may look at places in the world."""
-    if not isinstance(plugin, Plugin):
-        return
-    if not type(plugin).__module__.startswith("djpt."):
-        raise Rooted(f"{plugin.id()} is a script's")
-    if plugin.kind == "volume" and not getattr(plugin, "is_constant", False):
-        raise Rooted(f"{plugin.id()} varies in space")
-    for name in plugin.children:
-        require_placeless(getattr(plugin, name))
-
-
-def has_heights(plugin: Any) -> bool:
-    """Whether a plugin, or one nested in it, is a bump map, whose heights are lengths."""
-    if not isinstance(plugin, Plugin):
-        return False
-    return type(plugin).__name__ == "BumpMap" or any(has_heights(getattr(plugin, name)) for name in plugin.children)
+def is_equal(plugin: Plugin, copied: Plugin) -> bool:
+    """Whether no attribute of a copy has changed."""
+    before, after = vars(plugin), vars(copied)
+    return before.keys() == after.keys() and all(before[name] is after[name] for name in before)

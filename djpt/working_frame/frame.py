@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.errors import DjptError
 from djpt.geometry.contents import unseen
 from djpt.shapes.instance import Instance
 from djpt.transforms import ScalarTransform4f
@@ -18,7 +17,7 @@ from djpt.transforms import ScalarTransform4f
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["Rooted", "WorkingFrame", "working_frame"]
+__all__ = ["WorkingFrame", "working_frame"]
 
 SMALLEST, LARGEST = 0.25, 2.0**17
 """Scenes whose bounding box has a diagonal within these bounds are rendered at their own scale."""
@@ -31,10 +30,6 @@ UNIT = 4.0
 """The diagonal of the smaller half of a scaled scene, up to a factor of sqrt(2): that of a ball of radius 1, nearly."""
 MANY = 256
 """Of more shapes only the box about all is looked at."""
-
-
-class Rooted(DjptError):
-    """A plugin that can't be carried into a frame: what it does in other coordinates isn't known."""
 
 
 @dataclass(frozen=True)

@@ -1,45 +1,46 @@
-"""Light of a lamp without size, in the units of a working frame."""
+"""Textures and volumes whose numbers have a unit of length in them, in the units of a working frame."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from djpt.description.plugin import ParamFlags
+from djpt.description.plugin import ParamFlags, Plugin
 from djpt.kernels import as_float
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Point2f
+from djpt.types import Bool, Color3f, Float, Point2f, Vector2f, Vector3f
+from djpt.volumes.base import Volume
 
-__all__ = ["Rescaled"]
+__all__ = ["rescaled"]
 
 
-class Rescaled(Texture):
-    """A constant texture times a number: an intensity whose lamp has been moved to another scale."""
+def rescaled(plugin: Texture | Volume, factor: float) -> Texture | Volume:
+    """A texture or volume times a number. It holds the plugin itself, and follows edits and gradients of it."""
+    if isinstance(plugin, Texture):
+        return (Constant if plugin.is_constant else Picture)(plugin, factor)
+    return (ConstantVolume if plugin.is_constant else Block)(plugin, factor)
+
+
+class Constant(Texture):
+    """A constant texture times a number."""
 
     is_constant = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"factor": ParamFlags.NonDifferentiable}
     children = ("texture",)
 
-    @staticmethod
-    def of(texture: Texture, factor: float) -> Texture:
-        """`factor` times a texture; the texture itself for 1."""
-        if factor == 1:
-            return texture
-        made = (Rescaled if texture.is_constant else RescaledPicture)(texture.id())
-        made.texture, made.factor = texture, as_float(factor)
-        return made
-
-    def __init__(self, name: str) -> None:
+    def __init__(self, texture: Texture, factor: float) -> None:
         super().__init__()
-        self.set_id(name)
-        self.texture: Texture
-        self.factor: Float
+        self.set_id(texture.id())
+        self.texture, self.factor = texture, as_float(factor)
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
         return self.texture.eval(si, active) * self.factor
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
         return self.texture.eval_1(si, active) * self.factor
+
+    def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
+        return self.texture.eval_1_grad(si, active) * self.factor
 
     def mean(self) -> Float:
         return self.texture.mean() * self.factor
@@ -48,7 +49,7 @@ class Rescaled(Texture):
         return self.texture.max() * float(self.factor[0])
 
 
-class RescaledPicture(Rescaled):
+class Picture(Constant):
     """A texture that varies times a number."""
 
     is_constant = False
@@ -58,3 +59,41 @@ class RescaledPicture(Rescaled):
 
     def pdf_position(self, p: Point2f, active: Bool | bool = True) -> Float:
         return self.texture.pdf_position(p, active)
+
+
+class Block(Volume):
+    """A volume times a number."""
+
+    values: ClassVar[Mapping[str, ParamFlags]] = {"factor": ParamFlags.NonDifferentiable}
+    children = ("volume",)
+
+    def __init__(self, volume: Volume, factor: float) -> None:
+        Plugin.__init__(self)
+        self.set_id(volume.id())
+        self.volume, self.factor = volume, as_float(factor)
+        self.to_world = volume.to_world
+
+    @property
+    def is_grey(self) -> bool:
+        return self.volume.is_grey
+
+    def eval(self, it: Any, active: Bool | bool = True) -> Color3f:
+        return self.volume.eval(it, active) * self.factor
+
+    def eval_1(self, it: Any, active: Bool | bool = True) -> Float:
+        return self.volume.eval_1(it, active) * self.factor
+
+    def eval_3(self, it: Any, active: Bool | bool = True) -> Vector3f:
+        return self.volume.eval_3(it, active) * self.factor
+
+    def mean(self) -> Float:
+        return self.volume.mean() * self.factor
+
+    def max(self) -> float:
+        return self.volume.max() * float(self.factor[0])
+
+
+class ConstantVolume(Block):
+    """A volume that is the same everywhere times a number."""
+
+    is_constant = True

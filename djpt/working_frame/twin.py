@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from djpt.description.frozen import recording
 from djpt.description.numeric import may_wait
-from djpt.working_frame.frame import Rooted, working_frame
+from djpt.working_frame.contract import Rooted
+from djpt.working_frame.frame import working_frame
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -50,17 +51,19 @@ def made(scene: Scene) -> tuple[Carrier, Scene] | None:
     frame = working_frame(scene)
     if frame is None:
         return None
-    from djpt.working_frame.carrying import Carrier  # which most scenes don't need
+    # Most scenes don't need these.
+    from djpt.working_frame.carrying import Carrier
+    from djpt.working_frame.units import Units
 
     carrier = Carrier(frame)
     view = copy.copy(scene)
-    view.is_view = True
+    view.is_view, view.units = True, Units(frame)
     try:
-        view._shapes = [carrier.plugin(shape) for shape in scene._shapes]
-        view._emitters = [carrier.plugin(emitter) for emitter in scene._emitters]
+        view._shapes = [carrier.carried(shape) for shape in scene._shapes]
+        view._emitters = [carrier.carried(emitter) for emitter in scene._emitters]
         view._sensors = carrier.possible(scene._sensors)
         view.named = [
-            (key, carrier.plugin(plugin) if plugin.kind in CARRIED else plugin) for key, plugin in scene.named
+            (key, carrier.carried(plugin) if plugin.kind in CARRIED else plugin) for key, plugin in scene.named
         ]
     except Rooted:
         return None

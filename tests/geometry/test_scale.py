@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 from djpt.working_frame.twin import twin
-from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere
+from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere, path
 
 DIRECTION = np.array([0.6, -0.64, 0.48])
 
@@ -179,14 +179,6 @@ def test_gradients_by_smoke_pass_through_the_frame(key: str, unit: int) -> None:
     assert gradients[1] == pytest.approx(gradients[0], rel=0.05)
 
 
-def test_what_glows_by_its_length_keeps_a_scene_in_its_place() -> None:
-    """What smoke adds per unit of length is another number in another unit, and stays as it is."""
-    reference = image(smoky(1.0, emission=1.0), spp=64).mean()
-    tiny = smoky(1e-3, emission=1e3)
-    assert twin(djpt.load_dict(smoky(1e-3))) is not None and twin(djpt.load_dict(tiny)) is None
-    assert image(tiny, spp=64).mean() == pytest.approx(reference, rel=0.02)
-
-
 def test_records_stay_in_the_users_units() -> None:
     scene = djpt.load_dict(PLACED["balls"](Place(1e-6)))
     djpt.render(scene, spp=1)
@@ -194,6 +186,29 @@ def test_records_stay_in_the_users_units() -> None:
     assert float(hit.t[0]) == pytest.approx(3e-6, rel=1e-5)
     depth = np.array(djpt.render(scene, integrator=djpt.load_dict({"type": "depth"}), spp=1))
     assert depth.max() < 1e-4
+
+
+@pytest.mark.parametrize("unfiltered", [False, True])
+def test_aovs_stay_in_the_users_units(unfiltered: bool) -> None:
+    """Beside light that is that of unit size; channels of lengths and places are converted."""
+    names = ("depth", "distance", "position", "dp_du", "sh_normal", "uv", "shape_index", "albedo")
+    aovs = ",".join(f"{name}:{name}" for name in names)
+    integrator = {"type": "aov", "aovs": aovs, "unfiltered": unfiltered, "light": path(4)}
+    images = {}
+    for place in (Place(), Place(2.0**-20), Place(1.0, 1e4 * DIRECTION)):
+        scene = djpt.load_dict(PLACED["balls"](place, integrator=integrator))
+        images[place.scale, place.offset[0] > 0] = np.array(djpt.render(scene, seed=1))
+    assert twin(scene) is not None
+    channels = [name.partition(".")[0] for name in djpt.channel_names(scene)]
+    units = np.array([2.0**-20 if name in ("depth", "distance", "position", "dp_du") else 1 for name in channels])
+    at_unit, small, far = images.values()
+    np.testing.assert_array_equal(small, at_unit * units.astype(np.float32))
+    same = np.array([name != "position" for name in channels])
+    close = np.isclose(far[..., same], at_unit[..., same], rtol=1e-3, atol=1e-3)
+    assert close.mean() > 0.99
+    # In the foreground no pixel is partly empty.
+    positions = [pixels[-4:, :, ~same] for pixels in (far, at_unit)]
+    np.testing.assert_allclose(positions[0], positions[1] + 1e4 * DIRECTION, rtol=1e-6)
 
 
 def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
@@ -208,14 +223,44 @@ def test_a_scripts_plugin_keeps_a_scene_in_its_place() -> None:
     assert twin(djpt.load_dict(PLACED["balls"](Place(1e-6)) | {"ball": own})) is None
 
 
-def test_materials_with_lengths_are_moved_and_not_scaled() -> None:
-    """Absorption per unit of length, and the heights of bump maps."""
-    height = {"type": "checkerboard"}
-    materials = (
-        {"type": "dielectric", "absorption": 0.5},
-        {"type": "bumpmap", "height": height, "b": {"type": "diffuse"}},
-    )
-    for bsdf in materials:
-        for place, is_carried in ((Place(1e-6), False), (Place(1.0, 1e4 * DIRECTION), True)):
-            scene = PLACED["balls"](place) | {"ball": place.ball((-1.1, 0, 1), bsdf=bsdf)}
-            assert (twin(djpt.load_dict(scene)) is not None) == is_carried
+@pytest.mark.parametrize("name", ["glow", "lengths"])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_what_is_per_length_is_converted(name: str, scale: float) -> None:
+    """Emission and absorption, and the heights of bump maps."""
+    scenes = [PLACED[name](place) for place in (Place(), Place(scale))]
+    at_unit, scaled = (image(scene, spp=64).mean(axis=(0, 1)) for scene in scenes)
+    assert [twin(djpt.load_dict(scene)) is not None for scene in scenes] == [False, True]
+    assert at_unit.min() > 0.01
+    np.testing.assert_allclose(scaled, at_unit, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "unit"),
+    [
+        ("lengths", "floor.bsdf.scale", 1),
+        ("lengths", "ball.bsdf.absorption.value", -1),
+        ("glow", "ball.interior_medium.emission.value.value", -1),
+    ],
+)
+def test_edits_and_gradients_of_lengths(name: str, key: str, unit: int) -> None:
+    """Edits reach what has been converted, and so do gradients, also a second time."""
+    images, gradients = [], []
+    for scale in (1.0, 2.0**-20):
+        description = PLACED[name](Place(scale))
+        if name == "glow":
+            description["integrator"]["type"] = "prbvolpath"
+        scene = djpt.load_dict(description)
+        djpt.render(scene, spp=1)
+        params = djpt.traverse(scene)
+        params[key] = 2 * params[key]
+        params.update()
+        images.append(np.array(djpt.render(scene, seed=1)))
+        dr.enable_grad(params[key])
+        params.update()
+        for _ in range(2):
+            dr.clear_grad(params[key])
+            dr.backward(dr.mean(djpt.render(scene, params, seed=1), axis=None))
+        gradients.append(float(dr.ravel(dr.grad(params[key]))[0]) * scale**unit)
+    assert gradients[0] != 0
+    assert gradients[1] == pytest.approx(gradients[0], rel=5e-3)
+    np.testing.assert_allclose(images[1].mean(), images[0].mean(), rtol=2e-3)

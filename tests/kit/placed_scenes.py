@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import djpt
 from djpt.transforms import ScalarTransform4f as T
 
-__all__ = ["PLACED", "Place", "closed_room", "huge_sphere"]
+__all__ = ["PLACED", "Place", "closed_room", "huge_sphere", "path"]
 
 Description = dict[str, Any]
 
@@ -163,6 +163,46 @@ def fog(place: Place = Place()) -> Description:
     return balls(place, ball=ball, integrator={"type": "volpath", "max_depth": 6})
 
 
+def glow(place: Place = Place()) -> Description:
+    """A ball of fog and a block of smoke that glow, on a floor, without another light."""
+    red = {"type": "rgb", "value": [1.5 / place.scale, 0.6 / place.scale, 0.3 / place.scale]}
+    fog = {"type": "homogeneous", "sigma_t": 0.5 / place.scale, "albedo": 0.4, "emission": red}
+    heat = np.linspace(0, 2, 64, dtype=np.float32).reshape(4, 4, 4, 1)
+    block = place.to_world.translate([0.4, -0.6, 0.1]).scale(1.4)
+    grid = {"type": "gridvolume", "data": heat / np.float32(place.scale), "to_world": block}
+    smoke = {"type": "heterogeneous", "sigma_t": grid, "albedo": 0.3, "emission": grid}
+    seen_through = {"type": "null"}
+    scene = balls(place, integrator={"type": "volpath", "max_depth": 4})
+    del scene["metal"], scene["light"]
+    return scene | {
+        "ball": place.ball((-1.1, 0, 1), bsdf=seen_through, interior=fog),
+        "cube": {
+            "type": "cube",
+            "to_world": block.translate([0.5, 0.5, 0.5]).scale(0.5),
+            "bsdf": seen_through,
+            "interior": smoke,
+        },
+    }
+
+
+def lengths(place: Place = Place()) -> Description:
+    """A ball of coloured glass on a floor with bumps, and one carved out of a block of colours.
+
+    Absorption is per unit of length, heights are lengths, and volumes are looked up in the world.
+    """
+    height = {"type": "bitmap", "data": np.random.default_rng(3).random((8, 8, 1)), "raw": True}
+    bumps = {"type": "bumpmap", "height": height, "scale": 3 * place.scale, "paint": diffuse(0.5)}
+    green = {"type": "rgb", "value": [0.8 / place.scale, 0.2 / place.scale, 0.5 / place.scale]}
+    colours = np.random.default_rng(4).random((4, 4, 4, 3), np.float32)
+    block = {"type": "gridvolume", "data": colours, "to_world": place.to_world.translate([0.6, -0.5, 0])}
+    carved = {"type": "diffuse", "reflectance": {"type": "volume", "volume": block}}
+    return balls(place) | {
+        "floor": place.rectangle((0, 0, 0), 6, bsdf=bumps),
+        "metal": place.ball((1.1, 0, 0.5), 0.5, bsdf=carved),
+        "ball": place.ball((-1.1, 0, 1), bsdf={"type": "dielectric", "absorption": green}),
+    }
+
+
 def instances(place: Place = Place()) -> Description:
     """Two instances of a group of a mesh and a ball."""
     group = {"type": "shapegroup", "m": cube_mesh(T().scale(0.5), diffuse(0.6)), "s": Place().ball((0, 0, 1), 0.5)}
@@ -197,6 +237,8 @@ PLACED: dict[str, Callable[..., Description]] = {
     "lamps": lamps,
     "sky": sky,
     "fog": fog,
+    "glow": glow,
+    "lengths": lengths,
     "instances": instances,
     "huge sphere": huge_sphere,
 }

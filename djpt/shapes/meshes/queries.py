@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.errors import ParameterError, near_miss
 from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.shapes.meshes.ply_writer import write_ply
 from djpt.shapes.meshes.topology import opposite_edges
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
 
@@ -54,6 +56,14 @@ class MeshQueries:
 
         def data(self) -> MeshData:
             """The mesh on the host."""
+
+    def write_ply(self, filename: str | os.PathLike[str] | IO[bytes] = "", stream: IO[bytes] | None = None) -> None:
+        """Write the mesh as it is now, in world space, to a binary PLY file or stream, with all its attributes.
+
+        Raises:
+            FileError: the file can't be written.
+        """
+        write_ply(filename if stream is None else stream, self.data())
 
     # ---- counts --------------------------------------------------------------------------
 
