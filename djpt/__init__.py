@@ -84,6 +84,8 @@ if TYPE_CHECKING:
     from djpt.images.tone_mapping import tonemap as tonemap
     from djpt.integrators import Integrator as Integrator
     from djpt.integrators.moment import variance as variance
+    from djpt.long_renders.accumulation import Accumulation as Accumulation
+    from djpt.long_renders.passes import render_passes as render_passes
     from djpt.long_renders.to_file import render_to_file as render_to_file
     from djpt.materials import BSDF as BSDF
     from djpt.parameters import SceneParameters as SceneParameters
@@ -155,6 +157,8 @@ _EXPORTS = {
     "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.dispatch.pointers": "BSDFPtr EmitterPtr SensorPtr ShapePtr",
     "djpt.emitters": "Emitter",
+    "djpt.long_renders.accumulation": "Accumulation",
+    "djpt.long_renders.passes": "render_passes",
     "djpt.long_renders.to_file": "render_to_file",
     "djpt.frame": "Frame3f coordinate_system",
     "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",

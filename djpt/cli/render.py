@@ -31,6 +31,11 @@ __all__ = ["command"]
 @options.exposure
 @options.white_balance
 @click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
+@click.option("--checkpoint", type=click.Path(path_type=Path), help="Write what exists to this file now and then.")
+@click.option("--every", default="60s", help="How often the checkpoint is written: 90s, 10m, 1h30m.")
+@click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists.")
+@click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
+@click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
 @options.define
 @options.quiet
 def command(
@@ -48,6 +53,11 @@ def command(
     exposure: str,
     white_balance: str | None,
     keep_partial: bool,
+    checkpoint: Path | None,
+    every: str,
+    resume: bool,
+    target_error: str | None,
+    time_budget: str | None,
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
@@ -56,10 +66,23 @@ def command(
 
     require_positive(spp=spp, width=width, height=height)
     name, description = described(scene, parameters(define))
+    in_rounds = None
+    if checkpoint or resume or target_error is not None or time_budget is not None:
+        from djpt.cli.passes import Passes, seconds_of, share_of
+
+        in_rounds = Passes(
+            checkpoint,
+            seconds_of(every),
+            resume,
+            None if target_error is None else share_of(target_error),
+            None if time_budget is None else seconds_of(time_budget),
+        )
+        in_rounds.check()
     # NumPy is imported after the scene was found.
     from djpt.cli.pictures import channels_for, layers
     from djpt.cli.tone import Tone
     from djpt.images.image import check_writable
+    from djpt.rendering import find_integrator
 
     target = output or Path(f"{name}.exr")
     check_writable(target)
@@ -77,6 +100,23 @@ def command(
         colours = rows[..., :kept]
         return colours if tone is None else tone.apply(colours)
 
+    metadata = {"scene": name, **({} if tone is None else tone.facts)}
+    if in_rounds is not None:
+        from djpt.cli.tone import carried
+        from djpt.long_renders.to_file import facts
+
+        with ending_at_once():
+            found, leave = in_rounds.render(loaded, sensor, seed, spp or 0, schedule, keep_partial, quiet)
+            of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
+            stored = names[:kept] if target.suffix.lower() == ".exr" and tone is None else None
+            pixels = convert(found.image().numpy())
+            djpt.write(target, pixels, channels=stored, metadata=carried(target, {**of_image, **metadata}))
+            leave()
+        if not quiet:
+            size, seconds = f"{found.size[0]} x {found.size[1]}", time.perf_counter() - start
+            print(f"{target}: {size}, {found.spp} spp, error {found.error().overall:.2%}, {seconds:.2f} s")
+        return
+
     with progress_bar("rendering", "samples", quiet) as show, ending_at_once():
 
         def progress(done: int, total: int) -> None:
@@ -92,7 +132,7 @@ def command(
             spp=spp or 0,
             schedule=schedule,
             progress=progress,
-            metadata={"scene": name, **({} if tone is None else tone.facts)},
+            metadata=metadata,
             convert=convert,
             convert_at_once=exposure == "auto",
             keep_partial=keep_partial,

@@ -1,0 +1,49 @@
+"""The command ``djpt merge``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import djpt
+from djpt.cli import options
+from djpt.cli.console import Command
+from djpt.cli.pictures import channels_for, layers
+from djpt.errors import RenderError
+
+__all__ = ["command"]
+
+
+@click.command("merge", cls=Command)
+@click.argument("checkpoints", metavar="CHECKPOINT..", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options.output("The image, exr hdr pfm npy png jpg, or a checkpoint, djpt.")
+@options.quiet
+def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> None:
+    """Add up the checkpoints of one scene that was rendered with several seeds.
+
+    `djpt render --checkpoint` writes them.
+    """
+    from djpt.images.image import check_writable
+
+    if output is None:
+        raise RenderError("where shall it be written? -o image.exr, or -o all.djpt to go on adding")
+    if output.suffix.lower() != ".djpt":
+        check_writable(output)
+    total = djpt.Accumulation.load(checkpoints[0])
+    for path in checkpoints[1:]:
+        total += djpt.Accumulation.load(path)
+    width, height = total.size
+    left_out = ()
+    if output.suffix.lower() == ".djpt":
+        total.save(output)
+    else:
+        colours = next((i for i, name in enumerate(total.channels) if "." in name), len(total.channels))
+        kept = channels_for(output, total.channels, max(1, colours))
+        left_out = total.channels[kept:]
+        stored = total.channels[:kept] if output.suffix.lower() == ".exr" else None
+        djpt.write(output, total.image().numpy()[..., :kept], channels=stored)
+    if not quiet:
+        print(f"{output}: {width} x {height}, {total.spp} spp, error {total.error().overall:.2%}")
+        if left_out:
+            print(f"without {', '.join(layers(left_out))}: exr and npy hold all channels")

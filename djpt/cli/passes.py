@@ -1,0 +1,181 @@
+"""Renders of the command line in rounds: what is shown, and the files that they go on from."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from djpt.cli.console import has_terminal, short
+from djpt.errors import FileError, RenderError
+from djpt.files import check_target
+from djpt.process.interruption import interruptible
+
+if TYPE_CHECKING:
+    from djpt.long_renders.accumulation import Accumulation
+
+__all__ = ["Passes", "seconds_of", "share_of", "status"]
+
+UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+
+
+@dataclass(frozen=True)
+class Passes:
+    """The options of a render in rounds."""
+
+    checkpoint: Path | None
+    """The file of what exists."""
+    every: float
+    """The seconds after which it is written again."""
+    resume: bool
+    """Whether to go on with that file, if it exists."""
+    target_error: float | None
+    time_budget: float | None
+
+    def check(self) -> None:
+        """Raise an error if the checkpoint can't be written, or would be lost by a new render."""
+        if self.resume and self.checkpoint is None:
+            raise RenderError("--resume needs --checkpoint FILE: what to go on with")
+        if self.checkpoint is None:
+            return
+        check_target(self.checkpoint)
+        if self.checkpoint.exists() and not self.resume:
+            raise FileError(f"'{self.checkpoint}' exists: go on with it (--resume), or remove it")
+
+    def render(
+        self, scene: Any, sensor: int, seed: int, spp: int, schedule: str, keep_partial: bool, quiet: bool
+    ) -> tuple[Accumulation, Callable[[], None]]:
+        """What was rendered, and a function to be called once it is written: it ends a process that a signal ends.
+
+        Signals write the checkpoint before they end a render.
+        """
+        import djpt
+
+        begun = djpt.Accumulation.load(self.checkpoint) if self.resume and exists(self.checkpoint) else None
+        found, first = begun, 0 if begun is None else begun.rounds
+        saved = first
+        start = last = time.perf_counter()
+        line = Line(quiet)
+
+        def save() -> None:
+            nonlocal saved, last
+            if self.checkpoint is not None and found is not None and saved != found.rounds:
+                found.save(self.checkpoint)
+                saved, last = found.rounds, time.perf_counter()
+
+        def leave() -> None:
+            interruption.leave(
+                f"'{self.checkpoint}' has what exists" if self.checkpoint else "the image has what exists"
+            )
+
+        with interruptible(keeps=False) as interruption, line:
+            try:
+                for found in djpt.render_passes(
+                    scene,
+                    sensor=sensor,
+                    seed=seed,
+                    spp=spp,
+                    target_error=self.target_error,
+                    time_budget=self.time_budget,
+                    resume_from=begun,
+                    schedule=schedule,
+                    interruption=interruption,
+                ):
+                    if line.visible:
+                        done, elapsed = found.rounds - first, time.perf_counter() - start
+                        line.show(status(found, done, elapsed, spp, self.target_error, self.time_budget))
+                    if time.perf_counter() - last >= self.every:
+                        save()
+                    if interruption.requested:
+                        break
+            except (KeyboardInterrupt, SystemExit):
+                if interruption.signal is None or found is None:
+                    raise
+            save()
+            if not keep_partial:
+                leave()
+        assert found is not None
+        return found, leave
+
+
+def exists(path: Path | None) -> bool:
+    """Whether there is a file."""
+    return path is not None and path.exists()
+
+
+def status(
+    found: Accumulation, rounds: int, elapsed: float, spp: int, target_error: float | None, time_budget: float | None
+) -> str:
+    """A line about a render: what exists, how fast it is, how long it takes and why it will stop.
+
+    Args:
+        found: What exists.
+        rounds: How many rounds of it were rendered in `elapsed` seconds.
+        elapsed: The time since the start.
+        spp: The samples per pixel to stop at; 0: no limit.
+        target_error: The relative RMSE to stop at.
+        time_budget: The seconds to stop at.
+    """
+    error = found.error().overall
+    width, height = found.size
+    texts = [f"{found.spp} spp", f"error {error:.2%}" if math.isfinite(error) else "error unknown"]
+    if rounds and elapsed > 0:
+        speed = rounds * found.round_spp / elapsed
+        texts.append(f"{short(speed * width * height)}samples/s")
+        ends = []
+        if spp:
+            ends.append(((spp - found.spp) / speed, f"{spp} spp"))
+        if target_error is not None and math.isfinite(error):
+            ends.append((found.spp * ((error / target_error) ** 2 - 1) / speed, f"an error of {target_error:.3g}"))
+        if time_budget is not None:
+            ends.append((time_budget - elapsed, f"{time_budget:.4g} s"))
+        if ends:
+            left, why = min(ends)
+            texts.append(f"{max(0.0, left):.0f} s left until {why}")
+    return ", ".join(texts)
+
+
+class Line:
+    """A line of a terminal that is written again and again, and is gone in the end."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.visible = not quiet and has_terminal()
+
+    def show(self, text: str) -> None:
+        """Replace the line, if there is a terminal."""
+        if self.visible:
+            print(f"\r\x1b[2K{text}", end="", file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Line:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.show("")
+
+
+# ---- numbers of options ---------------------------------------------------------------------------
+
+
+def seconds_of(text: str) -> float:
+    """Parse a time: ``90``, ``90s``, ``10m``, ``1h30m``; raises `RenderError` if it isn't one, or is 0."""
+    parts = re.findall(r"(\d+\.?\d*)([smhd]?)", text)
+    seconds = sum(float(number) * UNITS[unit or "s"] for number, unit in parts)
+    if "".join(number + unit for number, unit in parts) != text or not 0 < seconds < math.inf:
+        raise RenderError(f"a time is a number with s, m, h or d, such as 90s or 1h30m; found '{text}'")
+    return seconds
+
+
+def share_of(text: str) -> float:
+    """Parse a share: ``1%`` or ``0.01``; raises `RenderError` if it isn't one, or isn't above 0."""
+    try:
+        share = float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        share = 0.0
+    if not 0 < share < math.inf:
+        raise RenderError(f"an error is a share above 0, such as 1% or 0.01; found '{text}'")
+    return share

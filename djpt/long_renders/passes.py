@@ -1,0 +1,166 @@
+"""`render_passes`: renders that show what exists, stop when it is good, and go on later."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from djpt.display.progress import Progress
+from djpt.errors import RenderError
+from djpt.integrators.base import Integrator
+from djpt.long_renders.accumulation import Accumulation
+from djpt.long_renders.fingerprint import fingerprint
+from djpt.long_renders.rounds import RoundSums, begin_round, round_seed
+from djpt.process.interruption import Interruption
+from djpt.rendering import channel_names, check_count, check_seed, find_integrator, find_sensor
+from djpt.scene import Scene
+from djpt.sensors import Sensor
+
+__all__ = ["ROUND_SPP", "Goal", "render_passes"]
+
+ROUND_SPP = 64
+"""Samples per pixel of a round, unless fewer are asked for."""
+
+LEAST_ROUNDS = 4
+"""The rounds that an error must come from to stop a render."""
+
+SLOW = 2.0
+"""Seconds of a round from which on it is watched pass by pass; quicker ones overlap with what Python does."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """When a render stops: at whatever is reached first."""
+
+    rounds: int | None
+    """The number of rounds, those of an earlier render included; None: no limit."""
+    error: float | None
+    """The relative RMSE: see `djpt.long_renders.accumulation.Error`."""
+    seconds: float | None
+    """The time from the start of this render."""
+
+    def is_reached(self, found: Accumulation, elapsed: float, of_round: float) -> bool:
+        """Whether a render is to stop after a round, when the next one takes about `of_round` seconds."""
+        if self.rounds is not None and found.rounds >= self.rounds:
+            return True
+        if self.seconds is not None and elapsed + of_round > self.seconds:
+            return True
+        return self.error is not None and found.rounds >= LEAST_ROUNDS and found.error().overall <= self.error
+
+
+def render_passes(
+    scene: Scene,
+    *,
+    sensor: Any = 0,
+    integrator: Any = None,
+    seed: int = 0,
+    spp: int = 0,
+    round_spp: int = 0,
+    target_error: float | None = None,
+    time_budget: float | None = None,
+    resume_from: Accumulation | None = None,
+    schedule: str = "auto",
+    progress: Progress | None = None,
+    interruption: Interruption | None = None,
+) -> Iterator[Accumulation]:
+    """Render in rounds, and give what exists after each: a `djpt.Accumulation`. The last one is the result.
+
+    Round r is the image of ``render(scene, spp=n, seed=s)`` with n = `round_spp` and the seed s of
+    `djpt.long_renders.rounds.round_seed`; round 0 has the seed itself. So up to one round the image is that of
+    `render`, bit for bit, and a render that goes on has the bits of one that was asked for more from the start, for
+    every sampler. Samplers of low discrepancy are stratified within each round, not from round to round.
+
+    Args:
+        scene: What `load_dict` returned.
+        sensor: As for `render`.
+        integrator: In place of the scene's.
+        seed: Of the image, 0 <= seed < 2^32.
+        spp: Samples per pixel, rounded up to whole rounds; 0: no limit if there is another one, else the sampler's
+            `sample_count`.
+        round_spp: Samples per pixel of a round; 0 takes those of `resume_from`, else 64, or `spp` if that is less.
+            Samplers may round it up.
+        target_error: Stop when the relative RMSE is estimated to be less, after 4 rounds at least: 0.01 is 1 %.
+        time_budget: Stop when the next round would end later than this many seconds after the start; one round
+            is always rendered if none exists.
+        resume_from: What to go on with: of the same scene, seed, sensor and integrator. If nothing is left to be done
+            it is given as it is.
+        schedule: As for `render`.
+        progress: Called with (samples done, samples of the round) after each pass of rounds that take long.
+        interruption: Signals that end a round after the pass at hand.
+
+    Gradients of parameters are left alone. While a round is looked at, the next one may be running.
+
+    Raises:
+        RenderError: Arguments are out of range, or `resume_from` is another render's.
+    """
+    camera, estimator, seed = find_sensor(scene, sensor), find_integrator(scene, integrator), check_seed("seed", seed)
+    spp, round_spp = check_count("spp", spp), check_count("round_spp", round_spp)
+    for name, limit in (("target_error", target_error), ("time_budget", time_budget)):
+        if limit is not None and not (isinstance(limit, (int, float)) and 0 < limit < math.inf):
+            raise RenderError(f"'{name}' must be a number above 0, found {limit!r}")
+    sampler = camera.sampler()
+    if not spp and target_error is None and time_budget is None:
+        spp = sampler.sample_count()
+    found = resume_from or begun(
+        scene, camera, estimator, sampler.round_count(round_spp or min(spp or ROUND_SPP, ROUND_SPP))
+    )
+    if resume_from is not None:
+        require_resumable(
+            resume_from, fingerprint(scene, camera, estimator), seed, round_spp and sampler.round_count(round_spp)
+        )
+    goal = Goal(-(-spp // found.round_spp) if spp else None, target_error, time_budget)
+
+    def begin(number: int, watched: bool) -> Callable[[], RoundSums]:
+        watch = (progress, interruption) if watched else (None, None)
+        return begin_round(scene, camera, estimator, round_seed(seed, number), found.round_spp, schedule, *watch)
+
+    return rounds(found, seed, goal, begin)
+
+
+def rounds(
+    found: Accumulation, seed: int, goal: Goal, begin: Callable[[int, bool], Callable[[], RoundSums]]
+) -> Iterator[Accumulation]:
+    """The accumulations after each round until a goal is reached, one at least; `begin` launches a round."""
+    start = before = time.perf_counter()
+    of_round, waiting = 0.0, None
+    if found.rounds and goal.is_reached(found, 0.0, 0.0):
+        yield found
+        return
+    for number in itertools.count(found.rounds):
+        # Watched in the beginning: nobody knows yet how long a round takes.
+        result = waiting or begin(number, of_round > SLOW or not of_round)
+        waiting = None
+        elapsed = time.perf_counter() - start
+        ahead = of_round and of_round <= SLOW and (goal.rounds is None or number + 1 < goal.rounds)
+        if ahead and (goal.seconds is None or elapsed + 2 * of_round <= goal.seconds):
+            waiting = begin(number + 1, False)
+        found = found.with_round(round_seed(seed, number), result())
+        now = time.perf_counter()
+        of_round, before = max(now - before, 1e-6), now
+        yield found
+        if goal.is_reached(found, time.perf_counter() - start, of_round):
+            return
+
+
+def begun(scene: Scene, sensor: Sensor, integrator: Integrator, round_spp: int) -> Accumulation:
+    """The accumulation of no rounds of an image."""
+    width, height = sensor.film().crop_size()
+    names, constant = channel_names(scene, sensor, integrator), len(integrator.unfiltered_names())
+    return Accumulation.empty(
+        fingerprint(scene, sensor, integrator), names, constant, (int(width), int(height)), round_spp
+    )
+
+
+def require_resumable(found: Accumulation, current: dict[str, str], seed: int, round_spp: int) -> None:
+    """Raise `RenderError` unless an accumulation is the beginning of a render."""
+    problem = "the render can't go on"
+    found.require_same(current, problem)
+    if round_spp and round_spp != found.round_spp:
+        raise RenderError(f"{problem}: its rounds have {found.round_spp} spp, 'round_spp' is {round_spp}")
+    if found.seeds != tuple(round_seed(seed, number) for number in range(found.rounds)):
+        reason = f"its seed is {found.seeds[0]}, not {seed}" if found.seeds[0] != seed else "it has several seeds"
+        raise RenderError(f"{problem}: {reason}")

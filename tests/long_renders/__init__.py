@@ -1,0 +1,1 @@
+"""How samples are computed: what must not change an image, memory, refusals."""

@@ -1,0 +1,234 @@
+"""Renders in rounds: the same bits however they are cut, an error that is true, and a stop at the first limit."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import RenderError
+from djpt.long_renders.rounds import round_seed
+from djpt.process.interruption import interruptible
+from djpt.scene import Scene
+from djpt.scenes import NAMES
+
+SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
+
+
+def box(sampler: str = "independent", rfilter: str = "box", size: int = 12, **changes: Any) -> Scene:
+    """The Cornell box on a few pixels."""
+    description = djpt.cornell_box()
+    description["sensor"]["film"].update(width=size, height=size, rfilter={"type": rfilter})
+    description["sensor"]["sampler"] = {"type": sampler, "sample_count": 16}
+    return djpt.load_dict({**description, **changes})
+
+
+def last(scene: Scene, **options: Any) -> djpt.Accumulation:
+    """The result of a render in rounds."""
+    *_, result = djpt.render_passes(scene, **options)
+    return result
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_going_on_gives_the_bits_of_a_longer_render(sampler: str, rfilter: str) -> None:
+    scene = box(sampler, rfilter)
+    short = last(scene, spp=32, round_spp=16, seed=3)
+    longer = last(box(sampler, rfilter), spp=64, seed=3, resume_from=short)
+    at_once = last(scene, spp=64, round_spp=16, seed=3)
+    assert longer.spp == at_once.spp >= 64
+    np.testing.assert_array_equal(longer.image().numpy(), at_once.image().numpy())
+    assert longer.error().overall == at_once.error().overall
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_one_round_is_a_plain_render(sampler: str, rfilter: str) -> None:
+    scene = box(sampler, rfilter)
+    np.testing.assert_array_equal(
+        last(scene, spp=20, seed=5).image().numpy(), djpt.render(scene, spp=20, seed=5).numpy()
+    )
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"type": "ptracer"},
+        {"type": "depth"},
+        {"type": "aov", "aovs": "d:depth,n:sh_normal", "image": {"type": "path"}},
+    ],
+    ids=lambda node: node["type"],
+)
+def test_every_integrator_goes_on(integrator: dict[str, Any]) -> None:
+    scene, chosen = box(rfilter="gaussian"), djpt.load_dict(integrator)
+    first = next(djpt.render_passes(scene, integrator=chosen, spp=16, round_spp=8))
+    image = djpt.render(scene, integrator=chosen, spp=8)
+    np.testing.assert_array_equal(first.image().numpy(), image.numpy())
+    assert first.channels == djpt.channel_names(scene, integrator=chosen)
+    both = last(scene, integrator=chosen, spp=16, resume_from=first).image().numpy()
+    np.testing.assert_array_equal(both, last(scene, integrator=chosen, spp=16, round_spp=8).image().numpy())
+    assert both.shape == image.shape
+
+
+def test_the_image_is_the_mean_of_the_rounds() -> None:
+    scene = box()
+    rounds = [djpt.render(scene, spp=8, seed=round_seed(9, number)).numpy() for number in range(3)]
+    np.testing.assert_allclose(last(scene, spp=24, round_spp=8, seed=9).image().numpy(), np.mean(rounds, 0), rtol=1e-6)
+
+
+def test_an_accumulation_is_not_changed_by_the_next_round() -> None:
+    kept = [(found, found.image().numpy()) for found in djpt.render_passes(box(), spp=24, round_spp=8)]
+    assert [found.spp for found, _ in kept] == [8, 16, 24]
+    for found, image in kept:
+        np.testing.assert_array_equal(found.image().numpy(), image)
+
+
+def test_rounds_have_seeds_of_their_own() -> None:
+    assert round_seed(7, 0) == 7
+    assert len({round_seed(7, number) for number in range(10000)}) == 10000
+    assert not {round_seed(0, number) for number in range(1000)} & {round_seed(1, number) for number in range(1000)}
+
+
+# ---- limits ------------------------------------------------------------------------------
+
+
+def test_a_render_stops_at_the_first_limit() -> None:
+    scene = box()
+    assert last(scene, round_spp=16, target_error=0.25, spp=4096).error().overall <= 0.25
+    assert last(scene, round_spp=4, target_error=1e-6, spp=9).spp == 12
+    assert last(scene, round_spp=4, time_budget=1e-9).spp == 4
+    assert last(scene).spp == 16
+
+
+def test_four_rounds_at_least_say_that_an_image_is_good() -> None:
+    assert last(box(), round_spp=4, target_error=100.0).rounds == 4
+
+
+def test_nothing_is_rendered_if_nothing_is_left() -> None:
+    found = last(box(), spp=16, round_spp=8)
+    assert list(djpt.render_passes(box(), spp=16, resume_from=found)) == [found]
+
+
+def test_a_signal_ends_a_round_that_is_watched() -> None:
+    with interruptible(keeps=False) as interruption, pytest.raises(KeyboardInterrupt):
+        for _ in djpt.render_passes(box(), spp=2**30, interruption=interruption, time_budget=100.0):
+            signal.raise_signal(signal.SIGINT)
+            interruption.check()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"target_error": 0.0}, "'target_error' must be a number above 0"),
+        ({"time_budget": float("nan")}, "'time_budget' must be a number above 0"),
+        ({"spp": -1}, "'spp'"),
+        ({"round_spp": 1.5}, "'round_spp'"),
+        ({"seed": -1}, "'seed'"),
+    ],
+)
+def test_wrong_arguments_are_refused_at_once(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(RenderError, match=message):
+        djpt.render_passes(box(), **options)
+
+
+# ---- what can't go on ----------------------------------------------------------------------
+
+
+def test_a_changed_scene_is_refused() -> None:
+    scene = box()
+    found = last(scene, spp=8, round_spp=8)
+    parameters = djpt.traverse(scene)
+    parameters["red.reflectance.value"] = [0.1, 0.2, 0.3]
+    parameters.update()
+    with pytest.raises(RenderError, match="differs in 'red'"):
+        djpt.render_passes(scene, spp=16, resume_from=found)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda: box(size=13), "the film"),
+        (lambda: box(rfilter="tent"), "the film"),
+        (lambda: box(sampler="stratified"), "the sampler"),
+        (lambda: box(integrator={"type": "path", "max_depth": 3}), "the integrator"),
+        (lambda: box(more={"type": "sphere"}), "'more'"),
+    ],
+)
+def test_other_images_are_refused(changed: Any, message: str) -> None:
+    found = last(box(), spp=8, round_spp=8)
+    with pytest.raises(RenderError, match=f"differs in .*{message}"):
+        djpt.render_passes(changed(), spp=16, resume_from=found)
+
+
+def test_other_rounds_are_refused() -> None:
+    found = last(box(), spp=8, round_spp=8)
+    with pytest.raises(RenderError, match="its rounds have 8 spp"):
+        djpt.render_passes(box(), spp=16, round_spp=16, resume_from=found)
+    with pytest.raises(RenderError, match="its seed is 0, not 1"):
+        djpt.render_passes(box(), spp=16, seed=1, resume_from=found)
+
+
+# ---- sums --------------------------------------------------------------------------------
+
+
+def test_accumulations_of_different_seeds_add_up() -> None:
+    parts = [last(box(rfilter="gaussian"), spp=16, round_spp=8, seed=seed) for seed in (0, 1)]
+    both = parts[0] + parts[1]
+    assert both.spp == 32
+    mean = (parts[0].sums + parts[1].sums) / (parts[0].weights + parts[1].weights)
+    np.testing.assert_array_equal(both.image().numpy(), np.moveaxis(mean, 0, 2).astype(np.float32))
+    assert both.error().overall < max(part.error().overall for part in parts)
+    with pytest.raises(RenderError, match="both have the round of seed"):
+        both + parts[1]
+    with pytest.raises(RenderError, match="several seeds"):
+        djpt.render_passes(box(rfilter="gaussian"), spp=64, resume_from=both)
+
+
+def test_accumulations_of_different_images_do_not() -> None:
+    found = last(box(), spp=8, round_spp=8)
+    with pytest.raises(RenderError, match="the film"):
+        found + last(box(size=13), spp=8, seed=1)
+    with pytest.raises(RenderError, match="'round_spp' is 8 and 4"):
+        found + last(box(), spp=4, seed=1)
+
+
+# ---- errors ------------------------------------------------------------------------------
+
+
+def test_the_error_is_that_of_many_renders() -> None:
+    """Over 40 seeds the mean of the estimated squares is that of the true ones: their own errors are some percent."""
+    scene, true, estimated = box(integrator={"type": "path", "hide_emitters": True}), [], []
+    reference = last(scene, spp=8192, round_spp=4096, seed=100).image().numpy()
+    weights = np.float32([0.212671, 0.715160, 0.072169])
+    mean = (reference @ weights).mean()
+    for seed in range(40):
+        found = last(scene, spp=32, round_spp=8, seed=seed)
+        true.append(np.mean(((found.image().numpy() - reference) @ weights) ** 2) / mean**2)
+        estimated.append(found.error().overall ** 2)
+    assert np.sqrt(np.mean(estimated)) == pytest.approx(np.sqrt(np.mean(true)), rel=0.15)
+    assert found.error().pixels.shape == (12, 12)
+    assert np.isinf(last(scene, spp=8, round_spp=8).error().overall)
+
+
+def five_scenes() -> list[str]:
+    """Scenes of one kind of light each."""
+    return list(itertools.islice((name for name in NAMES if name != "bunny"), 5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", five_scenes())
+def test_a_target_is_met(name: str) -> None:
+    """The true error is within 0.7 .. 1.3 of the target."""
+    from djpt.description.overrides import described, override
+
+    _, description = described(name, {})
+    scene, target = djpt.load_dict(override(description, width=24)), 0.05
+    found = last(scene, round_spp=8, target_error=target, seed=1)
+    reference = last(scene, round_spp=256, spp=max(4096, 16 * found.spp), seed=2)
+    weights = np.float32([0.212671, 0.715160, 0.072169])
+    error, mean = (found.image().numpy() - reference.image().numpy())[..., :3] @ weights, reference.image().numpy()
+    assert 0.7 * target < np.sqrt(np.mean(error**2)) / (mean[..., :3] @ weights).mean() < 1.3 * target

@@ -1,0 +1,134 @@
+"""The command line: checkpoints that survive any end of the process, limits, and sums of checkpoints."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from djpt.cli.console import ExitCode
+from djpt.cli.passes import seconds_of, share_of, status
+from djpt.errors import RenderError
+from djpt.images.image import read_metadata, read_pixels
+from djpt.long_renders.accumulation import Accumulation
+from tests.kit.commands import run
+from tests.long_renders.test_passes import box, last
+
+SMALL = ["render", "cornell_box", "--width", "16"]
+LONG = [*SMALL, "--spp", "4096", "--checkpoint", "job.djpt", "--every", "0.001s", "--resume", "-o", "a.npy", "-q"]
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def begun() -> subprocess.Popen[str]:
+    """A process that renders; it has written a checkpoint, or has ended."""
+    process = subprocess.Popen([sys.executable, "-m", "djpt", *LONG], stderr=subprocess.PIPE, text=True, env=os.environ)
+    before = Path("job.djpt").stat().st_mtime_ns if Path("job.djpt").exists() else 0
+    while process.poll() is None and not (Path("job.djpt").exists() and Path("job.djpt").stat().st_mtime_ns != before):
+        time.sleep(0.005)
+    return process
+
+
+def killed_and_resumed(times: int) -> None:
+    """Kill a render a number of times, each time a bit later; go on, and compare with one that nothing disturbs."""
+    undisturbed = last(box(size=16, rfilter="gaussian"), spp=4096).image().numpy()
+    chance, kills = random.Random(3), 0
+    while kills < times:
+        process = begun()
+        time.sleep(chance.uniform(0, 0.05))
+        process.kill()
+        process.communicate()
+        kills += process.returncode == -signal.SIGKILL
+        if process.returncode == 0:
+            np.testing.assert_array_equal(np.load("a.npy"), undisturbed)
+            Path("job.djpt").unlink()
+    run(*LONG)
+    np.testing.assert_array_equal(np.load("a.npy"), undisturbed)
+    assert {path.name for path in Path().iterdir()} == {"job.djpt", "a.npy"}
+
+
+def test_two_kills_cost_no_bit() -> None:
+    killed_and_resumed(2)
+
+
+@pytest.mark.slow
+def test_twenty_kills_cost_no_bit() -> None:
+    killed_and_resumed(20)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_write_the_checkpoint(number: int, code: int) -> None:
+    process = begun()
+    process.send_signal(number)
+    _, text = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert "'job.djpt' has what exists" in text
+    assert not Path("a.npy").exists()
+    assert Accumulation.load("job.djpt").rounds > 0
+
+
+def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
+    assert run(*SMALL, "--spp", "64", "--checkpoint", "a.djpt", "-o", "a.exr")[0] == ExitCode.DONE
+    code, _, error = run(*SMALL, "--spp", "128", "--checkpoint", "a.djpt", "-o", "a.exr")
+    assert (code, "exists: go on with it (--resume)" in error) == (ExitCode.BAD_INPUT, True)
+    code, out, _ = run(*SMALL, "--spp", "128", "--checkpoint", "a.djpt", "--resume", "-o", "a.exr")
+    assert (code, out.startswith("a.exr: 16 x 16, 128 spp, error ")) == (ExitCode.DONE, True)
+    expected = last(box(size=16, rfilter="gaussian"), spp=128)
+    np.testing.assert_array_equal(read_pixels("a.exr"), expected.image().numpy())
+    assert read_metadata("a.exr")["spp"] == "128"
+    code, _, error = run(*SMALL, "--height", "9", "--checkpoint", "a.djpt", "--resume")
+    assert (code, "differs in the film" in error) == (ExitCode.BAD_INPUT, True)
+
+
+def test_checkpoints_of_different_seeds_are_merged() -> None:
+    for seed in ("0", "1"):
+        run(*SMALL, "--spp", "64", "--seed", seed, "--checkpoint", f"{seed}.djpt", "-o", f"{seed}.npy", "-q")
+    code, out, error = run("merge", "0.djpt", "1.djpt", "-o", "all.npy")
+    assert (code, out.startswith("all.npy: 16 x 16, 128 spp, error ")) == (ExitCode.DONE, True), error
+    # With a filter the sums of the weights differ a bit.
+    np.testing.assert_allclose(np.load("all.npy"), (np.load("0.npy") + np.load("1.npy")) / 2, rtol=0.3, atol=0.05)
+    assert run("merge", "0.djpt", "1.djpt", "-o", "all.djpt")[0] == ExitCode.DONE
+    assert Accumulation.load("all.djpt").spp == 128
+    assert run("merge", "0.djpt", "1.djpt", "-o", "all.png")[0] == ExitCode.DONE
+    code, _, error = run("merge", "0.djpt", "0.djpt", "-o", "all.npy")
+    assert (code, "both have the round of seed 0" in error) == (ExitCode.BAD_INPUT, True)
+    assert run("merge", "0.djpt")[0] == ExitCode.BAD_INPUT
+
+
+def test_a_render_stops_when_it_is_good() -> None:
+    code, out, _ = run(*SMALL, "--target-error", "30%", "--time-budget", "5m", "-o", "a.png")
+    assert code == ExitCode.DONE
+    assert float(out.partition("error ")[2].partition("%")[0]) <= 30
+
+
+def test_the_line_says_why_a_render_will_stop() -> None:
+    found = last(box(), spp=16, round_spp=4)
+    error = found.error().overall
+    assert status(found, 4, 2.0, 160, None, None).endswith("18 s left until 160 spp")
+    assert status(found, 4, 2.0, 160, error / 2, None).endswith(f"6 s left until an error of {error / 2:.3g}")
+    assert status(found, 4, 2.0, 160, error / 2, 5.0).endswith("3 s left until 5 s")
+    assert status(found, 4, 2.0, 0, None, None).startswith(
+        f"16 spp, error {error:.2%}, 1.15 ksamples/s".replace("15 k", "15 k ")
+    )
+    assert "error unknown" in status(last(box(), spp=4), 1, 1.0, 8, 0.1, None)
+
+
+def test_times_and_shares() -> None:
+    assert [seconds_of(text) for text in ("90", "90s", "1.5m", "1h30m", "1d")] == [90, 90, 90, 5400, 86400]
+    assert [share_of(text) for text in ("1%", "0.01", "250%")] == [0.01, 0.01, 2.5]
+    for text in ("", "m", "10x", "-3s", "0", "1h 3m", "inf"):
+        with pytest.raises(RenderError, match="a time is"):
+            seconds_of(text)
+    for text in ("", "%", "0", "-1%", "nan", "inf", "a"):
+        with pytest.raises(RenderError, match="an error is"):
+            share_of(text)
