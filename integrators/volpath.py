@@ -30,9 +30,7 @@ class VolumetricPathState(PathState):
     """The state of a path through media."""
 
     channel: UInt32 | None = None
-    """The channel whose extinction samples distances; None if no medium is coloured."""
-    ratios: Color3f | None = None
-    """The densities with which each channel would have sampled the path, over their mean; None if it isn't needed."""
+    """The channel whose extinction samples distances; None if no medium is coloured, or each flight draws its own."""
 
 
 class VolumetricPath(UnidirectionalPath):
@@ -54,7 +52,7 @@ class VolumetricPath(UnidirectionalPath):
     schedules = ("flat", "wave")
     follows_media = True
     spectral_mis = False
-    """Whether a flight's density is that of all channels together: see `djpt.integrators.volpathmis`."""
+    """Whether each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -75,9 +73,8 @@ class VolumetricPath(UnidirectionalPath):
 
     def begin(self, scene: Scene, sampler: SampleStream) -> VolumetricPathState:
         state, u = self.start(scene), sampler.next_1d()
-        if scene.media.are_coloured:
+        if scene.media.are_coloured and not self.spectral_mis:
             state.channel = UInt32(dr.minimum(u * 3, 2))
-            state.ratios = Color3f(1) if self.spectral_mis else None
         # Mitsuba draws the number of the roulette before a vertex, also before the first.
         sampler.next_1d()
         return state
@@ -95,7 +92,7 @@ class VolumetricPath(UnidirectionalPath):
         if ray.medium is not None:
             length = dr.select(si.is_valid(), si.t, ray.maxt)
             flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
-        flown, ratios = self.weighed(state, flight)
+        flown = flight.value * dr.rcp(of_channel(flight.pdf, state.channel))
         samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
         inside, surface = flight.scattered, si.is_valid() & ~flight.scattered
         throughput = state.throughput * flown
@@ -159,7 +156,6 @@ class VolumetricPath(UnidirectionalPath):
                 bsdf_pdf=dr.select(crosses, state.bsdf_pdf, next_pdf),
                 eta=eta,
                 depth=depth,
-                ratios=ratios,
                 n=None if state.n is None else dr.select(crosses, state.n, at.n),
                 covered=covered,
             ),
@@ -167,14 +163,6 @@ class VolumetricPath(UnidirectionalPath):
             valid=(covered | sky) & Bool(self.max_depth != 0),
             lit=lit & (pdf > 0) & (ds.pdf > 0),
         )
-
-    def weighed(self, state: VolumetricPathState, flight: Flight) -> tuple[Color3f, Color3f | None]:
-        """The weight of a flight: what is left over the density; and the path's `ratios` after it."""
-        if state.ratios is None:
-            return flight.value * dr.rcp(of_channel(flight.pdf, state.channel)), None
-        joint = state.ratios * flight.pdf
-        inverse = dr.rcp(dr.mean(joint))
-        return flight.value * inverse, joint * inverse
 
     def shown(self, state: PathState, si: SurfaceInteraction3f, emitted: Color3f) -> Color3f:
         if self.hide_emitters:
