@@ -30,9 +30,7 @@ class VolumetricPathState(PathState):
     """The state of a path through media."""
 
     channel: UInt32 | None = None
-    """The channel whose extinction samples distances; None if no medium is coloured."""
-    ratios: Color3f | None = None
-    """The densities with which each channel would have sampled the path, over their mean; None if it isn't needed."""
+    """The channel whose extinction samples distances; None if no medium is coloured, or each flight draws its own."""
     scatters: Bool | None = None
     """True where light is scattered at the ray's origin, a point in a medium; None if no path begins like that."""
     flown: Float | None = None
@@ -58,7 +56,7 @@ class VolumetricPath(UnidirectionalPath):
     schedules = ("flat", "wave")
     follows_media = True
     spectral_mis = False
-    """Whether a flight's density is that of all channels together: see `djpt.integrators.volpathmis`."""
+    """Whether each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -79,9 +77,8 @@ class VolumetricPath(UnidirectionalPath):
 
     def begin(self, scene: Scene, sampler: SampleStream) -> VolumetricPathState:
         state, u = self.start(scene), sampler.next_1d()
-        if scene.media.are_coloured:
+        if scene.media.are_coloured and not self.spectral_mis:
             state.channel = UInt32(dr.minimum(u * 3, 2))
-            state.ratios = Color3f(1) if self.spectral_mis else None
         # Mitsuba draws the number of the roulette before a vertex, also before the first.
         sampler.next_1d()
         return state
@@ -98,7 +95,7 @@ class VolumetricPath(UnidirectionalPath):
         flight = Flight.none()
         if ray.medium is not None:
             flight = self.flight(scene, sampler, state, ray, si)
-        flown, ratios = self.weighed(state, flight)
+        flown = flight.value * dr.rcp(of_channel(flight.pdf, state.channel))
         samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
         inside, surface = flight.scattered, si.is_valid() & ~flight.scattered
         throughput = state.throughput * flown
@@ -162,7 +159,6 @@ class VolumetricPath(UnidirectionalPath):
                 bsdf_pdf=dr.select(crosses, state.bsdf_pdf, next_pdf),
                 eta=eta,
                 depth=depth,
-                ratios=ratios,
                 n=None if state.n is None else dr.select(crosses, state.n, at.n),
                 covered=covered,
                 scatters=None if state.scatters is None else Bool(False),
@@ -185,14 +181,6 @@ class VolumetricPath(UnidirectionalPath):
             return flight
         at_once = Flight(Float(0), Bool(True), Color3f(1), Color3f(1), Color3f(0))
         return dr.select(state.scatters, at_once, flight)
-
-    def weighed(self, state: VolumetricPathState, flight: Flight) -> tuple[Color3f, Color3f | None]:
-        """The weight of a flight: what is left over the density; and the path's `ratios` after it."""
-        if state.ratios is None:
-            return flight.value * dr.rcp(of_channel(flight.pdf, state.channel)), None
-        joint = state.ratios * flight.pdf
-        inverse = dr.rcp(dr.mean(joint))
-        return flight.value * inverse, joint * inverse
 
     def shown(self, state: PathState, si: SurfaceInteraction3f, emitted: Color3f) -> Color3f:
         if self.hide_emitters:

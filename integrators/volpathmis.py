@@ -12,9 +12,10 @@ __all__ = ["VolumetricPathMIS"]
 class VolumetricPathMIS(VolumetricPath):
     """`volpath` with spectral multiple importance sampling.
 
-    One channel's extinction samples all distances of a path. `volpath` divides by the density of that channel alone,
-    so the others may get large weights. Here the density is the mean over the channels, of the whole path: that of
-    having drawn any of them. No weight is larger than three times that of the best channel.
+    In `volpath` one channel's extinction samples all distances of a path, and the density is that of this channel
+    alone, so the others may get large weights. Here every flight draws its channel anew, those more often in which much
+    light is left or which are dense, and the density is that of all channels together: no channel can outgrow the
+    others. Where no medium is coloured, draws are those of `volpath`.
 
     Parameters: those of `volpath`, and `use_spectral_mis` (default true; false: `volpath` itself).
 

@@ -176,8 +176,8 @@ class Medium(Plugin):
         """Sample how far light gets on a segment of a ray with a unit direction; by default by delta tracking.
 
         Where `active`, numbers are drawn from `stream`. `channel` is the one that samples distances in closed form;
-        None if the extinction of no medium differs between channels. `throughput` is the path's so far: how much the
-        channels matter.
+        None if the extinction of no medium differs between channels, or the medium is to draw one. `throughput` is the
+        path's so far: how much the channels matter.
         """
         return tracking.fly(self, ray, length, throughput, stream, active)
 

@@ -33,7 +33,8 @@ THIN = 0.05
 class Homogeneous(Medium):
     """Fog: sigma_t is the same everywhere, and light is left as exp(-sigma_t t).
 
-    Distances are sampled by t = -log(1 - u) / sigma_t, with the sigma_t of one channel.
+    Distances are sampled by t = -log(1 - u) / sigma_t, with the sigma_t of one channel: that of the path, or one that
+    is drawn for the flight; then all that could have been drawn count in its density.
 
     Parameters: `sigma_t` (extinction per unit length: a number or rgb, >= 0, default 1), `scale` (a factor of it,
     default 1), `albedo` (the scattered share: a number, rgb or volume in [0, 1], default 0.75),
@@ -115,7 +116,10 @@ class Homogeneous(Medium):
         if differentiated:
             # Derivatives by a thin medium are those of scattering that is hardly ever sampled, or never.
             fixed = dr.maximum(fixed, dr.rcp(minimum(maximum(length, 1 / FAR), FAR)))
-        coloured = self.has_spectral_extinction()
+        coloured, shares = self.has_spectral_extinction(), None
+        if coloured and channel is None:
+            shares = channel_shares(fixed, dr.detach(throughput))
+            channel = channel_drawn(shares, stream.next_1d(active))
         t = -dr.log(1 - stream.next_1d(active)) * dr.rcp(of_channel(fixed, channel if coloured else None))
         scattered = active & (t < length)
         # Mitsuba draws a number here that decides whether the collision is real.
@@ -126,7 +130,9 @@ class Homogeneous(Medium):
             flown = minimum(dr.select(scattered, t, length), FAR)
             value = value * (dr.exp(-flown * sigma_t) * dr.select(scattered, sigma_t, 1))
             pdf = dr.exp(-flown * fixed) * dr.select(scattered, fixed, 1)
-        if not coloured:
+        if shares is not None:
+            value, pdf = value * dr.rcp(dr.dot(shares, pdf)), Color3f(1)
+        elif not coloured:
             value, pdf = value * dr.rcp(pdf), Color3f(1)
         emitted = self.glow(ray, sigma_t, minimum(length, FAR)) if self.emits() else Color3f(0)
         return Flight(t, scattered, value, pdf, emitted)
@@ -143,6 +149,24 @@ class Homogeneous(Medium):
     def transmittance(self, ray: Ray3f, length: Float, stream: SampleStream | None, active: Bool) -> Color3f:
         sigma_t = self.extinction(MediumInteraction3f.on(ray, Float(0)), active)
         return dr.exp(-minimum(length, FAR) * sigma_t)
+
+
+def channel_shares(sigma_t: Color3f, throughput: Color3f) -> Color3f:
+    """How often each channel samples a flight; the sum is 1.
+
+    Light of a dense channel comes from near and is scattered often, and there is less of it: relative to that, its
+    noise would be the largest. So a channel counts by what is left in it, `throughput`, and more where it is dense;
+    one without matter counts as well, since its light goes furthest.
+    """
+    importance = throughput * (sigma_t + dr.mean(sigma_t))
+    total = dr.sum(importance)
+    return dr.select(total > 0, importance * dr.rcp(total), 1 / 3)
+
+
+def channel_drawn(shares: Color3f, u: Float) -> UInt32:
+    """The channel that a uniform number stands for."""
+    last: UInt32 = dr.select(u < shares.x + shares.y, UInt32(1), UInt32(2))
+    return dr.select(u < shares.x, UInt32(0), last)
 
 
 register_medium("homogeneous", Homogeneous)
