@@ -19,7 +19,19 @@ from djpt.files import reason
 
 __all__ = ["COMMANDS", "app", "main", "run"]
 
-COMMANDS = ("render", "tonemap", "compare", "info", "scenes", "gallery", "doctor", "ladder", "bounces", "spp")
+COMMANDS = (
+    "render",
+    "denoise",
+    "tonemap",
+    "compare",
+    "info",
+    "scenes",
+    "gallery",
+    "doctor",
+    "ladder",
+    "bounces",
+    "spp",
+)
 """The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``."""
 
 
