@@ -3,8 +3,9 @@
     python benchmarks/denoising.py [--size N] [--reference N] [--spp N ..]
 
 Each number is that of one image of `--size` pixels to each side, rendered with the box filter, against one of
-`--reference` samples per pixel. relMSE is mean((a - b)^2 / (b^2 + 0.01)); FLIP is the mean of the map for displays
-(P. Andersson et al., *FLIP: A Difference Evaluator for Alternating Images*, 2020), if flip-evaluator is installed.
+`--reference` samples per pixel. Each cell has relMSE / FLIP: relMSE is mean((a - b)^2 / (b^2 + 0.01)), FLIP the mean
+of the map for displays (P. Andersson et al., *FLIP: A Difference Evaluator for Alternating Images*, 2020), if
+flip-evaluator is installed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from djpt.denoising.filtering import METHODS, Guides, denoise_pixels
 from djpt.denoising.guides import render_guides
 
 SCENES = ("cornell_box", "shader_ball", "stage")
-COLUMNS = ("raw", "oidn", "oidn, no guides", "nlm")
+COLUMNS = ("raw", "Open Image Denoise", "without guides", "non-local means")
 
 
 def errors(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
@@ -49,20 +50,21 @@ def loaded(name: str, size: int) -> Any:
 
 
 def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--reference", type=int, default=4096)
     parser.add_argument("--spp", type=int, nargs="*", default=[4, 16, 64, 256])
     options = parser.parse_args()
-    print(f"| scene | spp | {' | '.join(f'relMSE {c} | FLIP' for c in COLUMNS)} |")
-    print("|---|---" + "|---" * (2 * len(COLUMNS)) + "|")
+    print(f"| scene | spp | {' | '.join(COLUMNS)} |")
+    print("|---|---" + "|---" * len(COLUMNS) + "|")
     for name in SCENES:
         scene = loaded(name, options.size)
         reference = np.array(djpt.render(scene, spp=options.reference, seed=1))[..., :3]
         for spp in options.spp:
             noisy = np.array(djpt.render(scene, spp=spp))[..., :3]
             cells = [errors(image, reference) for image in versions(noisy, render_guides(scene))]
-            print(f"| `{name}` | {spp} | {' | '.join(f'{a:.2g} | {b:.3f}' for a, b in cells)} |", flush=True)
+            print(f"| `{name}` | {spp} | {' | '.join(f'{a:.2g} / {b:.3f}' for a, b in cells)} |", flush=True)
 
 
 if __name__ == "__main__":
