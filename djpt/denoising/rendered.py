@@ -85,14 +85,20 @@ def render_denoised(
         )
     eye = unmixed(camera)
     cleaner = Cleaner(scene, method, eye, integrator, seed)
-    noisy = render(scene, None, eye, integrator, seed, spp=spp, **options)
-    camera.film().keep(noisy, cleaner.channels)
+    try:
+        noisy = render(scene, None, eye, integrator, seed, spp=spp, **options)
+    finally:
+        # A signal leaves what exists.
+        found = eye.film()._image
+        if found is not None:
+            camera.film().keep(found, cleaner.channels)
     return TensorXf(cleaner(noisy.numpy()))
 
 
 def unmixed(sensor: Sensor) -> Sensor:
     """A copy of a sensor whose pixels share no samples: by the box filter."""
     result, film = copy.copy(sensor), copy.copy(sensor.film())
+    film._image = None
     film._rfilter = Box(Properties("box", "rfilter", {}))
     result._film = film
     return result

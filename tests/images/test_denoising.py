@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,18 @@ def test_wide_filters_give_way_to_the_box() -> None:
     np.testing.assert_array_equal(image, djpt.render(box, spp=4, denoise="nlm").numpy())
     assert type(wide.sensors()[0].film().rfilter()).__name__ == "Gaussian"
     np.testing.assert_array_equal(djpt.render(wide, spp=4).numpy(), plain)
+
+
+def test_a_signal_leaves_the_samples_that_exist() -> None:
+    scene = djpt.load_dict(described(16, "gaussian"))
+
+    def interrupt(done: int, total: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        djpt.render(scene, spp=8, pass_spp=4, denoise="nlm", keep_partial=True, progress=interrupt)
+    kept = scene.sensors()[0].film().develop().numpy()
+    assert kept.shape == (16, 16, 3) and kept.mean() > 0.01
 
 
 def test_alpha_and_layers_stay() -> None:
