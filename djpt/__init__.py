@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from djpt.backends import set_variant as set_variant
     from djpt.backends import variant as variant
     from djpt.backends import variants as variants
+    from djpt.denoising.filtering import denoise as denoise
     from djpt.description.loader import load_dict as load_dict
     from djpt.description.plugin import ParamFlags as ParamFlags
     from djpt.description.plugin import Plugin as Plugin
@@ -145,6 +146,7 @@ _SUBMODULES = {
 } | _MODULES_FOR_SCRIPTS
 
 _EXPORTS = {
+    "djpt.denoising.filtering": "denoise",
     "djpt.description.loader": "load_dict",
     "djpt.description.plugin": "ParamFlags Plugin",
     "djpt.description.properties": "Properties",

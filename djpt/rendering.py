@@ -46,6 +46,7 @@ def render(
     progress: Progress | bool | None = None,
     pass_spp: int = 0,
     keep_partial: bool = False,
+    denoise: bool | str = False,
 ) -> TensorXf:
     """Render an image: TensorXf of shape (height, width, channels), linear float32, row 0 on top.
 
@@ -72,14 +73,24 @@ def render(
         keep_partial: What a signal leaves, SIGINT (Ctrl-C) or SIGTERM: with True the film keeps the image of the
             samples that have been computed until the pass at hand has ended, ``sensor.film().develop()``. Integrators
             of scripts that render by themselves keep nothing.
+        denoise: True or a method of `djpt.denoise`: remove the noise. Samples are counted with the box filter then,
+            because denoisers need pixels whose noise is independent; albedo and normals are rendered along; and
+            the film keeps the noisy image, ``sensor.film().develop()``. Such images have no derivatives.
 
     Raises:
+        BackendError: The denoiser isn't installed.
         RenderError: Nothing to render, or arguments out of range.
         KeyboardInterrupt: SIGINT, after the pass at hand. With `keep_partial`, `djpt.Terminated` (a `SystemExit`) for
             SIGTERM.
     """
     if dr.flag(dr.JitFlag.SymbolicScope):
         raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
+    if denoise:
+        from djpt.denoising.rendered import render_denoised
+
+        method = "oidn" if denoise is True else denoise
+        options = {"schedule": schedule, "progress": progress, "pass_spp": pass_spp, "keep_partial": keep_partial}
+        return render_denoised(scene, method, sensor, integrator, seed, spp, options)
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)

@@ -13,6 +13,7 @@ __all__ = [
     "SCENE",
     "columns",
     "define",
+    "denoiser",
     "exposure",
     "height",
     "integrator",
@@ -50,6 +51,9 @@ rfilter = click.option("--rfilter", help="Reconstruction filter, instead of the 
 integrator = click.option("--integrator", help="Integrator, instead of the scene's.")
 define = click.option(
     "-D", "define", metavar="NAME=VALUE", multiple=True, help="A parameter of the XML file; may be repeated."
+)
+denoiser = click.option(
+    "--denoiser", default="oidn", help="oidn (Open Image Denoise) or nlm (non-local means, which needs no wheel)."
 )
 exposure = click.option(
     "--exposure", metavar="STOPS", default="0", help="Brightness in stops: a number, or 'auto'; for png and jpg."

@@ -11,6 +11,7 @@ import click
 import djpt
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, progress_bar, require_positive, short
+from djpt.errors import RenderError
 from djpt.process.interruption import ending_at_once
 
 __all__ = ["command"]
@@ -30,6 +31,11 @@ __all__ = ["command"]
 @click.option("--tonemap", help="For png and jpg: srgb (the default: clipped), reinhard, aces or agx.")
 @options.exposure
 @options.white_balance
+@click.option("--denoise", is_flag=True, help="Remove the noise; samples are counted with the box filter then.")
+@options.denoiser
+@click.option(
+    "--raw", type=click.Path(path_type=Path), help="With --denoise: an exr for the noisy image and its guides."
+)
 @click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Write what exists to this file now and then.")
 @click.option("--every", default="60s", help="How often the checkpoint is written: 90s, 10m, 1h30m.")
@@ -52,6 +58,9 @@ def command(
     tonemap: str | None,
     exposure: str,
     white_balance: str | None,
+    denoise: bool,
+    denoiser: str,
+    raw: Path | None,
     keep_partial: bool,
     checkpoint: Path | None,
     every: str,
@@ -88,19 +97,24 @@ def command(
     check_writable(target)
     toned = tonemap is not None or exposure != "0" or white_balance is not None
     tone = Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
+    if denoise and rfilter is None:
+        rfilter = "box"
+    if raw is not None and not denoise:
+        raise RenderError("--raw keeps what --denoise starts from: give both, or --output alone")
     description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     loaded = djpt.load_dict(description)
     names = djpt.channel_names(loaded, sensor=sensor)
     # Before the long render: can the file hold the image?
     kept = channels_for(target, names, len(loaded.sensors()[sensor].film().channel_names()))
+    clean = cleaner(loaded, denoiser, sensor, seed, raw) if denoise else None
     start = time.perf_counter()
     samples = 0
 
     def convert(rows: Any) -> Any:
-        colours = rows[..., :kept]
+        colours = (rows if clean is None else clean(rows))[..., :kept]
         return colours if tone is None else tone.apply(colours)
 
-    metadata = {"scene": name, **({} if tone is None else tone.facts)}
+    metadata = {"scene": name, **({"denoised": denoiser} if denoise else {}), **({} if tone is None else tone.facts)}
     if in_rounds is not None:
         from djpt.cli.tone import carried
         from djpt.long_renders.to_file import facts
@@ -134,7 +148,7 @@ def command(
             progress=progress,
             metadata=metadata,
             convert=convert,
-            convert_at_once=exposure == "auto",
+            convert_at_once=denoise or exposure == "auto",
             keep_partial=keep_partial,
         )
     seconds = time.perf_counter() - start
@@ -145,3 +159,16 @@ def command(
         print(f"{target}: {columns} x {rows}, {taken} spp, {seconds:.2f} s, {speed}")
         if names[kept:]:
             print(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
+
+
+def cleaner(scene: Any, method: str, sensor: int, seed: int, raw: Path | None) -> Any:
+    """What removes the noise of the image, checked before it is rendered."""
+    from djpt.denoising.rendered import Cleaner
+    from djpt.errors import FileError
+    from djpt.images.image import check_writable
+
+    if raw is not None:
+        check_writable(raw)
+        if raw.suffix.lower() != ".exr":
+            raise FileError(f"can't write '{raw}': only exr has layers for albedo and normals")
+    return Cleaner(scene, method, sensor, seed=seed, raw=raw)

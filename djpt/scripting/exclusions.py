@@ -12,7 +12,6 @@ LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a descr
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
-OPTIX = "NVIDIA's closed OptiX library, for Mitsuba's CUDA variants only."
 
 REASONS: dict[str, str] = {
     "mueller": POLARISATION,
@@ -34,7 +33,6 @@ REASONS: dict[str, str] = {
     "set_property": MACHINERY,
     "*Transform3?.extract": PLANAR,
     "misc.trap_debugger": DEBUGGER,
-    "OptixDenoiser*": OPTIX,
 }
 """Reasons by pattern. ``*`` stands for any characters, as in file names."""
 

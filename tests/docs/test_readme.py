@@ -51,6 +51,8 @@ def test_the_commands_run(command: str, tmp_path: Path) -> None:
     arguments += SMALLER.get(arguments[0], [])
     if arguments[0] == "compare":
         pytest.importorskip("mitsuba")
+    if "--denoise" in arguments:
+        pytest.importorskip("mitsuba_oidn", exc_type=ImportError)
     shutil.copy(ROOT / "scenes" / "cornell_box.xml", tmp_path / "scene.xml")
     done = run_python("-m", "djpt", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

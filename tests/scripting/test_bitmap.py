@@ -445,11 +445,6 @@ def test_verbs_make_and_write_bitmaps(tmp_path: Path) -> None:
     assert djpt.util.cornell_box()["type"] == "scene"
 
 
-def test_the_denoiser_says_what_to_do() -> None:
-    with pytest.raises(djpt.BackendError, match=r"needs OptiX.*Render more samples"):
-        djpt.OptixDenoiser([16, 16])
-
-
 def test_names_of_fields_are_names_of_channels(tmp_path: Path) -> None:
     bitmap = Bitmap(Bitmap.PixelFormat.MultiChannel, Type.Float32, [4, 5], 2)
     bitmap.struct_()[0].name = "mine"

@@ -1,0 +1,71 @@
+"""The error of images with and without their noise: the table of docs/guides/denoising.md.
+
+    python benchmarks/denoising.py [--size N] [--reference N] [--spp N ..]
+
+Each number is that of one image of `--size` pixels to each side, rendered with the box filter, against one of
+`--reference` samples per pixel. Each cell has relMSE / FLIP: relMSE is mean((a - b)^2 / (b^2 + 0.01)), FLIP the mean
+of the map for displays (P. Andersson et al., *FLIP: A Difference Evaluator for Alternating Images*, 2020), if
+flip-evaluator is installed.
+"""
+
+from __future__ import annotations
+
+import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import argparse
+import importlib.util
+from typing import Any
+
+import numpy as np
+
+from djpt.denoising.filtering import METHODS, Guides, denoise_pixels
+from djpt.denoising.guides import render_guides
+
+SCENES = ("cornell_box", "shader_ball", "stage")
+COLUMNS = ("raw", "Open Image Denoise", "without guides", "non-local means")
+
+
+def errors(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
+    """relMSE and FLIP of an image; without flip-evaluator, NaN for the latter."""
+    difference = float(np.mean(np.square(image - reference) / (np.square(reference) + 1e-2)))
+    if importlib.util.find_spec("flip_evaluator") is None:
+        return difference, float("nan")
+    import flip_evaluator
+
+    shown = [np.ascontiguousarray(np.clip(pixels, 0, 1), np.float32) for pixels in (reference, image)]
+    return difference, float(flip_evaluator.evaluate(*shown, "LDR", inputsRGB=False)[1])
+
+
+def versions(noisy: np.ndarray, guides: Guides) -> list[np.ndarray]:
+    """The images of a row, in the order of `COLUMNS`."""
+    assert METHODS == ("oidn", "nlm")
+    filtered = [("oidn", guides), ("oidn", Guides()), ("nlm", guides)]
+    return [noisy, *(denoise_pixels(noisy, known, 3, method) for method, known in filtered)]
+
+
+def loaded(name: str, size: int) -> Any:
+    """A built-in scene, with square pixels that share no samples."""
+    description = djpt.scenes.SCENES[name]()
+    description["sensor"]["film"].update(width=size, height=size, rfilter={"type": "box"})
+    return djpt.load_dict(description)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, default=128)
+    parser.add_argument("--reference", type=int, default=4096)
+    parser.add_argument("--spp", type=int, nargs="*", default=[4, 16, 64, 256])
+    options = parser.parse_args()
+    print(f"| scene | spp | {' | '.join(COLUMNS)} |")
+    print("|---|---" + "|---" * len(COLUMNS) + "|")
+    for name in SCENES:
+        scene = loaded(name, options.size)
+        reference = np.array(djpt.render(scene, spp=options.reference, seed=1))[..., :3]
+        for spp in options.spp:
+            noisy = np.array(djpt.render(scene, spp=spp))[..., :3]
+            cells = [errors(image, reference) for image in versions(noisy, render_guides(scene))]
+            print(f"| `{name}` | {spp} | {' | '.join(f'{a:.2g} / {b:.3f}' for a, b in cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

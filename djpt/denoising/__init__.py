@@ -1,0 +1,1 @@
+"""Images without noise: surface properties that guide a filter, and two filters."""
