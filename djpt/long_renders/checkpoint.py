@@ -100,6 +100,8 @@ def checked(header: Any) -> Mapping[str, Any]:
     """The header, if its entries have the types and ranges that are expected; raises `ValueError` or `KeyError`."""
     if not isinstance(header, dict):
         raise ValueError("it isn't a dict")
+    if not isinstance(header["fingerprint"], dict):
+        raise ValueError("'fingerprint' must be a dict")
     width, height = header["size"]
     numbers = {"width": width, "height": height, "constant": header["constant"], "round_spp": header["round_spp"]}
     for name, number in {**numbers, **{f"seed {i}": seed for i, seed in enumerate(header["seeds"])}}.items():
