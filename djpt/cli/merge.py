@@ -34,7 +34,7 @@ def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> 
     for path in checkpoints[1:]:
         total += djpt.Accumulation.load(path)
     width, height = total.size
-    left_out = ()
+    left_out: tuple[str, ...] = ()
     if output.suffix.lower() == ".djpt":
         total.save(output)
     else:

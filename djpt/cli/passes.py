@@ -56,7 +56,9 @@ class Passes:
         """
         import djpt
 
-        begun = djpt.Accumulation.load(self.checkpoint) if self.resume and exists(self.checkpoint) else None
+        begun = None
+        if self.resume and self.checkpoint is not None and self.checkpoint.exists():
+            begun = djpt.Accumulation.load(self.checkpoint)
         found, first = begun, 0 if begun is None else begun.rounds
         saved = first
         start = last = time.perf_counter()
@@ -101,11 +103,6 @@ class Passes:
                 leave()
         assert found is not None
         return found, leave
-
-
-def exists(path: Path | None) -> bool:
-    """Whether there is a file."""
-    return path is not None and path.exists()
 
 
 def status(

@@ -14,6 +14,7 @@ import json
 import os
 import zlib
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,13 +36,11 @@ ARRAYS = {"sums": "<f8", "weights": "<f8", "constant": "<f4", "luminance": "<f8"
 
 def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
     """Write an accumulation: see `Accumulation.save`."""
-    import drjit as dr
-
     import djpt
 
     header = {
         "djpt": djpt.__version__,
-        "drjit": dr.__version__,
+        "drjit": version("drjit"),
         "fingerprint": dict(accumulation.fingerprint),
         "channels": accumulation.channels,
         "constant": accumulation.constant.shape[2],
@@ -69,8 +68,8 @@ def load(path: str | os.PathLike[str]) -> Accumulation:
     if not kind.startswith(KIND):
         raise unreadable(source, "it isn't an accumulation of djpt")
     if kind[len(KIND) :] != b"%d" % VERSION:
-        version = kind[len(KIND) :][:8].decode("ascii", "replace")
-        raise unreadable(source, f"its format is version {version}; this djpt reads version {VERSION}")
+        found = kind[len(KIND) :][:8].decode("ascii", "replace")
+        raise unreadable(source, f"its format is version {found}; this djpt reads version {VERSION}")
     check, _, data = rest.partition(b"\n")
     if check != b"%08x" % zlib.crc32(data):
         raise unreadable(source, "it is cut off or damaged")
@@ -101,6 +100,8 @@ def checked(header: Any) -> Mapping[str, Any]:
     """The header, if its entries have the types and ranges that are expected; raises `ValueError` or `KeyError`."""
     if not isinstance(header, dict):
         raise ValueError("it isn't a dict")
+    if not isinstance(header["fingerprint"], dict):
+        raise ValueError("'fingerprint' must be a dict")
     width, height = header["size"]
     numbers = {"width": width, "height": height, "constant": header["constant"], "round_spp": header["round_spp"]}
     for name, number in {**numbers, **{f"seed {i}": seed for i, seed in enumerate(header["seeds"])}}.items():

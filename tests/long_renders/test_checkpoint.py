@@ -46,7 +46,7 @@ def test_damaged_files_are_refused(tmp_path: Path, found: Accumulation) -> None:
         cut.append(whole[:place] + bytes([whole[place] ^ 1 << chance.randrange(8)]) + whole[place + 1 :])
     for data in cut:
         path.write_bytes(data)
-        with pytest.raises(FileError, match="a.djpt"):
+        with pytest.raises(FileError, match=r"a\.djpt"):
             Accumulation.load(path)
 
 

@@ -203,7 +203,7 @@ def test_the_error_is_that_of_many_renders() -> None:
     """Over 40 seeds the mean of the estimated squares is that of the true ones: their own errors are some percent."""
     scene, true, estimated = box(integrator={"type": "path", "hide_emitters": True}), [], []
     reference = last(scene, spp=8192, round_spp=4096, seed=100).image().numpy()
-    weights = np.float32([0.212671, 0.715160, 0.072169])
+    weights = np.array([0.212671, 0.715160, 0.072169], np.float32)
     mean = (reference @ weights).mean()
     for seed in range(40):
         found = last(scene, spp=32, round_spp=8, seed=seed)
@@ -229,6 +229,6 @@ def test_a_target_is_met(name: str) -> None:
     scene, target = djpt.load_dict(override(description, width=24)), 0.05
     found = last(scene, round_spp=8, target_error=target, seed=1)
     reference = last(scene, round_spp=256, spp=max(4096, 16 * found.spp), seed=2)
-    weights = np.float32([0.212671, 0.715160, 0.072169])
+    weights = np.array([0.212671, 0.715160, 0.072169], np.float32)
     error, mean = (found.image().numpy() - reference.image().numpy())[..., :3] @ weights, reference.image().numpy()
     assert 0.7 * target < np.sqrt(np.mean(error**2)) / (mean[..., :3] @ weights).mean() < 1.3 * target

@@ -22,7 +22,7 @@ from tests.kit.commands import run
 from tests.long_renders.test_passes import box, last
 
 SMALL = ["render", "cornell_box", "--width", "16"]
-LONG = [*SMALL, "--spp", "4096", "--checkpoint", "job.djpt", "--every", "0.001s", "--resume", "-o", "a.npy", "-q"]
+LONG = [*SMALL, "--spp", "8192", "--checkpoint", "job.djpt", "--every", "0.001s", "--resume", "-o", "a.npy", "-q"]
 
 
 @pytest.fixture(autouse=True)
@@ -41,17 +41,15 @@ def begun() -> subprocess.Popen[str]:
 
 def killed_and_resumed(times: int) -> None:
     """Kill a render a number of times, each time a bit later; go on, and compare with one that nothing disturbs."""
-    undisturbed = last(box(size=16, rfilter="gaussian"), spp=4096).image().numpy()
+    undisturbed = last(box(size=16, rfilter="gaussian"), spp=8192).image().numpy()
     chance, kills = random.Random(3), 0
-    while kills < times:
+    for _ in range(times):
         process = begun()
         time.sleep(chance.uniform(0, 0.05))
         process.kill()
         process.communicate()
         kills += process.returncode == -signal.SIGKILL
-        if process.returncode == 0:
-            np.testing.assert_array_equal(np.load("a.npy"), undisturbed)
-            Path("job.djpt").unlink()
+    assert kills > times // 2, "the render ended before it was killed"
     run(*LONG)
     np.testing.assert_array_equal(np.load("a.npy"), undisturbed)
     assert {path.name for path in Path().iterdir()} == {"job.djpt", "a.npy"}
@@ -87,7 +85,7 @@ def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
     np.testing.assert_array_equal(read_pixels("a.exr"), expected.image().numpy())
     assert read_metadata("a.exr")["spp"] == "128"
     code, _, error = run(*SMALL, "--height", "9", "--checkpoint", "a.djpt", "--resume")
-    assert (code, "differs in the film" in error) == (ExitCode.BAD_INPUT, True)
+    assert (code, "the film" in error) == (ExitCode.BAD_INPUT, True)
 
 
 def test_checkpoints_of_different_seeds_are_merged() -> None:
@@ -117,9 +115,7 @@ def test_the_line_says_why_a_render_will_stop() -> None:
     assert status(found, 4, 2.0, 160, None, None).endswith("18 s left until 160 spp")
     assert status(found, 4, 2.0, 160, error / 2, None).endswith(f"6 s left until an error of {error / 2:.3g}")
     assert status(found, 4, 2.0, 160, error / 2, 5.0).endswith("3 s left until 5 s")
-    assert status(found, 4, 2.0, 0, None, None).startswith(
-        f"16 spp, error {error:.2%}, 1.15 ksamples/s".replace("15 k", "15 k ")
-    )
+    assert status(found, 4, 2.0, 0, None, None) == f"16 spp, error {error:.2%}, 1.15 ksamples/s"
     assert "error unknown" in status(last(box(), spp=4), 1, 1.0, 8, 0.1, None)
 
 
