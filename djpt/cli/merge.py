@@ -20,9 +20,9 @@ __all__ = ["command"]
 @options.output("The image, exr hdr pfm npy png jpg, or a checkpoint, djpt.")
 @options.quiet
 def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> None:
-    """Add up the checkpoints of one scene that was rendered with several seeds.
+    """Add up checkpoints of a scene.
 
-    `djpt render --checkpoint` writes them.
+    `djpt render --checkpoint` writes them; each render must have a seed of its own.
     """
     from djpt.images.image import check_writable
 
