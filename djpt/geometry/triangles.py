@@ -137,8 +137,7 @@ class Triangles:
         """An attribute of the meshes at the barycentric coordinates `uv` of triangles; unspecified on other records."""
         active = active & (record != NONE)
         kind, number = (self.tree.word(record, k, active) for k in (LABEL, DETAIL))
-        # In records of nodes and of other shapes this word isn't a face.
-        face = dr.select(active & ((kind & (LEAF | PORTAL)) == LEAF), number, 0)
+        face = dr.select(active & ((kind & PORTAL) == 0), self._face(kind, number), 0)
         return self.meshes.attribute(name, face, uv.x, uv.y)
 
     def surface(self, near: Near, d: Vector3f, t: Float, record: UInt32, full: bool) -> Surface:
@@ -169,8 +168,18 @@ class Triangles:
         if near.b is not None:
             weights = near.b
         if self.meshes.smooth:
-            frame = self.meshes.smooth_frame(dr.select(half[4] >= LEAF, half[5], 0), weights, n, dp_du)
+            frame = self.meshes.smooth_frame(self._face(half[4], half[5]), weights, n, dp_du)
         return Surface(p, n, frame, weights, dp_du, frame.t, weights)
+
+    def _face(self, label: UInt32, detail: UInt32) -> UInt32:
+        """The face of a triangle by the words of its record; of any other record the first face, which exists.
+
+        There the second word is something else, for pieces of curves their number.
+        """
+        is_face = label >= LEAF
+        if self.tree.kinds:
+            is_face &= (label & SOLID) == 0
+        return dr.select(is_face, detail, 0)
 
     @property
     def _solid_kinds(self) -> list[int]:
@@ -228,8 +237,7 @@ class Triangles:
     def _by_corners(self, near: Near, o: Point3f, d: Vector3f, record: UInt32) -> Surface:
         """The full surface point; the ray o, d is in the space of the triangle's tree, relative to its centre."""
         row = self.tree.row(record)
-        # The empty record stands for a miss: any face that exists will do.
-        face, b = dr.select(row[LABEL] >= LEAF, row[DETAIL], 0), near.b
+        face, b = self._face(row[LABEL], row[DETAIL]), near.b
         corners, center = self.tree.corners(record), self.tree.center
         if corners is None:
             corners, center = self.meshes.vertices(face), Point3f(0)

@@ -120,7 +120,7 @@ def as_numbers(value: Any) -> Float:
         SceneError: they can't be a phase function.
     """
     jit = dr.is_array_v(value) and dr.is_jit_v(value)
-    numbers = Float(value.array if dr.is_tensor_v(value) else value) if jit else Float(as_array(value).ravel().tolist())
+    numbers = Float(dr.ravel(value)) if jit else Float(as_array(value).ravel().tolist())
     if len(numbers) < 2:
         raise SceneError(f"must be at least two numbers, found {len(numbers)}")
     if not recording():

@@ -11,11 +11,13 @@ import pytest
 
 import djpt
 from djpt.geometry.engines import ray_queries
+from djpt.geometry.mesh_set import MeshSet
 from djpt.geometry.pieces.cutting import cubic_at
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import Float, Point3f, Vector3f
 from djpt.validation import agreement
 from tests.kit.kernels import Watched
+from tests.kit.mesh_scenes import ball_file
 from tests.kit.renders import ours, theirs
 
 KINDS = ("linearcurve", "bsplinecurve")
@@ -294,6 +296,26 @@ def test_an_edit_moves_curves_and_compiles_nothing(kind: str, tmp_path: Path) ->
     o, d = rays(1000)
     expected = hits(djpt.load_dict(picture(kind, file_of(moved, tmp_path))), o, d)
     np.testing.assert_array_equal(np.array(hits(watched.scene, o, d).t), np.array(expected.t))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_curves_beside_a_smooth_mesh(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The word that is a face in the record of a triangle numbers pieces in those of curves, beyond the last face."""
+    faces: list[np.ndarray] = []
+    plain = MeshSet.surface
+
+    def watched(self: MeshSet, face: Any, *rest: Any) -> Any:
+        faces.append(np.array(face))
+        return plain(self, face, *rest)
+
+    monkeypatch.setattr(MeshSet, "surface", watched)
+    described = scene_of(kind, file_of(strands(), tmp_path))
+    described["ball"] = {"type": "ply", "filename": ball_file(tmp_path, rows=3), "to_world": T().scale(0.2)}
+    scene = djpt.load_dict(described)
+    si = hits(scene, *rays())
+    found = np.bincount(np.array(si.shape_index)[np.array(si.is_valid())], minlength=2)
+    assert found.min() > 20 and faces
+    assert max(face.max() for face in faces) < scene.shapes()[1].face_count()
 
 
 def test_parameters(tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ WITHOUT = {
     "irregular": "has no derivatives",
     "mesh_attribute": "its values are those of a mesh",
     "measured": "has no derivatives",
+    "timed_sunsky": "a sunsky for each of its times",
     "glass": "has no derivatives",
     "sggx": "an ellipsoid of facets whose numbers are all the same is singular",
 }
@@ -59,6 +60,9 @@ EXCLUDED = {
     "values": "all values of a table at once don't change its shape",
 }
 """The ends of the keys of parameters that aren't tested, and why."""
+
+COLOURED = {"dielectric": "dielectric-tinted", "thindielectric": "thindielectric-tinted"}
+"""Sets of parameters with colours, where the first set of a plugin has none."""
 
 Scene = Callable[[], tuple[dict[str, Any], str]]
 
@@ -89,7 +93,7 @@ def in_fog(medium: dict[str, Any]) -> tuple[dict[str, Any], str]:
 def scene_of(kind: str, plugin: str) -> tuple[dict[str, Any], str]:
     """A scene with the plugin, and what the keys of its parameters begin with."""
     if kind == "bsdf":
-        name = next(name for name in materials.NAMES if materials.plugin_of(name) == plugin)
+        name = COLOURED.get(plugin) or next(name for name in materials.NAMES if materials.plugin_of(name) == plugin)
         return ball(materials.bsdf(name), size=8), "ball.bsdf"
     if kind == "emitter":
         entry = emitters.entry(next(name for name in emitters.NAMES if emitters.plugin_of(name) == plugin))

@@ -16,6 +16,8 @@ REMOTE = 16
 
 def is_remote(positions: NDArray[np.float32]) -> bool:
     """Whether vertices (V, 3) lie further from the origin than REMOTE times their extent."""
+    if not len(positions):
+        return False
     low, high = positions.min(axis=0), positions.max(axis=0)
     return bool(np.abs(0.5 * (low + high)).max() > REMOTE * (high - low).max())
 
