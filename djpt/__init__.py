@@ -22,6 +22,7 @@ from djpt.llvm.finder import prepare as _prepare
 from djpt.scripting.names import EXPORTS as _FOR_SCRIPTS
 from djpt.scripting.names import SUBMODULES as _MODULES_FOR_SCRIPTS
 from djpt.scripting.names import VARIANT_MODULES as _VARIANT_MODULES
+from djpt.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from djpt import ad as ad
@@ -138,7 +139,6 @@ if TYPE_CHECKING:
     from djpt.types import Vector2f as Vector2f
     from djpt.types import Vector3f as Vector3f
 
-__version__ = "0.1.0"
 
 _SUBMODULES = {
     name: f"djpt.{name}"

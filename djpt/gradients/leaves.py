@@ -16,6 +16,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.description.numeric import may_wait
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf, may_vanish
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
@@ -124,7 +125,8 @@ class Numbering:
     @cached_property
     def vanishing(self) -> frozenset[int]:
         """The numbers of the parameters that may make a factor of paths vanish: see `may_vanish`."""
-        return frozenset(i for i, value in enumerate(self._values) if may_vanish(value))
+        with may_wait():
+            return frozenset(i for i, value in enumerate(self._values) if may_vanish(value))
 
     def of(self, leaf: Leaf) -> list[int | None]:
         """The number of the parameter of each member, or None."""

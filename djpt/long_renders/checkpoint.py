@@ -22,6 +22,7 @@ import numpy as np
 
 from djpt.errors import FileError
 from djpt.files import as_path, read_bytes, shortened, writing
+from djpt.version import __version__
 
 if TYPE_CHECKING:
     from djpt.long_renders.accumulation import Accumulation
@@ -36,10 +37,8 @@ ARRAYS = {"sums": "<f8", "weights": "<f8", "constant": "<f4", "luminance": "<f8"
 
 def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
     """Write an accumulation: see `Accumulation.save`."""
-    import djpt
-
     header = {
-        "djpt": djpt.__version__,
+        "djpt": __version__,
         "drjit": version("drjit"),
         "fingerprint": dict(accumulation.fingerprint),
         "channels": accumulation.channels,

@@ -38,6 +38,7 @@ from djpt.schedules.choice import choose
 from djpt.schedules.job import Job
 from djpt.schedules.memory import check_memory
 from djpt.schedules.passes import SUMMED_PIXELS
+from djpt.version import __version__
 
 __all__ = ["render_to_file"]
 
@@ -189,14 +190,13 @@ def with_centres(job: Job, rows: Pixels, first_row: int) -> Pixels:
 
 def facts(scene: Scene, sensor: Any, integrator: Integrator, number: Any, spp: int, seed: int) -> dict[str, Any]:
     """The metadata of all images."""
-    import djpt
 
     def type_of(plugin: Any) -> str:
         return name_of(type(plugin)) or type(plugin).__name__
 
     sampler = sensor.sampler()
     return {
-        "Software": f"djpt {djpt.__version__}",
+        "Software": f"djpt {__version__}",
         "integrator": type_of(integrator),
         "sampler": type_of(sampler),
         "sensor": number if isinstance(number, int) else sensor.id(),

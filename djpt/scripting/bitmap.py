@@ -18,7 +18,6 @@ from typing import IO, Any
 
 import numpy as np
 
-import djpt
 from djpt.errors import DjptError, SceneError
 from djpt.images.formats import encode_png
 from djpt.images.resampling import lanczos, resampled, taps_between
@@ -31,6 +30,7 @@ from djpt.scripting.conversion import convert_fields
 from djpt.scripting.metadata import Metadata
 from djpt.scripting.resampler import FilterBoundaryCondition, values_of
 from djpt.scripting.structs import Struct, Type
+from djpt.version import __version__
 
 __all__ = ["Bitmap"]
 
@@ -238,7 +238,7 @@ class Bitmap(BitmapData):
         """
         place = path if stream is None else stream
         names = tuple(field.name for field in self._struct)
-        metadata = {"generatedBy": f"djpt {djpt.__version__}", **self._metadata.numbers()}
+        metadata = {"generatedBy": f"djpt {__version__}", **self._metadata.numbers()}
         image = Stored(self._pixels, names, metadata, self._srgb, self._premultiplied)
         if isinstance(place, (str, os.PathLike)):
             save_stored(Path(place), image, format.suffix, quality)

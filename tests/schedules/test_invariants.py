@@ -181,6 +181,9 @@ WATCHED: dict[str, Callable[[], Watched]] = {
 @pytest.mark.parametrize("name", WATCHED)
 def test_edits_compile_nothing(name: str) -> None:
     watched = WATCHED[name]()
+    if name.startswith("prb"):
+        # Derivatives by a factor that may vanish have a kernel of their own, compiled once.
+        assert watched.edit(**{"red.reflectance.value": [0.0, 0.3, 1.0]}) == 1
     found = {}
     for key, values in VALUES.items():
         for value in values:
