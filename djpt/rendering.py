@@ -23,7 +23,7 @@ from djpt.schedules.base import Schedule
 from djpt.schedules.called_sums import prepare_sums
 from djpt.schedules.canvas import picture
 from djpt.schedules.choice import choose
-from djpt.schedules.job import MAX_SAMPLES, Job, image_channels, require_countable
+from djpt.schedules.job import MAX_SAMPLES, Job, image_channels
 from djpt.schedules.memory import check_memory
 from djpt.sensors import Sensor
 from djpt.types import TensorXf, UInt32
@@ -247,18 +247,14 @@ def make_job(
     if integrator.fits_any_frame():
         scene, sensor = carried(scene, sensor)
     spp = sampler.round_count(spp or sampler.sample_count())
-    width, height = sensor.film().crop_size()
-    require_countable(width, height, spp)
     if integrator.follows_media:
         scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
-    job = job_of(sampler)(
+    return job_of(sampler)(
         scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp, interruption
     )
-    require_countable(job.width, job.height, spp)
-    return job
 
 
 def job_of(sampler: Sampler) -> type[Job]:

@@ -66,6 +66,7 @@ class Job:
     def __post_init__(self) -> None:
         border = self.film.border
         self.width, self.height = (n + 2 * border for n in self.film.crop_size())
+        require_countable(self.width, self.height, self.spp)
         self.seed_value = opaque_seed(self.seed, self.sampler.base_seed)
         self.spp_value = dr.opaque(UInt32, self.spp)
         self.width_value = dr.opaque(UInt32, self.width)
