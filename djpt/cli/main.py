@@ -21,7 +21,7 @@ __all__ = ["COMMANDS", "app", "main", "run"]
 
 COMMANDS = (
     *("render", "view", "merge", "denoise", "tonemap", "compare", "info", "scenes", "gallery", "doctor"),
-    *("ladder", "bounces", "spp", "strategies"),
+    *("turntable", "animate", "ladder", "bounces", "spp", "strategies"),
 )
 """The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``."""
 
