@@ -172,6 +172,10 @@ class SceneParameters(Mapping[str, Any]):
         """Whether a parameter is differentiable, and whether it moves edges (`Discontinuous`)."""
         return self._entry(key).flags
 
+    def names_of(self, node: Plugin) -> list[str]:
+        """The names of the parameters of one plugin, without those of what is nested in it."""
+        return [key for key, entry in self._entries.items() if entry.owner is node]
+
     def copy(self) -> SceneParameters:
         """A second view of the same parameters, which can be narrowed down with `keep` independently."""
         return SceneParameters(self._root, self._entries, self._parents)

@@ -16,11 +16,12 @@ import proof
 import slopes
 import surfaces
 import vapour
+import window
 from places import IMAGES
 
 FIGURES = {
     name: getattr(module, name)
-    for module in (proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes, cards)
+    for module in (proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes, window, cards)
     for name in module.__all__
 }
 """All figures by name; `cards` comes last, as it is cut from the others."""

@@ -1,0 +1,42 @@
+"""The command ``djpt turntable``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from djpt.cli import options
+from djpt.cli.console import Command
+from djpt.cli.frames import animate, of_frames
+
+if TYPE_CHECKING:
+    from djpt.animation.frames import Moving
+    from djpt.scene import Scene
+    from djpt.sensors import Sensor
+
+__all__ = ["command"]
+
+
+@click.command("turntable", cls=Command, epilog=options.SCENE)
+@of_frames
+@click.option("--degrees", type=float, default=360.0, help="How far the camera turns in all.")
+def command(degrees: float, **chosen: Any) -> None:
+    """Render SCENE from all sides.
+
+    The camera turns about what is in the middle of its picture, on its own level; after a whole turn the first frame
+    would come again. Frames that exist already aren't rendered again.
+    """
+
+    def turning(scene: Scene, sensor: Sensor) -> dict[str, Moving]:
+        import djpt
+        from djpt.animation.tracks import TurningCamera
+        from djpt.sensors.held import HeldCamera
+
+        names = djpt.traverse(scene).names_of(sensor)
+        key = next((name for name in names if name.rpartition(".")[2] == "to_world"), None)
+        if key is None:
+            raise djpt.RenderError(f"'{sensor.id()}' can't be moved")
+        return {key: TurningCamera(HeldCamera.of(scene, sensor), degrees / chosen["frames"])}
+
+    animate(turning, **chosen)

@@ -1,0 +1,63 @@
+"""The command ``djpt view``."""
+
+from __future__ import annotations
+
+import click
+
+from djpt.cli import options
+from djpt.cli.console import Command, parameters, require_positive
+
+__all__ = ["command"]
+
+
+@click.command("view", cls=Command, epilog=options.SCENE)
+@options.scene
+@click.option("--spp", type=int, default=4096, help="Samples per pixel at which the picture is done.")
+@options.seed
+@options.width
+@options.height
+@options.rfilter
+@options.integrator
+@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors, counted from 0.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8642, help="The port of the page; 0: a free one.")
+@click.option("--host", default="127.0.0.1", help="Where to listen. Whoever can reach it can look, and change values.")
+@click.option("--open", "opens", is_flag=True, help="Open the page in the browser.")
+@options.define
+@options.quiet
+def command(
+    scene: str,
+    spp: int,
+    seed: int,
+    width: int | None,
+    height: int | None,
+    rfilter: str | None,
+    integrator: str | None,
+    sensor: int,
+    port: int,
+    host: str,
+    opens: bool,
+    define: tuple[str, ...],
+    quiet: bool,
+) -> None:
+    """Show SCENE on a page while it is rendered.
+
+    The camera is moved by the mouse, parameters by sliders; the scene is loaded again when its files change. Ctrl-C
+    ends it.
+    """
+    from djpt.description.overrides import described, override
+    from djpt.viewer.server import Server
+    from djpt.viewer.session import Session
+
+    require_positive(spp=spp, width=width, height=height)
+
+    def describe() -> dict[str, object]:
+        description = described(scene, parameters(define))[1]
+        return override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
+
+    with Server(port, host) as server:
+        session = Session(describe, sensor, spp, seed, server.publish, server.tell)
+        if not quiet:
+            print(f"{server.url} shows {scene}; Ctrl-C ends it", flush=True)
+        if opens:
+            click.launch(server.url)
+        session.run(server.inbox)

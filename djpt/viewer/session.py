@@ -1,0 +1,234 @@
+"""A render that begins anew whenever what is looked at changes."""
+
+from __future__ import annotations
+
+import json
+import queue
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from djpt.errors import DjptError, RenderError
+from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
+from djpt.long_renders.rounds import begin_round, round_seed
+from djpt.viewer.picture import Picture
+from djpt.viewer.stage import LAYERS, Stage
+from djpt.viewer.watch import Watch, files_of
+
+__all__ = ["Session", "packed"]
+
+SHORT, LONG = 0.05, 0.15
+"""Seconds of a round's kernel below which the next round has more samples, and above which it has fewer.
+
+The page is answered between rounds; and each round costs time beside its kernel.
+"""
+
+LOOK_SECONDS = 0.5
+"""The time between two looks at the files of the scene."""
+
+LARGEST_HALF = float(np.finfo(np.float16).max)
+
+TONE = {
+    "aces_in": ACES_IN.tolist(),
+    "aces_out": ACES_OUT.tolist(),
+    "agx_in": AGX_IN.tolist(),
+    "agx_out": AGX_OUT.tolist(),
+    "agx_curve": list(AGX_CURVE),
+    "agx_stops": list(AGX_STOPS),
+}
+"""The constants of the tone curves, for the page that computes them."""
+
+
+class Session:
+    """What a page shows: a scene, rendered in rounds, until `spp` samples per pixel.
+
+    Args:
+        describe: reads the scene; called again when one of its files changes.
+        sensor: the number of the camera.
+        spp: samples per pixel at which a picture is done.
+        seed: of the picture.
+        publish: takes a frame for the pages: see `packed`.
+        tell: takes a message for the pages.
+
+    Raises:
+        DjptError: The scene can't be loaded or rendered.
+    """
+
+    def __init__(
+        self,
+        describe: Callable[[], Mapping[str, Any]],
+        sensor: int,
+        spp: int,
+        seed: int,
+        publish: Callable[[bytes], None],
+        tell: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self._describe, self._sensor = describe, sensor
+        self.spp, self.seed = spp, seed
+        self._publish, self._tell = publish, tell
+        description = describe()
+        self._watch = Watch(files_of(description))
+        self.stage = Stage(description, sensor)
+        self.picture = Picture(self.stage.channels)
+        self._round_spp, self._paused, self._asked = 1, False, 0
+        self._start = self._looked = time.perf_counter()
+
+    def run(self, inbox: queue.SimpleQueue[dict[str, Any]]) -> None:
+        """Render and take messages until an exception ends it, such as `KeyboardInterrupt`."""
+        while True:
+            self.turn(inbox)
+
+    def turn(self, inbox: queue.SimpleQueue[dict[str, Any]], patience: float = LOOK_SECONDS) -> None:
+        """Take all messages that have come, look at the files of the scene if it is time, and render a round.
+
+        If nothing is to be rendered, a message is waited for, for `patience` seconds at most.
+        """
+        # All that has come is taken before a round: a pointer that moves asks for more than can be rendered.
+        waiting = self.waits
+        while True:
+            try:
+                self.take(inbox.get(waiting, patience))
+                waiting = False
+            except queue.Empty:
+                break
+        if time.perf_counter() - self._looked > LOOK_SECONDS:
+            self.reload_if_changed()
+            self._looked = time.perf_counter()
+        if not self.waits:
+            self.render_round()
+
+    # ---- rounds ------------------------------------------------------------------------------
+
+    @property
+    def waits(self) -> bool:
+        """Whether nothing is to be rendered until something changes."""
+        return self._paused or self.picture.spp >= self.spp
+
+    def render_round(self) -> None:
+        """Add a round to the picture, and publish it."""
+        stage = self.stage
+        spp = stage.sensor.sampler().round_count(min(self._round_spp, max(1, self.spp - self.picture.spp)))
+        seed = round_seed(self.seed, self.picture.rounds)
+        result = begin_round(stage.scene, stage.sensor, stage.integrator, seed, spp, "auto", None, None)
+        start = time.perf_counter()
+        part = result()
+        seconds = time.perf_counter() - start
+        self.picture.add(part, spp)
+        if self.picture.rounds > 1 and seconds < SHORT:
+            self._round_spp = 2 * spp
+        elif seconds > LONG:
+            self._round_spp = max(1, spp // 2)
+        self.publish()
+
+    def publish(self) -> None:
+        """Publish the picture as it is."""
+        if self.picture.rounds:
+            self._publish(packed(self.header(), self.shown()))
+
+    def shown(self) -> npt.NDArray[np.float32]:
+        """The three channels of the layer that is shown, (height, width, 3)."""
+        pixels = self.picture.error()[..., None] if self.stage.layer == "error" else self.picture.pixels()
+        if self.stage.layer == "uv":
+            return np.pad(pixels, ((0, 0), (0, 0), (0, 1)))
+        return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+
+    def header(self) -> dict[str, Any]:
+        """What is told about a frame."""
+        x, y, width, height = self.stage.window
+        return {
+            "size": self.stage.size,
+            "window": [x, y, width, height],
+            "layer": self.stage.layer,
+            "spp": self.picture.spp,
+            "goal": self.spp,
+            "error": self.picture.relative_error(),
+            "seconds": time.perf_counter() - self._start,
+            "answer": self._asked,
+        }
+
+    # ---- messages ----------------------------------------------------------------------------
+
+    def take(self, message: Mapping[str, Any]) -> None:
+        """Do what a page asks for; what it can't have is told as an error."""
+        do = message.get("do")
+        try:
+            if do == "join":
+                self._tell(self.state())
+                self.publish()
+            elif do == "pause":
+                self._paused = bool(message.get("paused"))
+            elif do in CHANGES:
+                variable = LAYERS[self.stage.layer]
+                CHANGES[do](self.stage, message)
+                number = message.get("number")
+                self._asked = number if isinstance(number, int) else 0
+                if do == "show" and LAYERS[self.stage.layer] == variable:
+                    self.publish()  # light and its error are of the same rounds
+                else:
+                    self.begin()
+            else:
+                raise RenderError(f"unknown message {do!r}")
+        except (DjptError, TypeError, ValueError, KeyError) as error:
+            self._tell({"error": " ".join(str(error).split())})
+
+    def begin(self) -> None:
+        """Begin the picture anew, with rounds of one sample per pixel."""
+        self.picture, self._round_spp = Picture(self.stage.channels), 1
+        self._start = time.perf_counter()
+
+    def reload_if_changed(self) -> None:
+        """Load the scene again if one of its files has changed; its errors are told, and the old one stays."""
+        if not self._watch.has_changed():
+            return
+        try:
+            description = self._describe()
+            fresh = Stage(description, self._sensor)
+            fresh.show(self.stage.layer)
+            if not np.array_equal(self.stage.camera.to_world, self.stage.home.to_world) and np.array_equal(
+                fresh.home.to_world, self.stage.home.to_world
+            ):
+                fresh.hold(self.stage.camera)
+        except DjptError as error:
+            self._tell({"error": " ".join(str(error).split())})
+            return
+        self.stage, self._watch = fresh, Watch(files_of(description))
+        self.begin()
+        self._tell(self.state())
+
+    def state(self) -> dict[str, Any]:
+        """What a page needs to know of the scene."""
+        return {
+            "layers": list(LAYERS),
+            "layer": self.stage.layer,
+            "size": self.stage.size,
+            "controls": self.stage.controls(),
+            "tone": TONE,
+            "paused": self._paused,
+        }
+
+
+CHANGES: dict[str, Callable[[Stage, Mapping[str, Any]], None]] = {
+    "turn": lambda stage, m: stage.turn(float(m["yaw"]), float(m["pitch"])),
+    "shift": lambda stage, m: stage.shift(float(m["right"]), float(m["up"])),
+    "approach": lambda stage, m: stage.approach(float(m["factor"])),
+    "home": lambda stage, m: stage.return_home(),
+    "crop": lambda stage, m: stage.crop(*(int(m[name]) for name in ("x", "y", "width", "height"))),
+    "set": lambda stage, m: stage.change(m["key"], m["value"]),
+    "show": lambda stage, m: stage.show(m["layer"]),
+}
+"""The messages that change what is looked at, and what they do."""
+
+
+def packed(header: Mapping[str, Any], pixels: npt.NDArray[np.float32]) -> bytes:
+    """A frame as bytes: the length of the header (uint32), the header (JSON, padded to even length), then the pixels.
+
+    Pixels are little-endian float16, row by row, red, green, blue; larger numbers become the largest one.
+    """
+    text = json.dumps(header).encode()
+    text += b" " * (len(text) % 2)
+    with np.errstate(over="ignore"):
+        halves = np.clip(pixels, -LARGEST_HALF, LARGEST_HALF).astype("<f2")
+    return len(text).to_bytes(4, "little") + text + halves.tobytes()

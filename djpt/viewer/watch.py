@@ -1,0 +1,58 @@
+"""The files that a scene was read from, and whether one of them has changed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from djpt.description.document import Document
+
+__all__ = ["Watch", "files_of"]
+
+
+class Watch:
+    """Notices new versions of files by their size and time of change."""
+
+    def __init__(self, files: Iterable[Path]) -> None:
+        self.files = tuple(files)
+        """The files that are watched."""
+        self._seen = self._state()
+
+    def has_changed(self) -> bool:
+        """Whether a file has changed since the last call. A file that is missing for a moment hasn't."""
+        state = self._state()
+        changed = any(new is not None and new != old for new, old in zip(state, self._seen, strict=True))
+        self._seen = tuple(old if new is None else new for new, old in zip(state, self._seen, strict=True))
+        return changed
+
+    def _state(self) -> tuple[tuple[int, int] | None, ...]:
+        return tuple(stamp(path) for path in self.files)
+
+
+def stamp(path: Path) -> tuple[int, int] | None:
+    """The time of change in nanoseconds and the size of a file; None if there is none."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
+
+
+def files_of(description: Mapping[str, Any]) -> list[Path]:
+    """The files that a description came from, and those that its nodes name; none for a dict that names none."""
+    places = description.places.values() if isinstance(description, Document) else ()
+    folders = description.directories if isinstance(description, Document) else ()
+    written = [Path(place.rpartition(":")[0]) for place in places]
+    named = [folder / name for name in filenames(description) for folder in (Path(), *folders)]
+    return [path for path in dict.fromkeys([*written, *named]) if path.is_file()]
+
+
+def filenames(node: Mapping[str, Any]) -> Iterator[str]:
+    """The values of ``filename`` in a description."""
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from filenames(value)
+        elif key == "filename" and isinstance(value, (str, os.PathLike)):
+            yield os.fspath(value)
