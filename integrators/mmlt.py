@@ -2,61 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
-import numpy as np
 
+from djpt.description.frozen import recording
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
+from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.mutations import Fresh, Mutated, Mutation
-from djpt.integrators.one_strategy import LastVertex, OneStrategy, numbers_drawn
+from djpt.integrators.markov_chains import Bootstrap, MarkovChains
+from djpt.integrators.one_strategy import OneStrategy, numbers_drawn
 from djpt.integrators.passes import PassIntegrator, Walks
 from djpt.integrators.path import Path
-from djpt.kernels import loop_traced_once, own_copy, own_floats, while_loop, wide
-from djpt.llvm.lanes import small_blocks
 from djpt.samplers.hashing import sample_tea_32
-from djpt.samplers.independent import IndependentStream
-from djpt.scene import Scene
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Color3f, Float, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
 
 __all__ = ["MultiplexedMetropolis"]
 
 MAX_EDGES = 32
 """The most edges of a path."""
 
-BATCH = 2**18
-"""Samples of the bootstrap that are computed at once."""
+FEWEST_STEPS = 512
+"""There are fewer chains than asked for if they had to be shorter, down to `FEWEST_CHAINS`."""
 
-ROUNDS = 8
-"""Rounds of the hash that seeds generators."""
+FEWEST_CHAINS = 256
 
-
-@dataclass
-class Chains:
-    """Loop state: a Markov chain per lane."""
-
-    step: UInt32
-    generator: IndependentStream
-    memory: Any
-    """The numbers of the chain and of its proposal: see `Mutated`."""
-    second: Bool
-    """Which of the two the chain's are."""
-    last: Any
-    """Local memory of `OneStrategy.sample`."""
-    place: Point2f
-    light: Color3f
-    weight: Float
-    """The sum of the weights with which the chain's sample counts, since it was accepted."""
+BOOTSTRAP = 2**16, 2**24
+"""The bounds of the number of bootstrap samples, if there are as many as suit the image."""
 
 
 class MultiplexedMetropolis(PassIntegrator):
-    """Follows Markov chains of paths: where much light is found, more paths are tried nearby.
+    """Follows Markov chains of paths: where one has brought light, paths like it are tried.
 
+    A sample is one path, of one length and by one strategy (s, t) of `bdpt`, with its weight against the others. Its
+    random numbers are a point of a cube, in which chains move by small steps, and by large ones that don't depend on
+    where they are. So chains dwell where much light is, in proportion to it; how much there is in all says a
+    *bootstrap* of independent samples, at which the chains begin.
+
+    Strong where `bdpt` is, and where paths that bring light are rare but have bright neighbours. Noise is in patches
+    and not in pixels, since neighbouring samples are alike; and what is dark gets few of them. Light that comes
+    straight from an emitter is found from the camera's side, as `path` with `max_depth` 1 finds it. Scattering media
+    aren't followed, and frozen functions can't record it.
+
+    Parameters: `max_depth` (edges of the longest path, 1 .. 32, default 8), `bootstrap_samples` (independent samples
+    before the first step; default 0: a quarter as many as there are steps, 2^16 .. 2^24), `chains` (default 4096; fewer
+    where they had less than 512 steps), `large_step_probability` (default 0.1), `sigma` (the largest distance of
+    a number's small step, the smallest being 1/64 of it, default 0.03), `hide_emitters`, `emitter_choice` (`uniform`,
+    default, or `power`). `spp` is the number of steps per pixel of the image.
+
+    T. Hachisuka, A. Kaplanyan and C. Dachsbacher, "Multiplexed Metropolis Light Transport", 2014.
     """
 
     starts_at_lights = True
@@ -64,148 +64,78 @@ class MultiplexedMetropolis(PassIntegrator):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.max_depth = props.integer("max_depth", 8, low=1, high=MAX_EDGES)
-        self.bootstrap_samples = props.integer("bootstrap_samples", 0, low=0)
-        self.chains = props.integer("chains", 2**14, low=1)
-        self.large_steps = props.float("large_step_probability", 0.3, low=0.0, high=1.0)
-        self.sigma = props.float("sigma", 1 / 16, low=0.0, high=0.5)
-        shared = {"hide_emitters": self.hide_emitters}
-        ends = {"max_depth": self.max_depth, "rr_depth": self.max_depth + 1, "emitter_choice": "uniform", **shared}
-        self.ends = BidirectionalPath(Properties("bdpt", f"{props.node}.ends", ends))
+        self.bootstrap_samples = props.integer("bootstrap_samples", 0, low=0, high=2**30)
+        self.chains = props.integer("chains", 4096, low=1, high=2**20)
+        self.large_step_probability = props.float("large_step_probability", 0.1, low=0.0, high=1.0)
+        self.sigma = props.float("sigma", 0.03, low=0.0, high=0.5)
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
+        depth, hide = {"max_depth": self.max_depth}, {"hide_emitters": self.hide_emitters}
+        self.ends = BidirectionalPath(Properties("bdpt", f"{props.node}.ends", depth | hide))
         # For light that comes straight from an emitter.
-        self.from_camera = Path(Properties("path", f"{props.node}.straight", {"max_depth": 1, **shared}))
+        self.from_camera = Path(Properties("path", f"{props.node}.straight", {"max_depth": 1} | hide))
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        self.ends.check_scene(scene, sensor)
+        scattering = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
+        if scattering:
+            raise RenderError(
+                f"'mmlt' doesn't follow light through scattering media, found {', '.join(scattering)}; "
+                "possible: the integrator 'volpath'"
+            )
+        if recording():
+            raise RenderError("'mmlt' reads the brightness of its first samples, which a frozen function can't record")
         super().check_scene(scene, sensor)
 
-    def begin(self, walks: Walks) -> Any:
-        return Metropolis(self, walks)
+    def begin(self, walks: Walks) -> State:
+        return State(self, walks)
 
-    def add_pass(self, walks: Walks, state: Any, begin: int, end: int) -> Any:
-        state.advance(begin, end)
+    def add_pass(self, walks: Walks, state: State, begin: int, end: int) -> State:
+        state.advance(walks, end)
         return state
 
-    def color(self, walks: Walks, state: Any) -> Color3f:
+    def color(self, walks: Walks, state: State) -> Color3f:
         return state.color()
 
 
-class Metropolis:
-    def __init__(self, it: MultiplexedMetropolis, walks: Walks) -> None:
-        self.it, self.walks = it, walks
-        self.strategy = OneStrategy(it.ends, walks.scene, walks.camera, walks.ray_at)
-        self.splats = Splats(walks.film, 1.0)
-        self.size = numbers_drawn(it.max_depth)
-        self.lengths = it.max_depth - 1
+class State:
+    """What passes hand on: the chains, and the sums of their light."""
+
+    def __init__(self, integrator: MultiplexedMetropolis, walks: Walks) -> None:
         width, height = walks.film.crop_size()
-        self.pixels = width * height
-        total = walks.spp * self.pixels
-        self.chains = min(it.chains, max(1, total // 16))
-        self.steps_all = max(1, total // self.chains)
-        self.done = 0
-        per_length = (it.bootstrap_samples or max(2**17, total // 4)) // self.lengths
-        n = per_length * self.lengths
-        y = np.concatenate([self.fresh(np.arange(b, min(b + BATCH, n)), per_length)[1] for b in range(0, n, BATCH)])
-        y = y.astype(np.float64)
-        self.mean = y.sum() / per_length
-        means = y.reshape(self.lengths, per_length).mean(axis=1)
-        self.means = means
-        cdf = np.cumsum(y)
-        u = IndependentStream.seeded(*sample_tea_32(self.walks.seed, UInt32(0xFFFFFFFF), ROUNDS)).next_1d().numpy()[0]
-        picks = np.searchsorted(cdf, (np.arange(self.chains) + u) / self.chains * cdf[-1])
-        picks = np.minimum(picks, n - 1)
-        (place, light), _ = self.fresh(picks, per_length)
-        lengths = picks // per_length
-        self.edges = own_copy((lengths + 2).astype(np.uint32))
-        self.own_mean = own_floats(means[lengths].astype(np.float32))
-        self.place, self.light = place, light
-        self.weight = dr.zeros(Float, self.chains)
-        key = own_copy(picks.astype(np.uint32))
-        gen = IndependentStream.seeded(*sample_tea_32(self.walks.seed, key, ROUNDS))
-        lane = dr.arange(UInt32, self.chains)
-        self.numbers = dr.empty(Float, self.chains * self.size)
-        size, chains = dr.opaque(UInt32, self.size), dr.opaque(UInt32, self.chains)
-        numbers = self.numbers
+        self._pixels = width * height
+        self._total = walks.spp * self._pixels
+        self._spp, self._steps, self._count = walks.spp, 0, 0
+        self._large = dr.opaque(Float, integrator.large_step_probability)
+        self._sigma = dr.opaque(Float, integrator.sigma)
+        self._splats = Splats(walks.film, 1.0)
+        self._chains: MarkovChains | None = None
+        self._mean = 0.0
+        if integrator.max_depth < 2:
+            return
+        self._count = min(integrator.chains, max(FEWEST_CHAINS, self._total // FEWEST_STEPS))
+        strategy = OneStrategy(integrator.ends, walks.scene, walks.camera, walks.ray_at)
+        low, high = BOOTSTRAP
+        samples = integrator.bootstrap_samples or min(max(low, self._total // 4), high)
+        of_bootstrap, of_chains = sample_tea_32(walks.seed, UInt32(0xFFFFFFFF))
+        bootstrap = Bootstrap(strategy, of_bootstrap, integrator.max_depth, samples)
+        self._mean = bootstrap.mean
+        if self._mean > 0:
+            size = numbers_drawn(integrator.max_depth)
+            self._chains = MarkovChains(strategy, bootstrap, of_chains, size, self._count, self._splats)
 
-        def write(d, gen):
-            dr.scatter(numbers, gen.next_1d(), d * chains + lane)
-            return d + 1, gen
+    def advance(self, walks: Walks, end: int) -> None:
+        """Make the steps of a pass that ends after `end` per pixel."""
+        if self._chains is not None:
+            steps = max(1, self._total // self._count) * end // self._spp
+            self._chains.advance(steps - self._steps, self._large, self._sigma)
+            self._steps = steps
 
-        d, _ = while_loop((dr.zeros(UInt32, self.chains), gen), lambda d, gen: d < size, write, label="first points")
-        dr.eval(d, self.numbers)
-        self.generator = IndependentStream.seeded(*sample_tea_32(self.walks.seed + 0x632BE5AB, lane, ROUNDS))
-        dr.eval(self.generator, self.weight)
-
-    def fresh(self, numbers, per_length):
-        number = own_copy(numbers.astype(np.uint32))
-        edges = number // dr.opaque(UInt32, per_length) + 2
-        gen = IndependentStream.seeded(*sample_tea_32(self.walks.seed, number, ROUNDS))
-        place, light, _, _ = self.strategy.sample(edges, Fresh(gen), dr.alloc_local(LastVertex, 2))
-        y = dr.max(light)
-        with small_blocks():
-            dr.eval(place, light, y)
-        return (place, light), y.numpy()
-
-    def advance(self, begin, end):
-        begin = self.steps_all * begin // self.walks.spp
-        end = self.steps_all * end // self.walks.spp
-        self.done = end
-        it, size = self.it, self.size
-        lane = dr.arange(UInt32, self.chains)
-        chains = dr.opaque(UInt32, self.chains)
-        large, sigma = dr.opaque(Float, it.large_steps), dr.opaque(Float, it.sigma)
-        stop = dr.opaque(UInt32, end - begin)
-        floor = self.own_mean * large
-        memory = dr.alloc_local(Float, 2 * size)
-        numbers, size_value = self.numbers, dr.opaque(UInt32, size)
-
-        def read(d, memory):
-            memory.write(dr.gather(Float, numbers, d * chains + lane), d)
-            return d + 1, memory
-
-        _, memory = while_loop((dr.zeros(UInt32, self.chains), memory), lambda d, m: d < size_value, read, label="read")
-        edges = self.edges
-
-        def body(c: Chains):
-            mutation = Mutation.chosen(c.generator.next_1d(), large)
-            proposal = Mutated.of(c.generator, c.memory, c.second, size, mutation, sigma)
-            place, light, proposal, last = self.strategy.sample(edges, proposal, c.last)
-            y, new = dr.max(c.light), dr.max(light)
-            a = dr.select(new < y, new * dr.rcp(y), 1)
-            generator = proposal.generator
-            accepted = generator.next_1d() < a
-            w_new = a + dr.select(mutation.is_large, Float(1), 0)
-            w_old = c.weight + 1 - a
-            # What the chain leaves, or what it doesn't go to.
-            weight = dr.select(accepted, w_old, w_new)
-            color = dr.select(accepted, c.light, light)
-            self.splats.add(
-                dr.select(accepted, c.place, place), color * (weight * dr.rcp(dr.max(color) + floor)),
-                (weight > 0) & (dr.max(color) > 0),
-            )
-            return (Chains(
-                c.step + 1, generator, proposal.memory, c.second ^ accepted, last,
-                dr.select(accepted, place, c.place), dr.select(accepted, light, c.light),
-                dr.select(accepted, w_new, w_old)),)
-
-        start = Chains(dr.zeros(UInt32, self.chains), self.generator, memory, dr.full(Bool, False, self.chains),
-                       dr.alloc_local(LastVertex, 2), self.place, self.light, self.weight)
-        (c,) = loop_traced_once(start, lambda c: c.step < stop, body, "chains")
-        if end == self.steps_all:
-            self.splats.add(c.place, c.light * (c.weight * dr.rcp(dr.max(c.light) + floor)), Bool(True))
-        out = dr.empty(Float, self.chains * size)
-        offset = dr.select(c.second, UInt32(size), 0)
-
-        def write(d, memory):
-            dr.scatter(out, memory.read(offset + d), d * chains + lane)
-            return d + 1, memory
-
-        d, _ = while_loop((dr.zeros(UInt32, self.chains), c.memory), lambda d, m: d < size_value, write, label="write")
-        with small_blocks():
-            dr.eval(d, out, self.splats.memory, c.generator, c.place, c.light, c.weight)
-        self.numbers, self.generator, self.place, self.light, self.weight = out, c.generator, c.place, c.light, c.weight
-
-    def color(self):
-        return Color3f(*self.splats.sums()) * dr.opaque(Float, self.mean * self.pixels / (self.chains * self.done))
+    def color(self) -> Color3f:
+        """The image."""
+        if self._chains is None or not self._steps:
+            return dr.zeros(Color3f, self._pixels)
+        self._chains.finish(self._large)
+        factor = self._mean * self._pixels / (self._count * self._steps)
+        return Color3f(*self._splats.sums()) * dr.opaque(Float, factor)
 
 
 register_integrator("mmlt", MultiplexedMetropolis)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.frame import Frame3f
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.both_ends import End, Scattering, evaluate, meeting, mis_weight
-from djpt.kernels import loop_traced_once, minimum, wide
+from djpt.kernels import loop_traced_once, wide
 from djpt.materials.adjoint import sample_light
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, Reference, SurfaceInteraction3f, has_flag
@@ -23,23 +23,12 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32,
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["CAMERA", "LIGHT", "STRATEGY", "LastVertex", "OneStrategy", "SidedStream", "numbers_drawn"]
-
-STRATEGY, LIGHT, CAMERA = 1, 2, 4
-"""What a random number decides on: the strategy, the path from the light, or that from the camera."""
-
-
-class SidedStream(SampleStream, Protocol):
-    """A stream that is told what its numbers decide on."""
-
-    def turn_to(self, side: UInt32) -> None:
-        """The numbers that follow decide on one of `STRATEGY`, `LIGHT`, `CAMERA`."""
-
+__all__ = ["LastVertex", "OneStrategy", "numbers_drawn"]
 
 def numbers_drawn(edges: int) -> int:
     """The most numbers that `OneStrategy.sample` draws for a path of so many edges."""
-    # The strategy, the emission, the film with lens and time, the joint; then three for each vertex.
-    return 1 + 5 + 5 + 2 + 3 * edges
+    # The emission, the film with lens and time, the joint; then three for each vertex.
+    return 5 + 5 + 2 + 3 * edges
 
 
 class LastVertex(Record):
@@ -123,14 +112,14 @@ class Walk:
 
 @dataclass
 class OneStrategy:
-    """Samples the light of paths of a given length, by a strategy that one of the numbers chooses.
+    """Samples the light of paths of a given length, each by one of the strategies.
 
     With N strategies (s, t) for paths of k edges, s + t = k + 1, the expectation of
 
         N w_s C_s,    s uniform among the strategies,
 
-    is all light of that length: w_s is the weight of `djpt.integrators.both_ends`, and C_s what the path brings. One
-    path of k edges is traced, no matter which strategy makes it.
+    is all light of that length: w_s is the weight of `djpt.integrators.both_ends`, and C_s what the path brings. k rays
+    are traced for a path of k edges, no matter which strategy makes it.
     """
 
     ends: BidirectionalPath
@@ -139,28 +128,34 @@ class OneStrategy:
     ray_at: Callable[[Point2f, SampleStream], Ray3f]
     """The camera ray through a place in [0, 1)^2 of the crop window."""
 
-    def sample(self, edges: UInt32, numbers: SidedStream, last: Any) -> tuple[Point2f, Color3f, Any, Any]:
-        """A path of `edges` edges, two or more: the place in the crop window that it lights, and the light.
+    def count(self, edges: UInt32) -> UInt32:
+        """The number of strategies for paths of so many edges."""
+        return edges + 1 if self.camera.can_be_reached else edges
 
-        Returns the stream and the local memory `last` of two `LastVertex` as well, which is only used meanwhile. The
-        light is a density: that per pixel is the mean over all samples times the number of pixels.
+    def chosen(self, edges: UInt32, u: Float) -> UInt32:
+        """The strategy that a uniform number chooses: the vertices on the light's side."""
+        count = self.count(edges)
+        return dr.minimum(UInt32(u * Float(count)), count - 1)
+
+    def sample(
+        self, edges: UInt32, s: UInt32, numbers: SampleStream, last: Any
+    ) -> tuple[Point2f, Color3f, SampleStream, Any]:
+        """A path of `edges` edges, two or more, with `s` vertices on the light's side.
+
+        Returns the place in [0, 1)^2 of the crop window that it lights, and its light N w_s C_s as a density: that per
+        pixel is the mean over all samples times the number of pixels. Also the stream, and the local memory `last` of
+        two `LastVertex`, which is only used meanwhile.
         """
         scene, ends = self.scene, self.ends
-        numbers.turn_to(UInt32(STRATEGY))
-        count = edges + 1 if self.camera.can_be_reached else edges
-        s = dr.minimum(UInt32(numbers.next_1d() * Float(count)), count - 1)
         t = edges + 1 - s
 
         # ---------------- Where both sides begin --------------
-        numbers.turn_to(UInt32(LIGHT))
         light, power = ends.at_light(scene, numbers)
-        numbers.turn_to(UInt32(CAMERA))
         place = numbers.next_2d()
         ray = self.ray_at(place, numbers)
         if ray.times:
             light.ray.time = ray.time
         camera = ends.at_camera(scene, self.camera, ray, Bool(True))
-        numbers.turn_to(dr.select(s == 1, UInt32(LIGHT), CAMERA))
         joint = numbers.next_2d()
 
         # ----------------------- Walk -------------------------
@@ -187,8 +182,8 @@ class OneStrategy:
         # ----------------------- Join -------------------------
         at_light = walk.last.read(UInt32(0), walk.complete & from_light)
         at_camera = walk.last.read(UInt32(1), walk.complete & (t > 1))
-        shown, light = self.joined(s, t, walk.complete, at_light, at_camera, power, joint, place, ray.times)
-        return shown, light * Float(count), walk.numbers, walk.last
+        shown, brought = self.joined(s, t, walk.complete, at_light, at_camera, power, joint, place, ray.times)
+        return shown, brought * Float(self.count(edges)), walk.numbers, walk.last
 
     def next_vertex(self, walk: Walk, camera: End, t: UInt32) -> Walk:
         """Walk to the next vertex, and turn to the camera's side after the last one of the light's."""
@@ -202,7 +197,6 @@ class OneStrategy:
         )
         turns = is_last & on_light & hit & (t > 1)
 
-        walk.numbers.turn_to(dr.select(on_light, UInt32(LIGHT), CAMERA))
         goes_on = walk.active & hit & ~is_last
         s = self.scattered(si, on_light, walk.numbers, goes_on)
         throughput = end.throughput * s.weight
@@ -251,10 +245,8 @@ class OneStrategy:
         flux = v.throughput * power
         sampled, shown = s == 1, t == 1
 
-        # ------------------- Light sampling -------------------
         light = scene.light_sampling.sample(Reference(seen.p, seen.n), joint, complete & sampled)
         ds = light.ds
-        # -------------------- Connection ----------------------
         between = v.p - z.p
         falloff = dr.rcp(dr.squared_norm(between))
         d = between * dr.sqrt(falloff)
