@@ -98,7 +98,11 @@ class Bootstrap:
         start, length = self._samples(own_copy(chosen.astype(np.uint32))), chosen // self._each
         with small_blocks():
             dr.eval(brightness(start.light), start)
-        return start, own_copy((length + SHORTEST).astype(np.uint32)), own_floats(self._means[length].astype(np.float32))
+        return (
+            start,
+            own_copy((length + SHORTEST).astype(np.uint32)),
+            own_floats(self._means[length].astype(np.float32)),
+        )
 
 
 @dataclass
@@ -221,7 +225,11 @@ class MarkovChains:
 
     def _read(self) -> Any:
         """The numbers of all chains, in local memory."""
-        lane, end, stride = dr.arange(UInt32, self._chains), dr.opaque(UInt32, self._size), dr.opaque(UInt32, self._chains)
+        lane, end, stride = (
+            dr.arange(UInt32, self._chains),
+            dr.opaque(UInt32, self._size),
+            dr.opaque(UInt32, self._chains),
+        )
 
         def read(i: UInt32, memory: Any) -> tuple[UInt32, Any]:
             memory.write(dr.gather(Float, self._numbers, dr.fma(i, stride, lane)), i)
@@ -232,7 +240,11 @@ class MarkovChains:
 
     def _write(self, c: Chains) -> UInt32:
         """Take over the numbers of all chains; returns what must be evaluated for it."""
-        lane, end, stride = dr.arange(UInt32, self._chains), dr.opaque(UInt32, self._size), dr.opaque(UInt32, self._chains)
+        lane, end, stride = (
+            dr.arange(UInt32, self._chains),
+            dr.opaque(UInt32, self._size),
+            dr.opaque(UInt32, self._chains),
+        )
         numbers, begin = dr.empty(Float, self._chains * self._size), dr.select(c.second, UInt32(self._size), 0)
 
         def write(i: UInt32, memory: Any) -> tuple[UInt32, Any]:

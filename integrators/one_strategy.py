@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LastVertex", "OneStrategy", "numbers_drawn"]
 
+
 def numbers_drawn(edges: int) -> int:
     """The most numbers that `OneStrategy.sample` draws for a path of so many edges."""
     # The emission, the film with lens and time, the joint; then three for each vertex.
@@ -192,9 +193,7 @@ class OneStrategy:
         si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), full=scene.needs_uv)
         end, hit = walk.end.arrived(scene, si, h), si.is_valid()
         is_last = walk.left == 1
-        walk.last.write(
-            LastVertex.at(si, end, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last
-        )
+        walk.last.write(LastVertex.at(si, end, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last)
         turns = is_last & on_light & hit & (t > 1)
 
         goes_on = walk.active & hit & ~is_last
