@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from djpt.films.splats import Splats
 from djpt.integrators.mutations import Mutated
-from djpt.integrators.one_strategy import LastVertex, OneStrategy, numbers_drawn
+from djpt.integrators.one_strategy import LastVertex, OneStrategy
 from djpt.kernels import loop_traced_once, maximum, own_copy, own_floats, while_loop
 from djpt.llvm.lanes import small_blocks
 from djpt.samplers.hashing import sample_tea_32
@@ -24,11 +24,18 @@ from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["Bootstrap", "MarkovChains", "brightness"]
 
+TINY = 1e-300
+"""In place of 0, to divide by."""
+
 BATCH = 2**18
 """Samples of the bootstrap that are computed at once."""
 
 SHORTEST = 2
 """The edges of the shortest paths: those of one have a single strategy, and are left to the camera's side."""
+
+
+EVEN = 0.2
+"""The share of the chains that is spread evenly over all lengths of paths, so that those that bring little are seen."""
 
 
 def brightness(light: Color3f) -> Float:
@@ -47,6 +54,17 @@ class Start:
     light: Color3f
 
 
+@dataclass
+class Family:
+    """What chains of one length have in common, per chain."""
+
+    edges: UInt32
+    mean: Float
+    """The mean brightness of samples of this length."""
+    worth: Float
+    """The share of the light that paths of this length bring, over the share of chains that follow them."""
+
+
 class Bootstrap:
     """Independent samples of all lengths of paths, equally many of each: how bright they are.
 
@@ -61,9 +79,13 @@ class Bootstrap:
         self._each = max(1, samples // lengths)
         count = self._each * lengths
         found = [self._brightness(begin, min(begin + BATCH, count)) for begin in range(0, count, BATCH)]
-        self._sums = np.cumsum(np.concatenate(found), dtype=np.float64)
-        ends = self._sums[self._each - 1 :: self._each]
-        self._means = np.diff(ends, prepend=0.0) / self._each
+        bright = np.concatenate(found).astype(np.float64).reshape(lengths, self._each)
+        self._means = bright.mean(axis=1)
+        lit = self._means > 0
+        shares = self._means / max(self.mean, TINY)
+        chosen = np.where(lit, (1 - EVEN) * shares + EVEN / max(1, lit.sum()), 0)
+        self._excess = chosen / np.where(lit, shares, 1)
+        self._sums = np.cumsum(bright * self._excess[:, None])
 
     @property
     def mean(self) -> float:
@@ -86,11 +108,8 @@ class Bootstrap:
         place, light, _, _ = self._strategy.sample(edges, s, generator, dr.alloc_local(LastVertex, 2))
         return Start(before, s, place, light)
 
-    def starts(self, count: int) -> tuple[Start, UInt32, Float]:
-        """The first samples of `count` chains, chosen by brightness, shortest paths first.
-
-        Also the edges of their paths, and the mean brightness of samples of that length.
-        """
+    def starts(self, count: int) -> tuple[Start, Family]:
+        """The first samples of `count` chains, chosen by brightness, shortest paths first."""
         # Systematic resampling: each sample is taken as often as its share asks for, or once more.
         offset = np.array(IndependentStream.seeded(*sample_tea_32(self._seed, 0xFFFFFFFF)).next_1d())[0]
         wanted = (np.arange(count) + float(offset)) * (self._sums[-1] / count)
@@ -98,11 +117,12 @@ class Bootstrap:
         start, length = self._samples(own_copy(chosen.astype(np.uint32))), chosen // self._each
         with small_blocks():
             dr.eval(brightness(start.light), start)
-        return (
-            start,
-            own_copy((length + SHORTEST).astype(np.uint32)),
-            own_floats(self._means[length].astype(np.float32)),
+        family = Family(
+            edges=own_copy((length + SHORTEST).astype(np.uint32)),
+            mean=own_floats(self._means[length].astype(np.float32)),
+            worth=own_floats((1 / self._excess[length]).astype(np.float32)),
         )
+        return start, family
 
 
 @dataclass
@@ -125,7 +145,7 @@ class Chains:
 
 
 class MarkovChains:
-    """Chains of paths of fixed lengths, as many of each length as its share of the light.
+    """Chains of paths of fixed lengths: of each about as many as its share of the light, and some that are dark.
 
     A step proposes a path: in a *large* one all its numbers are drawn afresh, in others all are moved a little, and
     the strategy is kept. With y = `brightness` of the chain's sample and y' that of the proposal the chain goes there
@@ -134,7 +154,8 @@ class MarkovChains:
         proposal:  (a + [large step]) f' b / (y' + p b_k),      chain:  (1 - a) f b / (y + p b_k),
 
     b and b_k: the mean brightness of all samples, and of those of this length; p: the probability of large steps, which
-    are independent samples besides being proposals.
+    are independent samples besides being proposals. Lengths that have more chains than their share of the light count
+    less by that factor.
     """
 
     def __init__(
@@ -142,7 +163,7 @@ class MarkovChains:
     ) -> None:
         """`size`: the numbers of a path; `splats`: takes the light, divided by b."""
         self._strategy, self._splats, self._size, self._chains = strategy, splats, size, chains
-        start, self._edges, self._mean = bootstrap.starts(chains)
+        start, self._family = bootstrap.starts(chains)
         lane = dr.arange(UInt32, chains)
         self._generator = IndependentStream.seeded(*sample_tea_32(seed, lane))
         self._s, self._place, self._light = start.s, start.place, start.light
@@ -161,13 +182,13 @@ class MarkovChains:
     def advance(self, steps: int, large: Float, largest: Float) -> None:
         """Make some steps; `large` is the probability of large ones, and `largest` how far others move a number."""
         end, size = dr.opaque(UInt32, steps), self._size
-        floor = self._mean * large
+        floor = self._family.mean * large
 
         def next_step(c: Chains) -> tuple[Chains]:
             is_large = c.generator.next_1d() < large
-            s = dr.select(is_large, self._strategy.chosen(self._edges, c.generator.next_1d()), c.s)
+            s = dr.select(is_large, self._strategy.chosen(self._family.edges, c.generator.next_1d()), c.s)
             numbers = Mutated.of(c.generator, c.memory, c.second, size, is_large, largest)
-            place, light, numbers, last = self._strategy.sample(self._edges, s, numbers, c.last)  # type: ignore[assignment]
+            place, light, numbers, last = self._strategy.sample(self._family.edges, s, numbers, c.last)  # type: ignore[assignment]
             y, proposed = brightness(c.light), brightness(light)
             a = dr.select(proposed < y, proposed * dr.rcp(y), 1)
             accepted = numbers.generator.next_1d() < a
@@ -214,11 +235,12 @@ class MarkovChains:
 
     def finish(self, large: Float) -> None:
         """Add the samples at which the chains stand."""
-        self._add(self._place, self._light, self._weight, self._mean * large)
+        self._add(self._place, self._light, self._weight, self._family.mean * large)
         dr.eval(self._splats.memory)
 
     def _add(self, place: Point2f, light: Color3f, weight: Float, floor: Float) -> None:
         bright = brightness(light)
+        weight = weight * self._family.worth
         self._splats.add(place, light * (weight * dr.rcp(bright + floor)), (weight > 0) & (bright > 0))
 
     # ---- numbers between passes ---------------------------------------------------------
