@@ -266,7 +266,8 @@ class BidirectionalPath(SplattingIntegrator):
         hit = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
         end, sampler, t = lane.end.arrived(scene, si, self.h), lane.sampler, lane.end.depth + 1
-        radiance = lane.radiance + self.met(scene, end, si, lane.covered, ledger)
+        met, weight = self.light_met(scene, end, si, lane.covered)
+        radiance = lane.radiance + ledger.weighed(met, weight, UInt32(0), t)
         on = lane.active & si.is_valid() & (end.depth < self.longest)
         joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
 
@@ -276,7 +277,7 @@ class BidirectionalPath(SplattingIntegrator):
         s = scatter(si, True, to_light, sampler, on)
         value = dr.select(joins, end.throughput * s.value * light.weight, 0)
         value = scene.light_through(scene.shadow_ray(si, ds), value)
-        weight = self.light_sample_weight(scene, end, si, ds, s)
+        weight = self.light_sample_weight(scene, end, si, ds, s.pdf, s.back)
         radiance += ledger.weighed(value, weight, UInt32(1), t)
 
         # --------------------- Connections --------------------
@@ -298,8 +299,8 @@ class BidirectionalPath(SplattingIntegrator):
         lane.covered |= si.is_valid() & ~passes
         return self.onwards(lane, end, si, s, end.depth >= self.rr_depth, on)
 
-    def met(self, scene: Scene, end: End, si: SurfaceInteraction3f, covered: Bool, ledger: Ledger) -> Color3f:
-        """The light of the surface, or of the sky, that a camera path has met: s = 0."""
+    def light_met(self, scene: Scene, end: End, si: SurfaceInteraction3f, covered: Bool) -> tuple[Color3f, Float]:
+        """The light of the surface, or of the sky, that a camera path has met, and its weight: s = 0."""
         emitter = si.emitter()
         radiance = end.throughput * emitter.eval(si)
         if self.hide_emitters:
@@ -309,21 +310,20 @@ class BidirectionalPath(SplattingIntegrator):
         # Light from infinity is sampled by direction, and its rays by position then.
         last, before = (dr.select(si.is_valid(), a, b) for a, b in ((position, direction), (direction, position)))
         others = meeting(end.vcm, self.shared(end.vc, end.depth), chosen * last, before, self.h)
-        weight = dr.select(end.depth == 1, 1, mis_weight(others))
-        return ledger.weighed(radiance, weight, UInt32(0), end.depth + 1)
+        return radiance, dr.select(end.depth == 1, 1, mis_weight(others))
 
     def light_sample_weight(
-        self, scene: Scene, end: End, si: SurfaceInteraction3f, ds: DirectionSample3f, s: Scattering
+        self, scene: Scene, end: End, si: SurfaceInteraction3f, ds: DirectionSample3f, pdf: Float, back: Float
     ) -> Float:
-        """The weight of a light sample: s = 1."""
+        """The weight of a light sample, with the BSDF's densities of both ways: s = 1."""
         chosen = scene.emitter_choice.probability(Point3f(0), None, ds.emitter_index)
         position, direction = scene.emitter_ptr(ds.emitter_index).pdf_emission(-ds.d, ds.n, ds.uv)
         finite = ds.dist < dr.inf
         falloff = dr.select(finite, dr.rcp(dr.square(ds.dist)), 1)
         met = dr.select(finite, dr.abs(dr.dot(ds.n, ds.d)) * falloff * dr.rcp(position), dr.rcp(direction))
-        by_bsdf = dr.select(ds.delta, 0, self.h(s.pdf * met * dr.rcp(chosen)))
+        by_bsdf = dr.select(ds.delta, 0, self.h(pdf * met * dr.rcp(chosen)))
         here = dr.select(finite, direction * falloff, position) * dr.abs(dr.dot(si.n, ds.d))
-        by_light = meeting(end.vcm, end.vc, here, s.back, self.h)
+        by_light = meeting(end.vcm, end.vc, here, back, self.h)
         return mis_weight(by_bsdf + self.shared(by_light, end.depth + 1))
 
     def connection(

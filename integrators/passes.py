@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from djpt.integrators.base import Integrator
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.films import Film
@@ -55,6 +55,13 @@ class Walks(Protocol):
     @property
     def spp(self) -> int:
         """Paths per pixel of the whole image."""
+
+    @property
+    def seed(self) -> UInt32:
+        """The seed, an opaque number of width 1."""
+
+    def ray_at(self, place: Point2f, stream: SampleStream) -> Ray3f:
+        """A camera ray through a place in [0, 1)^2 on the crop window, by the next numbers of a stream."""
 
     def light(
         self,

@@ -74,6 +74,7 @@ class Job:
         self._origin = Point2f(*(dr.opaque(Float, n - border) for n in self.film.crop_offset()))
         inverse = [dr.opaque(Float, 1 / n) for n in self.film.crop_size()]
         self._inverse_crop = Point2f(*inverse)
+        self._crop_columns, self._crop_rows = (dr.opaque(UInt32, n) for n in self.film.crop_size())
         self.camera = camera(self.sensor)
         self._shutter_open = dr.opaque(Float, self.sensor.shutter_open())
         self._shutter_open_time = dr.opaque(Float, self.sensor.shutter_open_time())
@@ -130,11 +131,23 @@ class Job:
     def sampled_ray(self, stream: SampleStream, pixel: UInt32, x: Float, y: Float) -> tuple[Ray3f, Point2f]:
         """A camera ray by the next numbers of a stream, and its film offset."""
         offset = stream.next_2d()
-        aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
-        # Mitsuba's order of numbers. What nothing asks for isn't computed.
-        moment = stream.next_1d() if self.sensor.shutter_open_time() > 0 else Float(0.5)
+        aperture, moment = self._on_lens_in_time(stream)
         position = Point2f(x + offset.x - self._border, y + offset.y - self._border)
         return self._camera_ray(pixel, position, offset, aperture, moment), offset
+
+    def ray_at(self, place: Point2f, stream: SampleStream) -> Ray3f:
+        """A camera ray through a place in [0, 1)^2 on the crop window, by the next numbers of a stream."""
+        columns, rows = self._crop_columns, self._crop_rows
+        position = Point2f(place.x * Float(columns), place.y * Float(rows))
+        column, row = dr.minimum(UInt32(position.x), columns - 1), dr.minimum(UInt32(position.y), rows - 1)
+        offset = position - Point2f(Float(column), Float(row))
+        return self._camera_ray(row * columns + column, position, offset, *self._on_lens_in_time(stream))
+
+    def _on_lens_in_time(self, stream: SampleStream) -> tuple[Point2f, Float]:
+        """The place on the lens and the moment of a camera ray, as far as the sensor looks at them."""
+        aperture = stream.next_2d() if self.sensor.uses_aperture else Point2f(0.5)
+        # Mitsuba's order of numbers. What nothing asks for isn't computed.
+        return aperture, stream.next_1d() if self.sensor.shutter_open_time() > 0 else Float(0.5)
 
     def _camera_ray(self, pixel: UInt32, position: Point2f, offset: Point2f, aperture: Point2f, moment: Float) -> Ray3f:
         """The ray through a position on the crop window, in pixels; `offset` is where that is on its pixel.

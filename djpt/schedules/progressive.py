@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.integrators.passes import LightPath, PassIntegrator
-from djpt.records import SurfaceInteraction3f
+from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.samplers import SampleStream
 from djpt.schedules.base import Schedule
 from djpt.schedules.canvas import picture
@@ -18,7 +18,7 @@ from djpt.schedules.light_walk import walk_light
 from djpt.schedules.pace import Pace
 from djpt.schedules.passes import ends_here, one_ahead, report
 from djpt.schedules.wave import Wave
-from djpt.types import Bool, TensorXf
+from djpt.types import Bool, Point2f, TensorXf
 
 __all__ = ["Progressive"]
 
@@ -59,6 +59,11 @@ class JobWalks:
     def __init__(self, job: Job) -> None:
         self._job = job
         self.scene, self.camera, self.film, self.spp = job.scene, job.camera, job.film, job.spp
+        self.seed = job.seed_value
+
+    def ray_at(self, place: Point2f, stream: SampleStream) -> Ray3f:
+        """A camera ray through a place in [0, 1)^2 on the crop window, by the next numbers of a stream."""
+        return self._job.ray_at(place, stream)
 
     def light(
         self,

@@ -170,6 +170,15 @@ STEPS: tuple[Step, ...] = (
         (DEPTH, ROULETTE, HIDE),
         has_caustics_of_points,
     ),
+    Step(
+        "mmlt",
+        "mmlt",
+        "Chains of paths by the strategies of bdpt: where there is light, more are tried.",
+        "caustics of point, spot and directional lamps in mirrors and panes",
+        (DEPTH, HIDE, CHOICE),
+        has_caustics_of_points,
+        deepest=8,
+    ),
 )
 """The steps, from the simplest algorithm to the most capable one."""
 
