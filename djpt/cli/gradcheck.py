@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 
 from djpt.cli import options
 from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive
+from djpt.errors import ParameterError
 
 if TYPE_CHECKING:
     from djpt.validation.gradcheck import GradientCheck
@@ -70,40 +72,47 @@ def command(
     chosen = keys or smooth_keys(load_dict(override(description, integrator=integrator)))
     if output is not None and len(chosen) == 1:
         check_writable(output)
-    results = []
+    results, unchecked = [], []
     for key in chosen:
-        with progress_bar(key, "seeds", quiet or as_json) as progress:
-            result = check_gradient(
-                description,
-                key,
-                spp=spp,
-                seeds=seeds,
-                most_seeds=most_seeds,
-                precision=precision,
-                samples=samples,
-                sensor=sensor,
-                seed=seed,
-                width=width,
-                height=height,
-                integrator=integrator,
-                mitsuba=mitsuba,
-                progress=progress,
-            )
-        results.append(result)
+        try:
+            with progress_bar(key, "seeds", quiet or as_json) as progress:
+                result = check_gradient(
+                    description,
+                    key,
+                    spp=spp,
+                    seeds=seeds,
+                    most_seeds=most_seeds,
+                    precision=precision,
+                    samples=samples,
+                    sensor=sensor,
+                    seed=seed,
+                    width=width,
+                    height=height,
+                    integrator=integrator,
+                    mitsuba=mitsuba,
+                    progress=progress,
+                )
+        except ParameterError as error:
+            if keys:
+                raise
+            unchecked.append(str(error))
+            continue
+        results.append(replace(result, name=name))
         if output is not None:
             target = output if len(chosen) == 1 else output / f"{key}.png"
             target.parent.mkdir(parents=True, exist_ok=True)
             result.write_picture(target)
         if not (quiet or as_json):
-            print(result)
+            print(results[-1])
     if as_json:
-        print(json.dumps({"scene": name, "checks": [summary(result) for result in results]}, indent=1))
+        found = {"scene": name, "checks": [summary(result) for result in results], "unchecked": unchecked}
+        print(json.dumps(found, indent=1))
     elif not quiet:
         wrong = [result.key for result in results if not result.passed]
-        print(
-            f"{len(results) - len(wrong)} of {len(results)} gradients are right"
-            + (f"; wrong: {', '.join(wrong)}" if wrong else "")
-        )
+        names = f"; wrong: {', '.join(wrong)}" if wrong else ""
+        print(f"{len(results) - len(wrong)} of {len(results)} gradients are right{names}")
+        for reason in unchecked:
+            print(f"not checked: {reason}")
     if not all(result.passed for result in results):
         raise click.exceptions.Exit(ExitCode.DIFFERENT)
 
