@@ -7,6 +7,7 @@ if __name__ != "djpt.validation":  # a second copy of every class would be made
 
 from djpt.validation.bridge import mitsuba_renderer, render_in_mitsuba, to_mitsuba
 from djpt.validation.compare import Comparison, assert_matches, compare, compare_renderers
+from djpt.validation.gradcheck import GradientCheck, check_gradient
 from djpt.validation.metrics import ComparisonError, mean_bias, relative_bias, relative_rmse, rmse
 from djpt.validation.same_seed import Agreement, agreement
 from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, pixel_test
@@ -16,10 +17,12 @@ __all__ = [
     "Batches",
     "Comparison",
     "ComparisonError",
+    "GradientCheck",
     "TestResult",
     "agreement",
     "assert_matches",
     "block_test",
+    "check_gradient",
     "compare",
     "compare_renderers",
     "mean_bias",

@@ -21,7 +21,7 @@ from djpt.errors import BackendError, SceneError
 from djpt.transforms import ScalarTransform3f, as_transform
 from djpt.validation.metrics import ComparisonError
 
-__all__ = ["VERSION", "Renderer", "mitsuba_renderer", "render_in_mitsuba", "to_mitsuba"]
+__all__ = ["VERSION", "Renderer", "mitsuba_renderer", "mitsuba_scene", "render_in_mitsuba", "to_mitsuba"]
 
 VERSION = "3.9.1"
 """The release of Mitsuba that is the ground truth; names and conventions change between releases."""
@@ -59,6 +59,22 @@ def mitsuba_renderer(scene: Mapping[str, Any], optimize: bool = True) -> Rendere
             return np.array(mi.render(loaded, spp=spp, seed=seed), np.float32)
 
     return render
+
+
+@contextlib.contextmanager
+def mitsuba_scene(scene: Mapping[str, Any] | None) -> Iterator[tuple[Any, Any]]:
+    """Mitsuba's module, in djpt's variant, and `scene` loaded into it (None without one).
+
+    Raises:
+        BackendError: Mitsuba isn't installed, or its variant can't be used.
+        ComparisonError: Mitsuba refuses the scene.
+    """
+    with _variant() as mi:
+        try:
+            loaded = None if scene is None else mi.load_dict(to_mitsuba(scene), optimize=False)
+        except (RuntimeError, TypeError, ValueError) as error:
+            raise ComparisonError(f"Mitsuba can't load the scene: {error}") from error
+        yield mi, loaded
 
 
 def to_mitsuba(scene: Mapping[str, Any]) -> dict[str, Any]:

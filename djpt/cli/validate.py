@@ -1,0 +1,76 @@
+"""The command ``djpt validate``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import click
+
+from djpt.cli import options
+from djpt.cli.console import Command, ExitCode, require_positive
+from djpt.errors import RenderError, near_miss
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from djpt.validation.closed_forms import ClosedForm, Outcome
+
+__all__ = ["command", "table"]
+
+
+@click.command("validate", cls=Command)
+@click.argument("names", metavar="[CASE]...", nargs=-1)
+@click.option("--integrator", "integrators", multiple=True, help="Only this integrator; may be repeated.")
+@click.option("--spp", type=int, default=1024, help="Samples of each of 64 pixels, which all see the same.")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@options.seed
+@options.quiet
+def command(
+    names: tuple[str, ...], integrators: tuple[str, ...], spp: int, as_json: bool, seed: int, quiet: bool
+) -> None:
+    """Compare integrators with closed forms.
+
+    A CASE is a scene whose radiance a formula gives; without one all are rendered. The exit code is 1 if one is wrong.
+    """
+    from djpt.description.registry import registered
+    from djpt.validation.closed_forms import CASES, validate
+
+    require_positive(spp=spp)
+    for name in names:
+        if name not in CASES:
+            raise RenderError(f"unknown closed form '{name}'{near_miss(name, CASES)}")
+    for name in integrators:
+        if name not in registered("integrator"):
+            raise RenderError(f"unknown integrator '{name}'{near_miss(name, registered('integrator'))}")
+    cases = [CASES[name] for name in names or CASES]
+    outcomes = []
+    for outcome in validate(cases, integrators or None, spp=spp, seed=seed):
+        outcomes.append(outcome)
+        if not (quiet or as_json):
+            good = "ok" if outcome.passed else "FAILED"
+            print(
+                f"{outcome.case:<20} {outcome.integrator:<12} {outcome.found:.5f} +- {outcome.error:.1e}  "
+                f"{outcome.relative:+.3%} of {outcome.expected:.5f}  z {outcome.z:+.2f}  {good}",
+                flush=True,
+            )
+    if as_json:
+        print(json.dumps([asdict(outcome) | {"passed": outcome.passed} for outcome in outcomes], indent=1))
+    wrong = sum(not outcome.passed for outcome in outcomes)
+    if not (quiet or as_json):
+        print(f"{len(outcomes) - wrong} of {len(outcomes)} are right")
+    if wrong:
+        raise click.exceptions.Exit(ExitCode.DIFFERENT)
+
+
+def table(cases: Sequence[ClosedForm], outcomes: Sequence[Outcome]) -> str:
+    """The results as a table of Markdown: a row for each closed form."""
+    lines = ["| closed form | formula | source | integrators | worst error |", "|---|---|---|---|---|"]
+    for case in cases:
+        of_case = [outcome for outcome in outcomes if outcome.case == case.name]
+        worst = max(of_case, key=lambda outcome: abs(outcome.z))
+        names = ", ".join(f"`{outcome.integrator}`" + ("" if outcome.passed else " (wrong)") for outcome in of_case)
+        formula = case.formula.replace("|", "\\|")
+        lines.append(f"| {case.name} | {formula} | {case.source} | {names} | {worst.relative:+.3%}, z {worst.z:+.1f} |")
+    return "\n".join(lines)

@@ -1,0 +1,77 @@
+"""A diffuse BSDF of a user, with faults in its derivatives that leave its images right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+
+import djpt
+from djpt.description.properties import Properties
+from djpt.warp import square_to_cosine_hemisphere
+
+__all__ = ["FAULTS", "Faulty"]
+
+Fault = Callable[[Any, Any], Any]
+
+
+def changed(value: Any, factor: Any) -> Any:
+    """A value whose derivative is multiplied by a factor."""
+    still = dr.detach(value)
+    return still + factor * (value - still)
+
+
+FAULTS: dict[str, tuple[Fault, Fault]] = {
+    "wrong sign": (lambda a, si: changed(a, -1), lambda a, si: changed(a, -1)),
+    "zero": (lambda a, si: dr.detach(a), lambda a, si: dr.detach(a)),
+    "missing factor of a tenth": (lambda a, si: changed(a, 0.9), lambda a, si: changed(a, 0.9)),
+    "twice": (lambda a, si: changed(a, 2), lambda a, si: changed(a, 2)),
+    "no derivative of lit surfaces": (lambda a, si: dr.detach(a), lambda a, si: a),
+    "no derivative of scattered light": (lambda a, si: a, lambda a, si: dr.detach(a)),
+    "a channel dropped": (
+        lambda a, si: changed(a, djpt.Color3f(1, 0, 1)),
+        lambda a, si: changed(a, djpt.Color3f(1, 0, 1)),
+    ),
+    "channels swapped": (lambda a, si: dr.detach(a) + swapped(a), lambda a, si: dr.detach(a) + swapped(a)),
+    "a cosine too much": (lambda a, si: changed(a, dr.abs(si.wi.z)), lambda a, si: changed(a, dr.abs(si.wi.z))),
+    "half of the surface": (lambda a, si: changed(a, dr.select(si.p.x > 0, 1, 0)),) * 2,
+}
+"""What happens to the albedo in `eval` and in `sample`, by the name of the fault."""
+
+
+def swapped(albedo: Any) -> Any:
+    """The derivative of a colour with red and blue exchanged."""
+    away = albedo - dr.detach(albedo)
+    return djpt.Color3f(away.z, away.y, away.x)
+
+
+class Faulty(djpt.BSDF):
+    """Parameters: `albedo` (texture, default 0.5), `fault` (a name in FAULTS, or none)."""
+
+    children = ("albedo",)
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.albedo = props.texture("albedo", 0.5, low=0.0, high=1.0)
+        nothing: Fault = lambda a, si: a  # noqa: E731
+        self.of_eval, self.of_sample = FAULTS.get(props.string("fault", ""), (nothing, nothing))
+
+    def flags(self) -> Any:
+        return djpt.BSDFFlags.DiffuseReflection | djpt.BSDFFlags.FrontSide
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        above = (si.wi.z > 0) & (wo.z > 0)
+        albedo = self.of_eval(self.albedo.eval(si, active), si)
+        return dr.select(above, albedo * (wo.z / math.pi), 0), dr.select(above, wo.z / math.pi, 0)
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        wo = square_to_cosine_hemisphere(sample2)
+        pdf = wo.z / math.pi
+        bs = djpt.BSDFSample3f.of(wo, pdf, djpt.BSDFFlags.DiffuseReflection)
+        albedo = self.of_sample(self.albedo.eval(si, active), si)
+        return bs, dr.select((si.wi.z > 0) & (pdf > 0), albedo, 0)
+
+
+djpt.register_bsdf("faulty_diffuse", Faulty)

@@ -1,0 +1,125 @@
+"""The gradient checker: right gradients pass, planted faults are caught."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import djpt
+from djpt.description.overrides import override
+from djpt.errors import ParameterError
+from djpt.validation.gradcheck import check_gradient
+from djpt.validation.gradcheck.verdicts import Sample, compared, paired
+from tests.kit.commands import run
+from tests.kit.faulty import FAULTS
+
+KEY = "red.albedo.value"
+
+
+def box(fault: str = "", **options: Any) -> dict[str, Any]:
+    """The Cornell box with a user's paint on its red wall."""
+    scene = override(djpt.cornell_box(), width=12, **options)
+    scene["red"] = {"type": "faulty_diffuse", "albedo": scene["red"]["reflectance"], "fault": fault}
+    return scene
+
+
+def check(fault: str, **options: Any) -> Any:
+    return check_gradient(box(fault), KEY, **{"spp": 64, "seeds": 6, "most_seeds": 24, **options})
+
+
+@pytest.mark.sparse(4)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_planted_faults_are_caught(fault: str) -> None:
+    result = check(fault)
+    assert not result.passed, result
+    # Forward and reverse mode agree on the fault: only differences know better.
+    assert all("differences" in verdict.what for verdict in result.failures), result
+
+
+def test_a_right_gradient_passes() -> None:
+    result = check("")
+    assert result.passed, result
+    assert result.resolution < 0.02
+    assert any("Mitsuba" in note for note in result.notes)
+    assert np.all(result.gradient > 0)
+
+
+@pytest.mark.slow
+def test_false_alarms_are_rare() -> None:
+    """Of 40 checks of right gradients none fails: more than 2 in 100 false alarms would show in every second run."""
+    failed = [seed for seed in range(40) if not check("", seed=seed, spp=16, most_seeds=12).passed]
+    assert not failed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["white.reflectance.value", "light.emitter.radiance.value"])
+def test_against_mitsuba(key: str) -> None:
+    pytest.importorskip("mitsuba")
+    result = check_gradient("cornell_box", key, width=16, mitsuba=True)
+    assert result.passed, result
+    assert sum("Mitsuba" in verdict.what for verdict in result.verdicts) == 3
+
+
+def test_ends_of_ranges() -> None:
+    """At 0 and 1 differences are one-sided, and Mitsuba isn't asked where it is wrong."""
+    scene = override(djpt.cornell_box(), width=12)
+    scene["red"]["reflectance"] = {"type": "rgb", "value": [0.0, 1.0, 0.5]}
+    result = check_gradient(scene, "red.reflectance.value", seeds=4, most_seeds=8)
+    assert result.passed, result
+    assert any("divides by what it differentiates" in note for note in result.notes)
+
+
+@pytest.mark.slow
+def test_textures_are_checked_by_directions_and_texels() -> None:
+    scene = override(djpt.cornell_box(), width=16)
+    texels = np.random.default_rng(0).uniform(0.2, 0.8, (4, 4, 3)).astype(np.float32)
+    scene["white"]["reflectance"] = {"type": "bitmap", "data": texels, "raw": True}
+    result = check_gradient(scene, "white.reflectance.data", seeds=4, most_seeds=16, mitsuba=False)
+    assert result.passed, result
+    names = {verdict.what.partition(",")[0] for verdict in result.verdicts}
+    assert {"all entries", "random signs 1", "random signs 2"} < names
+    assert sum(name.startswith("entry ") for name in names) == 4
+
+
+def test_verdicts() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=20)
+    ours = Sample(tuple(1 + noise))
+    assert paired("same", ours, Sample(tuple(1.001 + noise)), 0.0, 1e-3, 1).passed  # within rounding
+    assert not paired("other", ours, Sample(tuple(1.1 + noise)), 0.0, 1e-3, 1).passed
+    assert paired("other", ours, Sample(tuple(1.1 + noise)), 0.2, 1e-3, 1).passed
+    assert compared("independent", ours, Sample(tuple(1 + rng.normal(size=20))), 0.0, 1e-3, 1).passed
+    assert not compared("independent", ours, Sample(tuple(9 + rng.normal(size=20))), 0.0, 1e-3, 1).passed
+    assert not paired("not a number", Sample((np.nan,) * 4), ours.__class__((1.0,) * 4), 0.0, 1e-3, 1).passed
+
+
+def test_what_cant_be_checked() -> None:
+    with pytest.raises(ParameterError, match="unknown parameter"):
+        check_gradient(box(), "red.albedo.colour")
+    with pytest.raises(ParameterError, match="has no derivatives"):
+        check_gradient(box(), "sensor.x_fov")
+    with pytest.raises(djpt.validation.ComparisonError, match="Mitsuba can't load the scene"):
+        check_gradient(box(), KEY, mitsuba=True)
+
+
+def test_the_command_line(tmp_path: Path) -> None:
+    small = ("--width", "8", "--spp", "16", "--seeds", "4", "--most-seeds", "4", "--no-mitsuba")
+    picture = tmp_path / "red.png"
+    code, out, err = run("gradcheck", "cornell_box", "red.reflectance.value", *small, "-o", str(picture))
+    assert code == 0, err
+    assert "1 of 1 gradients are right" in out
+    assert djpt.read(picture).shape[2] == 3
+    code, out, _ = run("gradcheck", "cornell_box", "--json", *small)
+    assert "vertex_texcoords" in json.loads(out)["unchecked"][0]
+    checks = json.loads(out)["checks"]
+    assert {each["key"] for each in checks} == {
+        "white.reflectance.value",
+        "green.reflectance.value",
+        "red.reflectance.value",
+        "light.emitter.radiance.value",
+    }
+    assert code == (not all(each["passed"] for each in checks))
+    code, _, err = run("gradcheck", "cornell_box", "red.reflectance")
+    assert code == 2 and "red.reflectance.value" in err

@@ -1,0 +1,105 @@
+"""The comparison of integrators with closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from djpt.description.loader import load_dict
+from djpt.description.registry import registered
+from djpt.rendering import render
+from djpt.validation.closed_forms.base import ClosedForm
+from djpt.validation.statistics import sidak
+
+__all__ = ["Outcome", "validate"]
+
+BATCHES = 16
+
+WITHOUT_ROULETTE: dict[str, dict[str, Any]] = {
+    "path_nee": {"russian_roulette": 1.0},
+    "prb_basic": {},
+    "direct": {},
+    "whitted": {},
+    "distributed": {"split": 1, "light_samples": 2},
+}
+"""Settings of integrators; the others have ``rr_depth`` as large as the depth."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An integrator's radiance in a closed form.
+
+    * `case`, `integrator`: the names.
+    * `expected`, `found`, `error`: the radiance by the formula, the mean of the image, its standard error.
+    * `z`: (found - expected) / error, after the relative error that the scene's approximation causes.
+    * `critical`: the largest absolute z that passes.
+    """
+
+    case: str
+    integrator: str
+    expected: float
+    found: float
+    error: float
+    z: float
+    critical: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether noise explains the difference."""
+        return abs(self.z) <= self.critical
+
+    @property
+    def relative(self) -> float:
+        """found / expected - 1."""
+        return self.found / self.expected - 1
+
+
+def validate(
+    cases: Sequence[ClosedForm],
+    integrators: Sequence[str] | None = None,
+    *,
+    spp: int = 1024,
+    seed: int = 0,
+    significance: float = 1e-3,
+) -> Iterator[Outcome]:
+    """Render closed forms with the integrators that find all of their light, and compare the means.
+
+    Args:
+        cases: Of `CASES`.
+        integrators: Only these, where a closed form has them.
+        spp: Samples of each of the 64 pixels, all of which see the same.
+        seed: Of the images.
+        significance: The probability that a right integrator fails in any of the comparisons of this call.
+    """
+    from scipy.stats import norm, t
+
+    known = registered("integrator")
+    pairs = [
+        (case, name)
+        for case in cases
+        for name in case.integrators
+        if name in known and (integrators is None or name in integrators)
+    ]
+    critical = float(norm.isf(sidak(significance, max(1, len(pairs))) / 2))
+    for case, name in pairs:
+        means = [float(np.mean(image)) for image in images(case, name, spp, seed)]
+        found, error = float(np.mean(means)), float(np.std(means, ddof=1) / np.sqrt(BATCHES))
+        difference = found - case.radiance
+        beyond = max(0.0, abs(difference) - case.exact * case.radiance)
+        # As a normal deviate: the standard error comes from few batches.
+        z = min(float(norm.isf(t.sf(beyond / error, BATCHES - 1))), beyond / error) if error > 0 else np.inf
+        z = 0.0 if beyond == 0 else float(np.copysign(z, difference))
+        yield Outcome(case.name, name, case.radiance, found, error, z, critical)
+
+
+def images(case: ClosedForm, name: str, spp: int, seed: int) -> Iterator[Any]:
+    """Independent images of a closed form."""
+    scene = load_dict(case.scene())
+    limit = {} if name in ("direct",) else {"max_depth": case.depth}
+    settings = WITHOUT_ROULETTE.get(name, {"rr_depth": case.depth + 1})
+    integrator = load_dict({"type": name, **settings, **limit})
+    for number in np.random.SeedSequence([seed, 13]).generate_state(BATCHES):
+        yield np.array(render(scene, integrator=integrator, spp=max(1, spp // BATCHES), seed=int(number)))

@@ -1,0 +1,278 @@
+"""`check_gradient`: is the derivative of an image by a parameter right."""
+
+from __future__ import annotations
+
+import base64
+import html
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from djpt.description.overrides import described, override
+from djpt.display.progress import Progress, watched
+from djpt.errors import BackendError
+from djpt.rendering import check_count, check_seed
+from djpt.validation.gradcheck.differences import Difference, Step, choose_step
+from djpt.validation.gradcheck.directions import Direction, directions_of
+from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
+from djpt.validation.gradcheck.verdicts import Sample, Verdict, compared, paired
+from djpt.validation.metrics import ComparisonError
+
+__all__ = ["GradientCheck", "check_gradient"]
+
+Floats = npt.NDArray[np.float64]
+
+GROWTH = 2
+"""By how much the number of seeds grows while an estimate isn't precise enough."""
+
+
+@dataclass(frozen=True)
+class GradientCheck:
+    """The result of `check_gradient`. `print()` shows a table; `write_picture(path)` draws a picture.
+
+    * `key`, `value`: the parameter, and its entries where it was checked, (n,).
+    * `gradient`: the derivative of the loss by each entry, by reverse mode, (n,).
+    * `verdicts`: the comparisons, all of which must pass.
+    * `seeds`, `spp`: how many renders each estimate comes from, and their samples per pixel.
+    * `resolution`: the largest standard error of a difference between reverse mode and finite differences, relative to
+      the largest derivative: a smaller fault would not have been found.
+    * `derivative`, `by_differences`: the derivative image in the first direction, by forward mode and by finite
+      differences, (H, W, C).
+    * `notes`: what wasn't compared, and why.
+    """
+
+    name: str
+    key: str
+    value: Floats
+    gradient: Floats
+    verdicts: tuple[Verdict, ...]
+    seeds: int
+    spp: int
+    resolution: float
+    derivative: Floats
+    by_differences: Floats
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def failures(self) -> list[Verdict]:
+        """The comparisons that failed."""
+        return [verdict for verdict in self.verdicts if not verdict.passed]
+
+    @property
+    def passed(self) -> bool:
+        """Whether all comparisons passed."""
+        return not self.failures
+
+    def write_picture(self, path: str | os.PathLike[str]) -> None:
+        """Write the derivative image by forward mode | by finite differences | their difference, as png or jpg."""
+        from djpt.validation.gradcheck.picture import write_picture
+
+        write_picture(self, path)
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{x:.4g}" for x in self.value[:4]) + (", .." if self.value.size > 4 else "")
+        lines = [f"{self.name}, {self.key} = {values}: {self.seeds} seeds of {self.spp} spp"]
+        rows = (
+            [("", "reverse mode", "expected", "z", f"limit {self.verdicts[0].critical:.2f}")] if self.verdicts else []
+        )
+        for verdict in self.verdicts:
+            good = "ok" if verdict.passed else "FAILED"
+            rows.append((verdict.what, f"{verdict.found:+.5g}", f"{verdict.expected:+.5g}", f"{verdict.z:+.2f}", good))
+        widths = [max(len(row[i]) for row in rows) for i in range(4)]
+        lines += ["  " + "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows]
+        lines.append(f"  resolution: faults above {self.resolution:.2%} of the largest derivative would be found")
+        lines += [f"  {note}" for note in self.notes]
+        lines.append("passed" if self.passed else "FAILED")
+        return "\n".join(line.rstrip() for line in lines)
+
+    def _repr_png_(self) -> bytes:
+        """The picture, for notebooks."""
+        from djpt.images.image import Image
+        from djpt.validation.gradcheck.picture import picture
+
+        return Image(picture(self))._repr_png_()
+
+    def _repr_html_(self) -> str:
+        """The picture and the table, for notebooks."""
+        png = base64.b64encode(self._repr_png_()).decode()
+        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
+
+
+def check_gradient(
+    scene: Mapping[str, Any] | str,
+    key: str,
+    *,
+    spp: int = 64,
+    seeds: int = 8,
+    most_seeds: int = 64,
+    precision: float = 0.01,
+    samples: int = 4,
+    significance: float = 1e-3,
+    sensor: int = 0,
+    seed: int = 0,
+    width: int | None = None,
+    height: int | None = None,
+    integrator: str | Mapping[str, Any] | None = None,
+    mitsuba: bool | None = None,
+    progress: Progress | bool | None = None,
+) -> GradientCheck:
+    """Check the derivative of the loss mean(w * image), with random weights w, by a parameter of a scene.
+
+    In each of some directions (see `djpt.validation.gradcheck.directions`) the derivative by reverse mode is compared
+
+    * with forward mode, at the same seeds: both differentiate the same estimator, so they agree to rounding;
+    * with finite differences at the same seeds, which follow nearly the same paths, so that most noise cancels: two
+      steps on both sides, or on one at the end of the parameter's range, with Richardson's extrapolation. They know
+      nothing of derivatives, so they find a wrong sign, a missing factor, a dropped term and a gradient that is zero;
+    * with Mitsuba's `prb`, at other seeds.
+
+    Each comparison is a t-test over independent seeds, at Sidak's level. Seeds are added until the standard error is
+    below `precision` of the derivative, or there are `most_seeds`.
+
+    Args:
+        scene: A dict of Mitsuba's schema, the name of a built-in scene, or a file.
+        key: The parameter, as in `djpt.traverse`.
+        spp: Samples per pixel of each render.
+        seeds: Renders of each estimate at first.
+        most_seeds: At most.
+        precision: The standard error that is aimed at, relative to the largest derivative.
+        samples: How many single entries of large parameters, such as textures, are checked.
+        significance: The probability that a right gradient fails in any comparison, as far as noise goes.
+        sensor: The number of the sensor.
+        seed: Changes all seeds.
+        width: Pixels, instead of the scene's.
+        height: Pixels, instead of the scene's.
+        integrator: Instead of the scene's.
+        mitsuba: Compare with Mitsuba: None if it can be done (it is installed and knows the scene and the parameter).
+        progress: Called with (seeds done, seeds so far); True shows a bar.
+
+    Raises:
+        ParameterError: There is no such parameter, it has no derivatives, or can't be changed.
+        ComparisonError: Mitsuba is asked for and can't do it.
+        SceneError: The scene is wrong.
+        RenderError: Arguments are out of range.
+    """
+    name, description = described(scene)
+    description = override(description, width=width, height=height, integrator=integrator)
+    first = check_seed("seed", seed)
+    spp, seeds = max(1, check_count("spp", spp)), max(3, check_count("seeds", seeds))
+    most_seeds = max(seeds, check_count("most_seeds", most_seeds))
+    loss = Loss(description, key, spp, sensor, first)
+    theirs, notes = mitsuba_loss(description, loss, mitsuba)
+    numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
+    directions = directions_of(loss.values, loss.reverse(numbers[0]), samples, first)
+    record = Record(loss, theirs, [(d, choose_step(loss, d.vector)) for d in directions])
+    with watched(progress, "checking", "seeds") as shown:
+        while True:
+            record.extend(numbers, seeds, most_seeds, shown)
+            if record.precision() <= precision or seeds >= most_seeds:
+                break
+            seeds = min(GROWTH * seeds, most_seeds)
+    return GradientCheck(
+        name=name,
+        key=key,
+        value=loss.values,
+        gradient=np.mean(record.gradients, axis=0),
+        verdicts=tuple(record.verdicts(significance)),
+        seeds=len(record.gradients),
+        spp=spp,
+        resolution=record.precision(),
+        derivative=record.forward[0].image / len(record.gradients),
+        by_differences=record.differences[0].image / len(record.gradients),
+        notes=tuple(notes),
+    )
+
+
+def mitsuba_loss(
+    description: Mapping[str, Any], loss: Loss, wanted: bool | None
+) -> tuple[MitsubaLoss | None, list[str]]:
+    """The loss in Mitsuba, or a note that says why there is none."""
+    if wanted is False:
+        return None, ["not compared with Mitsuba"]
+    try:
+        return MitsubaLoss(description, loss.key, loss.spp, loss.sensor, loss), []
+    except (BackendError, ComparisonError) as error:
+        if wanted:
+            raise
+        return None, [f"not compared with Mitsuba: {error}".splitlines()[0]]
+
+
+class Series:
+    """The derivatives of a loss at one seed after the other, and the sum of the derivative images."""
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+        self.image: Any = 0.0
+        self.error = 0.0
+        """The largest change that halving the step made, for finite differences: the mean over seeds."""
+
+    def add(self, value: float, image: Floats) -> None:
+        """Add the derivatives at a seed."""
+        self.values.append(value)
+        self.image = self.image + image
+
+    @property
+    def sample(self) -> Sample:
+        """The values."""
+        return Sample(tuple(self.values))
+
+
+class Record:
+    """All estimates so far."""
+
+    def __init__(self, loss: Loss, theirs: MitsubaLoss | None, steps: list[tuple[Direction, Step]]) -> None:
+        self.loss, self.theirs, self.steps = loss, theirs, steps
+        self.gradients: list[Floats] = []
+        self.mitsuba: list[Floats] = []
+        self.forward = [Series() for _ in steps]
+        self.differences = [Series() for _ in steps]
+        self.changes: list[list[float]] = [[] for _ in steps]
+
+    def extend(self, numbers: list[int], count: int, most: int, progress: Progress | None) -> None:
+        """Add seeds until there are `count`; Mitsuba has the second half of the numbers."""
+        for place in range(len(self.gradients), count):
+            number = numbers[place]
+            self.gradients.append(self.loss.reverse(number))
+            for i, (direction, step) in enumerate(self.steps):
+                image = self.loss.forward(direction.vector, number)
+                self.forward[i].add(self.loss.value(image), image)
+                found: Difference = step.difference(number)
+                self.differences[i].add(found.loss, found.image)
+                self.changes[i].append(found.error)
+            if self.theirs is not None:
+                self.mitsuba.append(self.theirs.reverse(numbers[most + place]))
+            if progress:
+                progress(place + 1, count)
+
+    def along(self, gradients: list[Floats], direction: Direction) -> Sample:
+        """The derivatives in a direction by reverse mode."""
+        return Sample(tuple(float(gradient @ direction.vector) for gradient in gradients))
+
+    def precision(self) -> float:
+        """The largest standard error of a difference to finite differences, relative to the largest derivative."""
+        errors, sizes = [], []
+        for (direction, _), series in zip(self.steps, self.differences, strict=True):
+            ours = self.along(self.gradients, direction)
+            errors.append(Sample(tuple(a - b for a, b in zip(ours.values, series.values, strict=True))).error)
+            sizes.append(max(abs(ours.mean), abs(series.sample.mean)))
+        return max(errors) / max(sizes) if max(sizes) > 0 else 0.0
+
+    def verdicts(self, significance: float) -> list[Verdict]:
+        """All comparisons."""
+        found = []
+        tests = len(self.steps) * (2 + (self.theirs is not None))
+        for i, (direction, _) in enumerate(self.steps):
+            ours = self.along(self.gradients, direction)
+            label = f"{direction.name}, " if direction.name else ""
+            found.append(paired(f"{label}forward mode", ours, self.forward[i].sample, 0.0, significance, tests))
+            # Halving the step takes most of the truncation error away, and extrapolation most of the rest.
+            slack = abs(float(np.mean(self.changes[i]))) / 3
+            found.append(paired(f"{label}differences", ours, self.differences[i].sample, slack, significance, tests))
+            if self.theirs is not None:
+                other = self.along(self.mitsuba, direction)
+                found.append(compared(f"{label}Mitsuba", ours, other, 0.0, significance, tests))
+        return found

@@ -1,0 +1,42 @@
+"""Directions in which a parameter is changed to see what its gradient should be."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Direction", "directions_of"]
+
+Floats = npt.NDArray[np.float64]
+
+
+class Direction(NamedTuple):
+    """A change of a parameter: the derivative in its direction is a number."""
+
+    name: str
+    vector: Floats
+    """The change of each entry, (n,)."""
+
+
+def directions_of(values: Floats, slopes: Floats, samples: int, seed: int) -> list[Direction]:
+    """The directions that a parameter of some entries is checked in.
+
+    Up to four entries: each by itself. More: all together; two random changes of sign, which no error of an entry that
+    matters survives; and `samples` entries, half of them those of the largest `slopes`, half drawn at random.
+    """
+    count = values.size
+    if count <= 4:
+        names = ("",) if count == 1 else tuple(f"[{i}]" for i in range(count))
+        return [Direction(name, row) for name, row in zip(names, np.eye(count), strict=True)]
+    rng = np.random.default_rng(seed)
+    found = [Direction("all entries", np.ones(count))]
+    found += [Direction(f"random signs {i}", rng.choice([-1.0, 1.0], count)) for i in (1, 2)]
+    largest = np.argsort(-np.abs(slopes))[: samples // 2]
+    drawn = rng.choice(count, size=min(count, samples - len(largest)), replace=False)
+    for entry in dict.fromkeys([*largest.tolist(), *drawn.tolist()]):
+        vector = np.zeros(count)
+        vector[entry] = 1.0
+        found.append(Direction(f"entry {entry}", vector))
+    return found

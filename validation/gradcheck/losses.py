@@ -1,0 +1,153 @@
+"""A loss of a scene's image in djpt and in Mitsuba, with its value and its derivatives at one seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from djpt.description.loader import load_dict
+from djpt.description.overrides import override
+from djpt.errors import ParameterError
+from djpt.parameters import traverse
+from djpt.rendering import render
+from djpt.validation.bridge import mitsuba_scene
+from djpt.validation.metrics import ComparisonError
+
+__all__ = ["Loss", "MitsubaLoss", "weights"]
+
+NEAR_ZERO = 1e-6
+"""Entries below this are taken for zero."""
+
+Floats = npt.NDArray[np.float64]
+
+
+def weights(shape: tuple[int, ...], seed: int) -> npt.NDArray[np.float32]:
+    """The weights of pixels in a loss: random numbers from 0.5 to 1.5, so that no errors of pixels cancel."""
+    return np.random.default_rng([seed, 77]).uniform(0.5, 1.5, shape).astype(np.float32)
+
+
+class Loss:
+    """The loss L = mean(weights * image) as a function of a parameter, in djpt.
+
+    Images and derivatives of one seed follow the same paths, so their noise is nearly the same.
+
+    Raises:
+        ParameterError: There is no such parameter, or it has no derivatives.
+    """
+
+    def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, seed: int) -> None:
+        self.scene, self.key, self.spp, self.sensor = load_dict(scene), key, spp, sensor
+        self.params = traverse(self.scene)
+        value = self.params[key]
+        if not self.params.flags(key).differentiable or not dr.is_array_v(value):
+            raise ParameterError(f"{key}: has no derivatives")
+        self.kind, self.shape = type(value), np.shape(np.array(value))
+        self.values: Floats = np.array(value, np.float64).ravel()
+        """The entries of the parameter where it is checked, (n,)."""
+        first = self.image(0)
+        if not first.size:
+            raise ComparisonError("the integrator makes no channels to check")
+        self.weights = weights(first.shape, seed)
+
+    def image(self, seed: int) -> npt.NDArray[np.float32]:
+        """The image, (H, W, C)."""
+        return np.array(self._rendered(seed), np.float32)
+
+    def image_at(self, entries: Floats, seed: int) -> npt.NDArray[np.float64]:
+        """The image for other entries of the parameter."""
+        self._assign(entries)
+        try:
+            return self.image(seed).astype(np.float64)
+        finally:
+            self._assign(self.values)
+
+    def allows(self, entries: Floats) -> bool:
+        """Whether the parameter can have these entries."""
+        try:
+            self._assign(entries)
+        except ParameterError:
+            return False
+        finally:
+            self._assign(self.values)
+        return True
+
+    def value(self, image: npt.NDArray[np.floating]) -> float:
+        """The loss of an image."""
+        return float(np.mean(np.asarray(image, np.float64) * self.weights))
+
+    def reverse(self, seed: int) -> Floats:
+        """The derivative of the loss by each entry, by reverse mode, (n,)."""
+        self._attach()
+        try:
+            image = self._rendered(seed)
+            dr.backward(dr.mean(image * type(image)(self.weights), axis=None))
+            return np.array(dr.grad(self.params[self.key]), np.float64).ravel()
+        finally:
+            self._assign(self.values)
+
+    def forward(self, direction: Floats, seed: int) -> npt.NDArray[np.float64]:
+        """The derivative of the image in a direction, by forward mode, (H, W, C)."""
+        self._attach()
+        try:
+            dr.set_grad(self.params[self.key], self._typed(direction))
+            return np.array(dr.forward_to(self._rendered(seed)), np.float64)
+        finally:
+            self._assign(self.values)
+
+    def _rendered(self, seed: int) -> Any:
+        # One seed for image and gradient: the same paths.
+        return render(self.scene, self.params, sensor=self.sensor, spp=self.spp, seed=seed, seed_grad=seed)
+
+    def _typed(self, entries: Floats) -> Any:
+        return self.kind(np.ascontiguousarray(entries.reshape(self.shape), np.float32))
+
+    def _assign(self, entries: Floats) -> None:
+        self.params[self.key] = self._typed(entries)
+        self.params.update()
+
+    def _attach(self) -> None:
+        self._assign(self.values)
+        dr.enable_grad(self.params[self.key])
+        self.params.update()
+
+
+REPLAYING = {"path": "prb", "volpath": "prbvolpath", "volpathmis": "prbvolpath"}
+"""Mitsuba's integrators that need not record loops to be differentiated, in place of others."""
+
+
+class MitsubaLoss:
+    """The same loss in Mitsuba, with its integrators `prb` and `prbvolpath`; only reverse mode.
+
+    Raises:
+        ComparisonError: Mitsuba can't load the scene, has no such parameter, or is wrong at this value.
+    """
+
+    def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, like: Loss) -> None:
+        self.key, self.spp, self.sensor, self.like = key, spp, sensor, like
+        if np.any(np.abs(like.values) < NEAR_ZERO):
+            raise ComparisonError("its replay divides by what it differentiates, which is zero here")
+        node = scene.get("integrator")
+        kind = node.get("type") if isinstance(node, Mapping) else None
+        if kind in REPLAYING:
+            scene = override(scene, integrator={**node, "type": REPLAYING[kind]})  # type: ignore[dict-item]
+        with mitsuba_scene(scene) as (mi, loaded):
+            self.scene, self.params = loaded, mi.traverse(loaded)
+            if key not in self.params:
+                raise ComparisonError(f"Mitsuba has no parameter '{key}'")
+            if np.array(self.params[key]).size != like.values.size:
+                raise ComparisonError(f"Mitsuba's parameter '{key}' has {np.array(self.params[key]).size} entries")
+
+    def reverse(self, seed: int) -> Floats:
+        """The derivative of the loss by each entry, (n,)."""
+        with mitsuba_scene(None) as (mi, _):
+            dr.enable_grad(self.params[self.key])
+            self.params.update()
+            image = mi.render(self.scene, self.params, sensor=self.sensor, spp=self.spp, seed=seed)
+            dr.backward(dr.mean(image * type(image)(self.like.weights), axis=None))
+            found = np.array(dr.grad(self.params[self.key]), np.float64).ravel()
+            dr.disable_grad(self.params[self.key])
+            return found
