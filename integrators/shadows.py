@@ -15,12 +15,12 @@ from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, R
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream, go_on_with
 from djpt.samplers.independent import IndependentStream
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["light_through_null"]
+__all__ = ["Aim", "aimed", "light_through_null", "passable_surfaces"]
 
 
 @dataclass
@@ -96,8 +96,7 @@ class Way:
 
     def __init__(self, scene: Scene, ray: Ray3f) -> None:
         self._scene, self._ray = scene, ray
-        null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
-        self._surfaces = PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+        self._surfaces = passable_surfaces(scene)
 
     def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
         """The end of the ray, whose `light` is the share that arrives; with its passage if `measured`.
@@ -215,16 +214,49 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f
     return dr.replace_grad(arrives, attached)  # type: ignore[func-returns-value, return-value]
 
 
+def passable_surfaces(scene: Scene) -> PassableSurfaces:
+    """Queries of a scene that tell its null surfaces from all others."""
+    null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
+    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+
+
+@dataclass
+class Aim:
+    """What a shadow ray is aimed at."""
+
+    place: Point3f
+    """The light's place, or the direction to it."""
+    finite: Bool
+    """True if it is a place."""
+
+    @staticmethod
+    def of(ray: Ray3f) -> Aim:
+        """That of a shadow ray of light sampling."""
+        finite = ray.maxt < dr.inf
+        return Aim(Point3f(dr.select(finite, ray.o + ray.d, ray.d)), finite)
+
+    def ray_from(self, o: Point3f, medium: UInt32 | None) -> Ray3f:
+        """The way to the light from a point `o`, with a unit direction: see `aimed`."""
+        return toward(o, Vector3f(self.place - o), self.finite, Vector3f(self.place), medium)
+
+    def lies_ahead(self, ray: Ray3f, d: Vector3f) -> Bool:
+        """True unless the light lies on the surface that `ray` has just left, in the direction `d`."""
+        return ~self.finite | (dr.dot(self.place - ray.o, d) > 0)
+
+
 def aimed(ray: Ray3f, o: Point3f, medium: UInt32 | None) -> Ray3f:
     """The rest of a shadow ray from a point `o` on, with a unit direction.
 
     It is aimed again at the light: `o` was moved off a surface, and at a grazing angle the former direction would end
     behind the light.
     """
-    finite = ray.maxt < dr.inf
-    to_light = ray.o + ray.d - o
+    return toward(o, ray.o + ray.d - o, ray.maxt < dr.inf, ray.d, medium)
+
+
+def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UInt32 | None) -> Ray3f:
+    """The ray from `o` to a light: over the vector `to_light` if that is `finite`, else in the direction `d`."""
     distance = dr.norm(to_light)
-    d = dr.select(finite, to_light * dr.rcp(distance), ray.d)
+    d = dr.select(finite, to_light * dr.rcp(distance), d)
     return Ray3f(o, d, maxt=dr.select(finite, distance * (1 - SHADOW_EPSILON), dr.inf), medium=medium)
 
 
