@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.geometry.passable import PassableSurfaces
-from djpt.kernels import if_stmt, wide
+from djpt.kernels import wide
 from djpt.media.differentials import own_stream
 from djpt.media.flight import FAR
 from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
@@ -107,17 +107,19 @@ class Way:
         free = ~self._surfaces.blocked(ray, lit) if self._surfaces.are_apart else Bool(True)
         t, face, near = self._next(aimed(ray, ray.o, ray.medium))
         start = Shadow(
-            o=wide(ray.o, lanes),
-            medium=wide(ray.medium, lanes),
-            t=wide(t, lanes),
-            face=wide(face, lanes),
-            near=wide(near, lanes),
-            light=wide(dr.select(free, Color3f(1), 0), lanes),
-            passage=wide(begun(self._scene, ray), lanes) if measured else None,
+            o=ray.o,
+            medium=ray.medium,
+            t=t,
+            face=face,
+            near=near,
+            light=dr.select(free, Color3f(1), 0),
+            passage=begun(self._scene, ray) if measured else None,
             sampler=sampler,
-            active=(lit & free) & dr.full(Bool, True, lanes),
+            active=lit & free,
         )
-        (end,) = dr.while_loop((start,), lambda shadow: shadow.active, self._pass_medium, label="shadow")
+        # Most shadow rays end within their medium: the loop is for the others.
+        first = wide(self._pass_medium(start), lanes)
+        (end,) = dr.while_loop((first,), lambda shadow: shadow.active, self._go_on, label="shadow")
         return end
 
     def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any]:
@@ -125,24 +127,25 @@ class Way:
         hit = self._surfaces.closest(ray) if self._surfaces.are_apart else self._scene.closest_hit(ray)
         return hit.t, hit.face, hit.near
 
-    def _pass_medium(self, shadow: Shadow) -> tuple[Shadow]:
-        """Go on to the next surface, and through it."""
-        scene, segment = self._scene, aimed(self._ray, shadow.o, shadow.medium)
+    def _go_on(self, shadow: Shadow) -> tuple[Shadow]:
+        """Go through a surface, and on to the next one."""
+        return (self._pass_medium(self._pass_surface(shadow)),)
+
+    def _pass_medium(self, shadow: Shadow) -> Shadow:
+        """Go on to the next surface, where `active`; afterwards true where it is to be passed."""
+        scene, segment, active = self._scene, aimed(self._ray, shadow.o, shadow.medium), shadow.active
         hit, stopped = shadow.t < dr.inf, Bool(False)
         segment.maxt = dr.select(hit, shadow.t, segment.maxt)
         if not self._surfaces.are_apart:
             stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
         sampler = shadow.sampler
-        left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
-        light = dr.select(stopped, 0, left)
+        left = shadow.light * left_over(scene, sampler, segment, active & ~stopped)
+        light = dr.select(active, dr.select(stopped, 0, left), shadow.light)
         passage = shadow.passage
         if passage is not None:
-            passage = longer(scene, passage, segment, shadow.active & ~stopped)
-        goes_on = shadow.active & hit & (dr.max(light) > 0)
-        after = replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
-        # Most shadow rays end within their medium.
-        (after,) = if_stmt((after,), goes_on, lambda shadow: (self._pass_surface(shadow),), lambda shadow: (shadow,))
-        return (after,)
+            passage = longer(scene, passage, segment, active & ~stopped)
+        goes_on = active & hit & (dr.max(light) > 0)
+        return replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
 
     def _pass_surface(self, shadow: Shadow) -> Shadow:
         """Go through a surface, and find the next one."""
