@@ -71,8 +71,9 @@ def light_through_null(
     lit = shines if lit is None else shines | lit
     if not scene.has_null:
         # What stands in the way needs no light in the medium.
-        free = ~scene.geometry.any_hit(ray, lit)
-        return dr.select(free, light * left_over(scene, sampler, aimed(ray, ray.o, ray.medium), lit & free), 0)
+        way = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
+        free = ~scene.geometry.any_hit(way, lit)
+        return dr.select(free, light * left_over(scene, sampler, way, lit & free), 0)
     differentiable = any(
         scene.lookup.attaches(leaf) for ensemble in scene.media.ensembles for leaf in ensemble.leaves()
     )
@@ -104,8 +105,9 @@ class Way:
         Where not `lit`, the result means nothing.
         """
         ray, lanes = self._ray, dr.width(self._ray, lit, sampler)
-        free = ~self._surfaces.blocked(ray, lit) if self._surfaces.are_apart else Bool(True)
-        t, face, near = self._next(aimed(ray, ray.o, ray.medium))
+        way = aimed(ray, ray.o, ray.medium)
+        free = ~self._surfaces.blocked(way, lit) if self._surfaces.are_apart else Bool(True)
+        t, face, near = self._next(way)
         start = Shadow(
             o=ray.o,
             medium=ray.medium,
@@ -258,9 +260,10 @@ def aimed(ray: Ray3f, o: Point3f, medium: UInt32 | None) -> Ray3f:
 
 def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UInt32 | None) -> Ray3f:
     """The ray from `o` to a light: over the vector `to_light` if that is `finite`, else in the direction `d`."""
-    distance = dr.norm(to_light)
-    d = dr.select(finite, to_light * dr.rcp(distance), d)
-    return Ray3f(o, d, maxt=dr.select(finite, distance * (1 - SHADOW_EPSILON), dr.inf), medium=medium)
+    squared = dr.squared_norm(to_light)
+    inverse = dr.rsqrt(squared)
+    maxt = dr.select(finite, squared * inverse * (1 - SHADOW_EPSILON), dr.inf)
+    return Ray3f(o, dr.select(finite, to_light * inverse, d), maxt=maxt, medium=medium)
 
 
 def left_over(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> Color3f:

@@ -177,11 +177,12 @@ class Walk:
         crosses &= aim.lies_ahead(beyond, ray.d)
 
         # ----------------- The shadow ray ---------------------
-        if self._surfaces.are_apart:
-            lit &= ~self._surfaces.blocked(v.shadow_ray, lit)
-        pending, leaves = dr.select(lit, v.reflected, pending), dr.select(crosses, beyond, v.shadow_ray)
-        way, on = aim.ray_from(leaves.o, leaves.medium), lit | crosses
+        leaves = dr.select(crosses, beyond, v.shadow_ray)
+        way = aim.ray_from(leaves.o, leaves.medium)
         way.times = ray.times
+        if self._surfaces.are_apart:
+            lit &= ~self._surfaces.blocked(way, lit)
+        pending, on = dr.select(lit, v.reflected, pending), lit | crosses
         ahead = None
         if self._surfaces.are_apart:
             ahead = self._surfaces.closest(way)
