@@ -110,7 +110,10 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+SLOW = ("under a map", "hidden emitters", "fog", "no media", "glowing")
+
+
+@pytest.mark.parametrize("name", [pytest.param(k, marks=pytest.mark.slow if k in SLOW else ()) for k in SCENES])
 def test_as_flat(name: str, tmp_path: Path) -> None:
     """Equal to rounding: each sample has the same random numbers, in the same order."""
     scene = djpt.load_dict(SCENES[name](tmp_path))
@@ -136,7 +139,15 @@ def test_images_are_repeatable(tmp_path: Path) -> None:
         np.testing.assert_array_equal(first, other)
 
 
-@pytest.mark.parametrize("medium", [smoke(1, 1.0), smoke(3, 1.0), fog(3.0, 1.0)], ids=["grey", "coloured", "fog"])
+@pytest.mark.parametrize(
+    "medium",
+    [
+        smoke(1, 1.0),
+        pytest.param(smoke(3, 1.0), marks=pytest.mark.slow),
+        pytest.param(fog(3.0, 1.0), marks=pytest.mark.slow),
+    ],
+    ids=["grey", "coloured", "fog"],
+)
 def test_furnace(medium: dict[str, Any]) -> None:
     """What only scatters is invisible under a white sky."""
     scene = lit_ball(None, max_depth=-1)
