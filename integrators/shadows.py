@@ -20,7 +20,7 @@ from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["Aim", "aimed", "light_through_null", "passable_surfaces"]
+__all__ = ["Aim", "light_through_null", "passable_surfaces"]
 
 
 @dataclass
