@@ -44,7 +44,7 @@ class Integrator(Plugin):
     kind: ClassVar[str] = "integrator"
 
     schedules: tuple[str, ...] = ("wave",)
-    """The schedules that can run it: see `djpt.schedules`."""
+    """The schedules that can run it, by their modules: see `djpt.schedules`."""
 
     needs_light = False
     """True if every image is black without an emitter: `render` then refuses."""
