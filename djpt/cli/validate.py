@@ -25,10 +25,17 @@ __all__ = ["command", "table"]
 @click.option("--integrator", "integrators", multiple=True, help="Only this integrator; may be repeated.")
 @click.option("--spp", type=int, default=1024, help="Samples of each of 64 pixels, which all see the same.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@click.option("--markdown", is_flag=True, help="Print a table in Markdown.")
 @options.seed
 @options.quiet
 def command(
-    names: tuple[str, ...], integrators: tuple[str, ...], spp: int, as_json: bool, seed: int, quiet: bool
+    names: tuple[str, ...],
+    integrators: tuple[str, ...],
+    spp: int,
+    as_json: bool,
+    markdown: bool,
+    seed: int,
+    quiet: bool,
 ) -> None:
     """Compare integrators with closed forms.
 
@@ -48,7 +55,7 @@ def command(
     outcomes = []
     for outcome in validate(cases, integrators or None, spp=spp, seed=seed):
         outcomes.append(outcome)
-        if not (quiet or as_json):
+        if not (quiet or as_json or markdown):
             good = "ok" if outcome.passed else "FAILED"
             print(
                 f"{outcome.case:<20} {outcome.integrator:<12} {outcome.found:.5f} +- {outcome.error:.1e}  "
@@ -57,8 +64,10 @@ def command(
             )
     if as_json:
         print(json.dumps([asdict(outcome) | {"passed": outcome.passed} for outcome in outcomes], indent=1))
+    if markdown:
+        print(table(cases, outcomes))
     wrong = sum(not outcome.passed for outcome in outcomes)
-    if not (quiet or as_json):
+    if not (quiet or as_json or markdown):
         print(f"{len(outcomes) - wrong} of {len(outcomes)} are right")
     if wrong:
         raise click.exceptions.Exit(ExitCode.DIFFERENT)
@@ -69,6 +78,8 @@ def table(cases: Sequence[ClosedForm], outcomes: Sequence[Outcome]) -> str:
     lines = ["| closed form | formula | source | integrators | worst error |", "|---|---|---|---|---|"]
     for case in cases:
         of_case = [outcome for outcome in outcomes if outcome.case == case.name]
+        if not of_case:
+            continue
         worst = max(of_case, key=lambda outcome: abs(outcome.z))
         names = ", ".join(f"`{outcome.integrator}`" + ("" if outcome.passed else " (wrong)") for outcome in of_case)
         formula = case.formula.replace("|", "\\|")

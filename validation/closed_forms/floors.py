@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
 
 from djpt.transforms import ScalarTransform4f as T
-from djpt.validation.closed_forms.base import ALBEDO, ClosedForm, area, floor
+from djpt.validation.closed_forms.base import ALBEDO, ClosedForm, area, camera, floor
 
 __all__ = ["FLOORS"]
 
@@ -38,6 +41,30 @@ def disk_overhead(radius: float, height: float) -> float:
     return radius**2 / (radius**2 + height**2)
 
 
+def half_a_sky() -> dict[str, Any]:
+    """A black endless wall hides half of the sky from the foot of it."""
+    black = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": 0.0}}
+    turned = T().translate([-1e-3, 0, 0]).rotate([0, 1, 0], 90).scale(1000.0)
+    wall = {"type": "rectangle", "to_world": turned, "bsdf": black}
+    return floor(sky={"type": "constant", "radiance": RADIANCE}, wall=wall)
+
+
+def painted() -> dict[str, Any]:
+    """A rectangle with a dark half below a bright one, under a sky; the camera sees the bright half, where v > 1/2."""
+    paint = {
+        "type": "bitmap",
+        "data": np.array([[0.2], [0.8]], np.float32)[..., None].repeat(3, axis=2),
+        "raw": True,
+        "filter_type": "nearest",
+    }
+    return {
+        "type": "scene",
+        "sensor": camera((0, 0.5, 0), (0, 0.5, 3.0)),
+        "sky": {"type": "constant", "radiance": RADIANCE},
+        "picture": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": paint}},
+    }
+
+
 FLOORS = (
     ClosedForm(
         "point light",
@@ -56,6 +83,38 @@ FLOORS = (
         ALBEDO / math.pi * 2.0 * 0.5,
         2,
         (*SAMPLING_LIGHTS, "whitted"),
+    ),
+    ClosedForm(
+        "two lights",
+        "L = rho / pi (I_1 cos_1 / r_1^2 + I_2 cos_2 / r_2^2)",
+        "light adds up",
+        lambda: floor(
+            near={"type": "point", "position": [0, 0, 1.0], "intensity": 1.0},
+            far={"type": "point", "position": [0, 0, 2.0], "intensity": 12.0},
+        ),
+        ALBEDO / math.pi * (1.0 + 12.0 / 4),
+        2,
+        tuple(name for name in SAMPLING_LIGHTS if name != "distributed"),
+    ),
+    ClosedForm(
+        "half a sky",
+        "L = rho e / 2",
+        "form factor 1/2 of a half space seen edge-on",
+        half_a_sky,
+        ALBEDO * RADIANCE / 2,
+        2,
+        (*SAMPLING_LIGHTS, *BY_CHANCE),
+        1e-3,
+    ),
+    ClosedForm(
+        "painted floor",
+        "L = rho(u, v) e",
+        "texture coordinates: the rows of a bitmap begin at v = 0",
+        painted,
+        0.8 * RADIANCE,
+        2,
+        (*SAMPLING_LIGHTS, *BY_CHANCE),
+        3e-4,
     ),
     ClosedForm(
         "white sky",

@@ -52,6 +52,13 @@ def metal() -> dict[str, Any]:
     return scene
 
 
+def water() -> dict[str, Any]:
+    """Water over a black floor that shines, seen from above at ANGLE."""
+    glass = {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.0}
+    return pane(type="rectangle", to_world=T().scale(20.0), bsdf=glass)
+
+
+W = dielectric(ANGLE, 1.33)
 R = dielectric(ANGLE, 1.5)
 THIN = 2 * R / (1 + R)
 DEPTH = 16
@@ -79,6 +86,15 @@ GLASS = (
         slab,
         ABOVE * UP + BELOW * DOWN,
         DEPTH,
+        FOLLOWING,
+    ),
+    ClosedForm(
+        "lamp under water",
+        "L = R e_above + (1 - R) e_below / eta^2",
+        "basic radiance, R. Clausius (1864); F. Nicodemus (1963)",
+        water,
+        ABOVE * W + BELOW * (1 - W) / 1.33**2,
+        2,
         FOLLOWING,
     ),
     ClosedForm(

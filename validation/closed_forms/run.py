@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from djpt.description.loader import load_dict
 from djpt.description.registry import registered
@@ -64,6 +65,7 @@ def validate(
     spp: int = 1024,
     seed: int = 0,
     significance: float = 1e-3,
+    settings: Mapping[str, Any] | None = None,
 ) -> Iterator[Outcome]:
     """Render closed forms with the integrators that find all of their light, and compare the means.
 
@@ -73,6 +75,7 @@ def validate(
         spp: Samples of each of the 64 pixels, all of which see the same.
         seed: Of the images.
         significance: The probability that a right integrator fails in any of the comparisons of this call.
+        settings: Parameters of the integrators, such as ``rr_depth``; without them nothing ends paths by chance.
     """
     from scipy.stats import norm, t
 
@@ -85,7 +88,7 @@ def validate(
     ]
     critical = float(norm.isf(sidak(significance, max(1, len(pairs))) / 2))
     for case, name in pairs:
-        means = [float(np.mean(image)) for image in images(case, name, spp, seed)]
+        means = [float(np.mean(image)) for image in images(case, name, spp, seed, settings)]
         found, error = float(np.mean(means)), float(np.std(means, ddof=1) / np.sqrt(BATCHES))
         difference = found - case.radiance
         beyond = max(0.0, abs(difference) - case.exact * case.radiance)
@@ -95,11 +98,14 @@ def validate(
         yield Outcome(case.name, name, case.radiance, found, error, z, critical)
 
 
-def images(case: ClosedForm, name: str, spp: int, seed: int) -> Iterator[Any]:
+def images(
+    case: ClosedForm, name: str, spp: int, seed: int, settings: Mapping[str, Any] | None
+) -> Iterator[npt.NDArray[np.float32]]:
     """Independent images of a closed form."""
     scene = load_dict(case.scene())
     limit = {} if name in ("direct",) else {"max_depth": case.depth}
-    settings = WITHOUT_ROULETTE.get(name, {"rr_depth": case.depth + 1})
+    if settings is None:
+        settings = WITHOUT_ROULETTE.get(name, {"rr_depth": case.depth + 1})
     integrator = load_dict({"type": name, **settings, **limit})
     for number in np.random.SeedSequence([seed, 13]).generate_state(BATCHES):
         yield np.array(render(scene, integrator=integrator, spp=max(1, spp // BATCHES), seed=int(number)))
