@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.frame import Frame3f
-from djpt.integrators.both_ends import End, Scattering, balance, evaluate, meeting, mis_weight, power, scatter
+from djpt.integrators.both_ends import (
+    CameraHit,
+    CameraStep,
+    End,
+    LightHit,
+    LightStep,
+    Scattering,
+    balance,
+    evaluate,
+    meeting,
+    mis_weight,
+    power,
+    scaled,
+    scatter,
+)
+from djpt.integrators.light_paths import LightVertex, departure
 from djpt.integrators.splatting import Sink, SplattingIntegrator
 from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
-from djpt.kernels import loop_traced_once, maximum, minimum, while_loop, wide
+from djpt.kernels import loop_traced_once, minimum, while_loop, wide
 from djpt.records import (
-    RAY_EPSILON,
     BSDFFlags,
     DirectionSample3f,
     EmitterFlags,
@@ -27,10 +40,9 @@ from djpt.records import (
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.records.record import Record
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -42,45 +54,6 @@ JOINED = 32
 
 LITTLE = 0.25
 """A share of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
-
-
-class LightVertex(Record):
-    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there.
-
-    What nobody reads costs nothing: LLVM leaves it out.
-    """
-
-    p: Point3f
-    n: Normal3f
-    sh_frame: Frame3f
-    uv: Point2f
-    dp_du: Vector3f
-    dp_dv: Vector3f
-    prim_uv: Point2f
-    wi: Vector3f
-    face: UInt32
-    shape_index: UInt32
-    flux: Color3f
-    vcm: Float
-    vc: Float
-    depth: UInt32
-
-    @staticmethod
-    def at(si: SurfaceInteraction3f, end: End, flux: Color3f) -> LightVertex:
-        """The vertex `si`, where the `end` of a light path has arrived with a flux."""
-        kept = {name: getattr(si, name) for name in SURFACE}
-        vertex: LightVertex = LightVertex.holding(**kept, flux=flux, vcm=end.vcm, vc=end.vc, depth=end.depth)
-        return vertex
-
-    def surface(self, scene: Scene) -> SurfaceInteraction3f:
-        """The surface point."""
-        kept = {name: getattr(self, name) for name in SURFACE}
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=(), home={scene: ()})
-        return si
-
-
-SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
-"""The fields of a surface point that BSDFs look at."""
 
 
 @dataclass
@@ -102,9 +75,6 @@ class CameraLane(Lane):
 
     radiance: Color3f
     covered: Bool
-
-
-AnyLane = TypeVar("AnyLane", bound=Lane)
 
 
 class BidirectionalPath(SplattingIntegrator):
@@ -155,10 +125,6 @@ class BidirectionalPath(SplattingIntegrator):
             )
         super().check_scene(scene, sensor)
 
-    def prepare_scene(self, scene: Scene) -> None:
-        super().prepare_scene(scene)
-        scene.brightness  # noqa: B018
-
     def splat_sample(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
     ) -> tuple[Color3f, Bool, list[Float]]:
@@ -168,12 +134,19 @@ class BidirectionalPath(SplattingIntegrator):
             end=wide(end, lanes),
             sampler=sampler,
             active=dr.full(Bool, self.joined > 1, lanes),
-            vertices=dr.alloc_local(LightVertex, max(1, self.joined - 1)),
+            vertices=self.room(),
             count=dr.zeros(UInt32, lanes),
         )
 
         def from_light(lane: Lane) -> tuple[Lane]:
-            return (self.light_vertex(scene, camera, lane, power, ledger),)
+            hit = self.light_hit(scene, lane.end, power, lane.active)
+            lane.vertices.write(hit.vertex, lane.count, hit.joins)
+            step = self.light_step(scene, camera, hit, lane.sampler)
+            if step.shown is not None:
+                ledger.show(step.position, step.shown, step.weight, hit.end.depth + 1)
+            lane.end, lane.active = step.end, step.active
+            lane.count = dr.select(hit.joins, lane.count + 1, lane.count)
+            return (lane,)
 
         (light,) = loop_traced_once(light, lambda lane: lane.active, from_light, "light path")
         camera_path = CameraLane(
@@ -187,30 +160,57 @@ class BidirectionalPath(SplattingIntegrator):
         )
 
         def from_camera(lane: CameraLane) -> tuple[CameraLane]:
-            return (self.camera_vertex(scene, lane, ray.maxt, ledger),)
+            hit = self.camera_hit(scene, lane.end, ray.maxt, lane.covered, lane.active)
+            t = hit.end.depth + 1
+            radiance = lane.radiance + ledger.weighed(hit.met, hit.weight, UInt32(0), t)
+            step = self.camera_step(scene, hit, lane.sampler)
+            radiance += ledger.weighed(step.lit, step.weight, UInt32(1), t)
+
+            def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
+                v = vertices.read(i)
+                way, value, weight = self.connection(hit.end, hit.si, v, v.surface(scene))
+                value = self.through(scene, sampler, way, value, weight, radiance)
+                return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), sampler, vertices
+
+            count = dr.select(hit.joins, lane.count, 0)
+            _, lane.radiance, lane.sampler, lane.vertices = while_loop(
+                (dr.zeros(UInt32, dr.width(count)), radiance, lane.sampler, lane.vertices),
+                lambda i, radiance, sampler, vertices: i < count,
+                connect,
+                label="connections",
+            )
+            lane.covered |= step.covers
+            lane.end, lane.active = self.after(hit, step, lane.sampler)
+            return (lane,)
 
         (camera_path,) = loop_traced_once(camera_path, lambda lane: lane.active, from_camera, "camera path")
         sky = scene.environment() is not None and not self.hide_emitters and self.max_depth != 0
         return camera_path.radiance, camera_path.covered | sky, []
 
+    def room(self) -> Any:
+        """Local memory for the vertices of a light path."""
+        return dr.alloc_local(LightVertex, self.most_vertices)
+
+    @property
+    def most_vertices(self) -> int:
+        """The number of vertices of the longest light path that are joined."""
+        return max(1, self.joined - 1)
+
     # ---- from the light ----------------------------------------------------------------
 
     def at_light(self, scene: Scene, sampler: SampleStream) -> tuple[End, Float]:
         """A path that leaves an emitter, with throughputs up to 1, and the power that they are shares of."""
-        index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, sampler.next_1d())
-        emitter = scene.emitter_ptr(index)
-        es = emitter.sample_emission(sampler.next_2d(), sampler.next_2d())
-        # Off the surface, along the ray, whichever side that is.
-        a = dr.abs(es.ray.o)
-        largest = maximum(maximum(a.x, a.y), a.z)
-        o = dr.fma(es.ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), es.ray.o)
+        start = departure(scene, sampler)
+        es, inverse = start.sample, start.inverse
         # The density of light sampling over that of emission; the choice of the emitter is part of both.
         vcm = self.h(dr.rcp(dr.select(es.finite, es.pdf_direction, es.pdf_position)))
         if any(is_beam(e.flags()) for e in scene.emitters()):
-            vcm = dr.select(is_beam(emitter.flags()), 0, vcm)  # no light sample finds it
-        power = dr.max(es.weight) * inverse
+            vcm = dr.select(is_beam(start.emitter.flags()), 0, vcm)  # no light sample finds it
+        power = dr.detach(dr.max(es.weight) * inverse)
+        if dr.grad_enabled(es.weight):
+            power = dr.select(power > 0, power, 1)  # black light may have derivatives
         end = End(
-            ray=Ray3f(o, es.ray.d, medium=scene.medium_at(o)),
+            ray=start.ray(scene),
             throughput=es.weight * dr.select(power > 0, inverse * dr.rcp(power), 0),
             vcm=vcm,
             vc=dr.select(es.delta, 0, self.h(es.cos * inverse * dr.rcp(es.pdf_position * es.pdf_direction))),
@@ -220,32 +220,37 @@ class BidirectionalPath(SplattingIntegrator):
         )
         return end, power
 
-    def light_vertex(self, scene: Scene, camera: Sensor, lane: Lane, power: Float, ledger: Ledger) -> Lane:
-        """Keep the next vertex of a light path, and show it to the camera."""
-        si = scene.surface_interaction(lane.end.ray, scene.closest_hit(lane.end.ray), full=scene.needs_uv)
-        end, sampler = lane.end.arrived(scene, si, self.h), lane.sampler
-        on = lane.active & si.is_valid()
+    def light_hit(self, scene: Scene, end: End, power: Float, active: Bool) -> LightHit:
+        """Follow a light path to its next vertex."""
+        si = scene.surface_interaction(end.ray, scene.closest_hit(end.ray), full=scene.needs_uv)
+        end = end.arrived(scene, si, self.h)
+        on = active & si.is_valid()
         joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
         flux = end.throughput * power
-        lane.vertices.write(LightVertex.at(si, end, flux), lane.count, joins)
+        vertex = LightVertex.at(si, dr.detach(flux), end.vcm, end.vc, end.depth)
+        return LightHit(si, end, flux, vertex, joins, on)
 
-        to_camera = si.wi
+    def light_step(self, scene: Scene, camera: Sensor, hit: LightHit, sampler: SampleStream) -> LightStep:
+        """Show a vertex of a light path to the camera, and go on."""
+        si, end, joins = hit.si, hit.end, hit.joins
+        position, shown, weight, to_camera = Point2f(0), None, Float(0), si.wi
         if camera.can_be_reached:
             ds, importance = camera.look_from(si.p, sampler.next_2d() if camera.uses_aperture else Point2f(0.5))
-            to_camera = si.to_local(ds.d)
-        s = scatter(si, False, to_camera, sampler, on)
+            position, to_camera = ds.uv, si.to_local(ds.d)
+        s = scatter(si, False, to_camera, sampler, hit.active)
         if camera.can_be_reached:
-            value = flux * s.value * importance
+            shown = hit.flux * s.value * importance
             if self.hide_emitters:
-                value = dr.select(si.emitter().is_valid(), 0, value)
-            value = dr.select(joins, value, 0)
-            value = scene.light_between(si.spawn_ray_to(ds.p), value, through_lights=self.hide_emitters)
-            weight = mis_weight(meeting(end.vcm, end.vc, importance * dr.abs(dr.dot(si.n, ds.d)), s.back, self.h))
-            ledger.show(ds.uv, value, weight, end.depth + 1)
+                shown = dr.select(si.emitter().is_valid(), 0, shown)
+            shown = dr.select(joins, shown, 0)
+            lit = joins if dr.grad_enabled(shown) else None
+            shown = scene.light_between(si.spawn_ray_to(ds.p), shown, self.hide_emitters, lit)
+            here = importance * dr.abs(dr.dot(si.n, ds.d))
+            weight = mis_weight(meeting(end.vcm, end.vc, here, s.back, self.h))
 
-        on &= end.depth + 1 < self.joined
-        lane.count = dr.select(joins, lane.count + 1, lane.count)
-        return self.onwards(lane, end, si, s, end.depth > self.rr_depth, on)
+        onward, survives = self.onwards(sampler, end, si, s, end.depth > self.rr_depth)
+        active = hit.active & (end.depth + 1 < self.joined) & survives
+        return LightStep(position, shown, weight, onward, active)
 
     # ---- from the camera ---------------------------------------------------------------
 
@@ -258,48 +263,38 @@ class BidirectionalPath(SplattingIntegrator):
         eta = Float(1) if scene.refracts else None
         return End(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))
 
-    def camera_vertex(self, scene: Scene, lane: CameraLane, maxt: Float, ledger: Ledger) -> CameraLane:
-        """Add the light that the next vertex of a camera path sends back, by all strategies."""
-        first = lane.end.depth == 1
-        ray = lane.end.ray
-        ray = Ray3f(ray.o, ray.d, maxt=dr.select(first, maxt, dr.inf), medium=ray.medium)
+    def camera_hit(self, scene: Scene, end: End, maxt: Float, covered: Bool, active: Bool) -> CameraHit:
+        """Follow a camera path to its next vertex, where it may meet light."""
+        first = end.depth == 1
+        ray = Ray3f(end.ray.o, end.ray.d, maxt=dr.select(first, maxt, dr.inf), medium=end.ray.medium)
         hit = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
-        end, sampler, t = lane.end.arrived(scene, si, self.h), lane.sampler, lane.end.depth + 1
-        radiance = lane.radiance + self.met(scene, end, si, lane.covered, ledger)
-        on = lane.active & si.is_valid() & (end.depth < self.longest)
+        end = end.arrived(scene, si, self.h)
+        met, weight = self.met(scene, end, si, covered)
+        on = active & si.is_valid() & (end.depth < self.longest)
         joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
+        return CameraHit(si, end, met, weight, joins, on)
 
-        # ------------------- Light sampling -------------------
+    def camera_step(self, scene: Scene, hit: CameraHit, sampler: SampleStream) -> CameraStep:
+        """Sample light at a vertex of a camera path, and a continuation."""
+        si, end, joins = hit.si, hit.end, hit.joins
         light = scene.light_sampling.sample(Reference(si.p, si.n), sampler.next_2d(), joins)
         ds, to_light = light.ds, si.to_local(light.ds.d)
-        s = scatter(si, True, to_light, sampler, on)
+        s = scatter(si, True, to_light, sampler, hit.active)
         value = dr.select(joins, end.throughput * s.value * light.weight, 0)
-        value = scene.light_through(scene.shadow_ray(si, ds), value)
+        lit = scene.light_through(scene.shadow_ray(si, ds), value, joins if dr.grad_enabled(value) else None)
         weight = self.light_sample_weight(scene, end, si, ds, s)
-        radiance += ledger.weighed(value, weight, UInt32(1), t)
-
-        # --------------------- Connections --------------------
-        def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
-            v = vertices.read(i)
-            ray, value, weight = self.connection(end, si, v, v.surface(scene))
-            value = self.through(scene, sampler, ray, value, weight, radiance)
-            return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), sampler, vertices
-
-        count = dr.select(joins, lane.count, 0)
-        _, radiance, lane.sampler, lane.vertices = while_loop(
-            (dr.zeros(UInt32, dr.width(count)), radiance, sampler, lane.vertices),
-            lambda i, radiance, sampler, vertices: i < count,
-            connect,
-            label="connections",
-        )
-        lane.radiance = radiance
         passes = si.is_valid() & has_flag(s.sample.sampled_type, BSDFFlags.Null)
-        lane.covered |= si.is_valid() & ~passes
-        return self.onwards(lane, end, si, s, end.depth >= self.rr_depth, on)
+        return CameraStep(s, lit, weight, si.is_valid() & ~passes)
 
-    def met(self, scene: Scene, end: End, si: SurfaceInteraction3f, covered: Bool, ledger: Ledger) -> Color3f:
-        """The light of the surface, or of the sky, that a camera path has met: s = 0."""
+    def after(self, hit: CameraHit, step: CameraStep, sampler: SampleStream) -> tuple[End, Bool]:
+        """The camera path that goes on from a vertex, and where it does."""
+        begins = hit.end.depth >= self.rr_depth
+        onward, survives = self.onwards(sampler, hit.end, hit.si, step.scattering, begins)
+        return onward, hit.active & survives
+
+    def met(self, scene: Scene, end: End, si: SurfaceInteraction3f, covered: Bool) -> tuple[Color3f, Float]:
+        """The light of the surface, or of the sky, that a camera path has met, and its weight: s = 0."""
         emitter = si.emitter()
         radiance = end.throughput * emitter.eval(si)
         if self.hide_emitters:
@@ -309,8 +304,7 @@ class BidirectionalPath(SplattingIntegrator):
         # Light from infinity is sampled by direction, and its rays by position then.
         last, before = (dr.select(si.is_valid(), a, b) for a, b in ((position, direction), (direction, position)))
         others = meeting(end.vcm, self.shared(end.vc, end.depth), chosen * last, before, self.h)
-        weight = dr.select(end.depth == 1, 1, mis_weight(others))
-        return ledger.weighed(radiance, weight, UInt32(0), end.depth + 1)
+        return radiance, dr.select(end.depth == 1, 1, mis_weight(others))
 
     def light_sample_weight(
         self, scene: Scene, end: End, si: SurfaceInteraction3f, ds: DirectionSample3f, s: Scattering
@@ -363,19 +357,13 @@ class BidirectionalPath(SplattingIntegrator):
         return others if self.joined == self.longest else dr.select(edges <= self.joined, others, 0)
 
     def onwards(
-        self,
-        lane: AnyLane,
-        end: End,
-        si: SurfaceInteraction3f,
-        s: Scattering,
-        roulette_begins: Bool,
-        active: Bool,
-    ) -> AnyLane:
-        """A lane after its vertex `si`: the sampled continuation, or the end by Russian roulette."""
+        self, sampler: SampleStream, end: End, si: SurfaceInteraction3f, s: Scattering, roulette_begins: Bool
+    ) -> tuple[End, Bool]:
+        """The end of a path after its vertex `si`, by the sampled continuation, and where it survives roulette."""
         eta = None if end.eta is None else end.eta * s.sample.eta
-        throughput, survives = roulette(lane.sampler, end.throughput * s.weight, eta, roulette_begins)
-        lane.end, lane.active = end.scattered(si, s, throughput, self.h), active & survives
-        return lane
+        product, aside = scaled(end.throughput, end.aside, s.weight, lambda: si.bsdf().vanishes() & (s.sample.pdf > 0))
+        throughput, survives = roulette(sampler, product, eta, roulette_begins)
+        return replace(end, aside=aside).scattered(si, s, throughput, self.h), survives
 
 
 def is_beam(flags: Any) -> Any:

@@ -20,16 +20,35 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.dispatch.pointers import at_fixed_direction
+from djpt.integrators.base import SMALL
+from djpt.integrators.light_paths import LightVertex
 from djpt.materials.adjoint import eval_pdf_light, sample_light
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["End", "Heuristic", "Scattering", "balance", "evaluate", "meeting", "mis_weight", "power", "scatter"]
+__all__ = [
+    "CameraHit",
+    "CameraStep",
+    "End",
+    "Heuristic",
+    "LightHit",
+    "LightStep",
+    "Scattering",
+    "balance",
+    "evaluate",
+    "meeting",
+    "mis_weight",
+    "power",
+    "scaled",
+    "scatter",
+    "with_derivative",
+]
 
 Heuristic = Callable[[Float], Float]
 
@@ -76,6 +95,8 @@ class End:
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
     """The number of edges, the next one included."""
+    aside: Color3f | None = None
+    """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
 
     def arrived(self, scene: Scene, si: SurfaceInteraction3f, h: Heuristic) -> End:
         """The end at the hit `si` of its ray: densities are per unit area there, and media have taken their share."""
@@ -106,7 +127,30 @@ class End:
             before=Float(0),
             eta=None if self.eta is None else self.eta * s.sample.eta,
             depth=self.depth + 1,
+            aside=self.aside,
         )
+
+
+def scaled(
+    throughput: Color3f, aside: Color3f | None, weight: Color3f, differs: Callable[[], Bool]
+) -> tuple[Color3f, Color3f | None]:
+    """A throughput times the weight of a vertex, and what is set aside of it.
+
+    As in `PathState.carrying`, replays go on where a weight is 0 or too small to divide by: the first such factor of
+    each channel is set aside where the vertex `differs`. The throughput keeps the derivative of the product.
+    """
+    product = throughput * weight
+    if aside is None or not dr.grad_enabled(weight):
+        return product, aside
+    factor = dr.detach(weight)
+    small = (aside == 1) & (dr.abs(factor) < SMALL) & differs()
+    value = dr.detach(throughput) * dr.select(small, 1, factor)
+    return with_derivative(value, product), dr.select(small, factor, aside)
+
+
+def with_derivative(value: Color3f, other: Color3f) -> Color3f:
+    """The colour `value` with the derivative of another one."""
+    return dr.replace_grad(value, other)  # type: ignore[func-returns-value, return-value]
 
 
 @dataclass
@@ -124,6 +168,68 @@ class Scattering:
     """The density of the way back from the sampled direction."""
 
 
+@dataclass
+class LightHit:
+    """The next vertex of a light path, before light is scattered there."""
+
+    si: SurfaceInteraction3f
+    end: End
+    """The path that has arrived."""
+    flux: Color3f
+    vertex: LightVertex
+    """What is kept for connections."""
+    joins: Bool
+    """Whether other paths can be joined to it."""
+    active: Bool
+    """True where there is a surface."""
+
+
+@dataclass
+class LightStep:
+    """What a light path does at a vertex. Colours are attached where the scene's values are, and not weighted."""
+
+    position: Point2f
+    """The place on the film that shows it, in [0, 1)^2 of the crop window."""
+    shown: Color3f | None
+    """The light that the film receives there; None from sensors that light can't be traced to."""
+    weight: Float
+    """That of `shown`."""
+    end: End
+    """The path that goes on."""
+    active: Bool
+    """True where it does."""
+
+
+@dataclass
+class CameraHit:
+    """The next vertex of a camera path, before light is scattered there. Colours are as in `LightStep`."""
+
+    si: SurfaceInteraction3f
+    end: End
+    """The path that has arrived."""
+    met: Color3f
+    """The light that the path has met."""
+    weight: Float
+    """That of `met`."""
+    joins: Bool
+    """Whether light paths can be joined to the vertex."""
+    active: Bool
+    """True where there is a surface, and an edge left to go on from it."""
+
+
+@dataclass
+class CameraStep:
+    """What a camera path does at a vertex, connections aside. Colours are as in `LightStep`."""
+
+    scattering: Scattering
+    lit: Color3f
+    """The light of the light sample."""
+    weight: Float
+    """That of `lit`."""
+    covers: Bool
+    """True where there is a surface that the path doesn't pass straight through."""
+
+
 def scatter(
     si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, sampler: SampleStream, active: Bool
 ) -> Scattering:
@@ -135,12 +241,10 @@ def scatter(
             bs, weight = bsdf.sample(BSDFContext(), si, sample1, sample2, active)
         else:
             bs, weight = sample_light(bsdf, si, sample1, sample2, active)
-        return (
-            *evaluated(bsdf, si, from_camera, wo, active),
-            bs,
-            weight,
-            evaluated(bsdf, si, from_camera, bs.wo, active)[2],
-        )
+        bs = dr.detach(bs)
+        towards = evaluated(bsdf, si, from_camera, wo, active)
+        there, _, back = evaluated(bsdf, si, from_camera, bs.wo, active)
+        return (*towards, bs, at_fixed_direction(bs, weight, there), back)
 
     return Scattering(*si.bsdf().visit(method, active))
 
