@@ -110,6 +110,7 @@ class BidirectionalPath(SplattingIntegrator):
         self.strategies = props.boolean("strategies", False)
         if self.strategies and not 2 <= self.max_depth <= MAX_PYRAMID:
             raise props.error("strategies", f"needs a 'max_depth' from 2 to {MAX_PYRAMID}, found {self.max_depth}")
+        self.differentiable = not self.strategies
         self.longest = UNBOUNDED if self.max_depth < 0 else self.max_depth
         self.joined = min(self.longest, JOINED)
 

@@ -74,6 +74,7 @@ class ParticleTracer(PassIntegrator):
     from_camera: Path
 
     starts_at_lights = True
+    differentiable = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
