@@ -224,7 +224,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         view = self._view()
         view.geometry = self.geometry.seen_from(sensor.starts())
         if self.media:
-            view.camera_medium = dr.opaque(UInt32, self.medium_of(sensor))
+            view.begin_in_media_of(sensor)
         return view
 
     # ---- contents ----------------------------------------------------------------------

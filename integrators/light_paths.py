@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.dispatch.pointers import EmitterPtr
 from djpt.frame import Frame3f
+from djpt.integrators.places import Matter, Place
 from djpt.kernels import maximum
 from djpt.records import RAY_EPSILON, EmissionSample, Ray3f, SurfaceInteraction3f
 from djpt.records.record import Record
@@ -18,7 +19,7 @@ from djpt.types import Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vecto
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["Departure", "LightVertex", "departure"]
+__all__ = ["Departure", "LightVertex", "departure", "vertices"]
 
 
 @dataclass
@@ -71,21 +72,47 @@ class LightVertex(Record):
     depth: UInt32
 
     @staticmethod
-    def at(si: SurfaceInteraction3f, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
-        """The vertex `si`, where a light path of `depth` edges has arrived with a flux.
+    def at(place: Place, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
+        """The vertex where a light path of `depth` edges has arrived with a flux.
 
         For `vcm` and `vc` see `djpt.integrators.both_ends.End`.
         """
-        kept = {name: getattr(si, name) for name in SURFACE}
-        vertex: LightVertex = LightVertex.holding(**kept, flux=flux, vcm=vcm, vc=vc, depth=depth)
+        kept: dict[str, Any] = {name: getattr(place.si, name) for name in SURFACE}
+        kind, matter = LightVertex, place.matter
+        if matter is not None:
+            kind = VertexInMatter
+            kept.update(medium=dr.select(matter.inside, matter.medium, NOWHERE), back=matter.wi)
+        vertex: LightVertex = kind.holding(**kept, flux=flux, vcm=vcm, vc=vc, depth=depth)
         return vertex
 
-    def surface(self, scene: Scene) -> SurfaceInteraction3f:
-        """The surface point."""
+    def place(self, scene: Scene) -> Place:
+        """The place of the vertex."""
         kept = {name: getattr(self, name) for name in SURFACE}
         si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=(), home={scene: ()})
-        return si
+        return Place(si, None)
 
+
+class VertexInMatter(LightVertex):
+    """A vertex of a light path that may be a place in a medium."""
+
+    medium: UInt32
+    """The number of the medium; `NOWHERE` on surfaces."""
+    back: Vector3f
+    """The direction back along the ray, in world space."""
+
+    def place(self, scene: Scene) -> Place:
+        plain = super().place(scene)
+        inside = self.medium != NOWHERE
+        return Place(plain.si, Matter(inside, dr.select(inside, self.medium, 0), self.back))
+
+
+NOWHERE = 0xFFFFFFFF
+"""The number of no medium."""
 
 SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
 """The fields of a surface point that BSDFs look at."""
+
+
+def vertices(scene: Scene, size: int) -> Any:
+    """Local memory for some vertices of a light path."""
+    return dr.alloc_local(VertexInMatter if scene.media.scatter else LightVertex, size)

@@ -16,6 +16,7 @@ import drjit as dr
 from djpt.gradients.light_replay import Joints, LightWalk, Step, begun, nothing, vanishes, walk_light_paths
 from djpt.gradients.tallies import Carried, Forward, Found, Joined, Joint, Measure, Reverse, Tally, added
 from djpt.integrators.bdpt import BidirectionalPath
+from djpt.integrators.light_paths import vertices
 from djpt.kernels import loop_traced_once, while_loop, wide
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
@@ -81,9 +82,9 @@ class BothEnds:
         return Joined(empty.light, empty.behind, empty.behind, black)
 
     def _room(self) -> Joints:
-        size = self._integrator.most_vertices
+        size = self._integrator.most_vertices(self._scene)
         aside = dr.alloc_local(Color3f, size) if vanishes(self._scene) else None
-        return Joints(self._integrator.room(), dr.alloc_local(Color3f, size), aside)
+        return Joints(vertices(self._scene, size), dr.alloc_local(Color3f, size), aside)
 
     # ---- light paths -------------------------------------------------------------------
 
@@ -96,7 +97,7 @@ class BothEnds:
 
     def step(self, state: Any, sampler: SampleStream, active: Bool) -> Step:
         """See `LightPaths`."""
-        hit = self._integrator.light_hit(self._scene, state, self._power, active)
+        hit = self._integrator.light_hit(self._scene, state, self._power, sampler, active)
         found = self._integrator.light_step(self._scene, self._camera, hit, sampler)
         return Step(
             arrived=hit.end.throughput,
@@ -136,7 +137,7 @@ class BothEnds:
 
         def body(lane: CameraWalk) -> tuple[CameraWalk]:
             with dr.resume_grad():
-                hit = integrator.camera_hit(scene, lane.end, self._ray.maxt, lane.covered, lane.active)
+                hit = integrator.camera_hit(scene, lane.end, self._ray.maxt, lane.covered, lane.sampler, lane.active)
                 step = integrator.camera_step(scene, hit, lane.sampler)
             arrived = dr.detach(hit.end)
             count = dr.select(hit.joins, light.count, 0)
@@ -145,7 +146,7 @@ class BothEnds:
                 v = joints.vertices.read(i)
                 there = None if joints.aside is None else joints.aside.read(i)
                 with dr.resume_grad():
-                    way, value, weight = integrator.connection(arrived, hit.si, v, v.surface(scene))
+                    way, value, weight = integrator.connection(scene, arrived, hit.place, v)
                     value = scene.light_between(way, value, lit=Bool(True) if dr.grad_enabled(value) else None)
                     joint = Joint(value * dr.detach(weight), delta, arrived.aside, there, joints.beside, i)
                     joined = tally.connect(joined, joint)
@@ -158,7 +159,7 @@ class BothEnds:
                 label=f"connections, {tally.label}",
             )
             with dr.resume_grad():
-                end, active = integrator.after(hit, step, lane.sampler)
+                end, active = integrator.after(scene, hit, step, lane.sampler)
                 found = Found(
                     light=hit.met * dr.detach(hit.weight) + step.lit * dr.detach(step.weight),
                     adjoint=delta,

@@ -8,6 +8,7 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.errors import RenderError
 from djpt.films.footprint import SpreadReader, in_window
 from djpt.films.splats import ChangeSplats
 from djpt.gradients.both_ends import BothEnds
@@ -36,7 +37,15 @@ PASS_PATHS = 2**20
 
 
 def light_derivative(job: Job, parameters: list[Parameter]) -> Derivative:
-    """The estimator of the derivative of an image by an integrator that starts at lights."""
+    """The estimator of the derivative of an image by an integrator that starts at lights.
+
+    Raises:
+        RenderError: It follows media that scatter light.
+    """
+    if job.scene.media.scatter:
+        raise RenderError(
+            f"'{type(job.integrator).__name__}' has no derivatives in media that scatter light; 'prbvolpath' has"
+        )
     by = TracedLightDerivative if isinstance(job.integrator, ParticleTracer) else BothEndsDerivative
     return by(job, parameters)
 
