@@ -15,7 +15,7 @@ from djpt.emitters.sky.daylight import HIDDEN, Daylight
 from djpt.emitters.sky.directions import FITTED, SkyDirections
 from djpt.emitters.sky.dome import SkyDome, atmosphere
 from djpt.emitters.sky.instant import Instant
-from djpt.emitters.sky.position import TimeAndPlace, sun_direction
+from djpt.emitters.sky.position import FARTHEST, TimeAndPlace, sun_direction
 from djpt.emitters.sky.tables import entries_between, table
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float, opaque
@@ -27,6 +27,7 @@ __all__ = ["TimedSunSky"]
 PLACE = {"latitude": 35.6894, "longitude": 139.6917, "timezone": 9.0}
 WINDOW = {"window_start_time": 7.0, "window_end_time": 19.0}
 DATES = tuple(f"{end}_{part}" for end in ("start", "end") for part in ("year", "month", "day"))
+FAR: dict[str, Any] = {"low": -FARTHEST, "high": FARTHEST}
 ELEVATIONS, LOWEST = 30, 2.0
 """The count of the sun's elevations in the tables, 3 degrees apart; the lowest."""
 INSTANTS = 64
@@ -55,6 +56,7 @@ class TimedSunSky(Daylight):
     """
 
     in_time = True
+    times_and_places = (*PLACE, *DATES)
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **Daylight.values,
         **dict.fromkeys((*PLACE, *WINDOW, "first_day", "days", "shutter_open", "per_shutter"), HIDDEN),
@@ -76,7 +78,7 @@ class TimedSunSky(Daylight):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         for key, number in PLACE.items():
-            setattr(self, key, as_float(props.float(key, number)))
+            setattr(self, key, as_float(props.float(key, number, **FAR)))
         hours = {key: props.float(key, hour, low=0.0, high=24.0) for key, hour in WINDOW.items()}
         if hours["window_end_time"] < hours["window_start_time"]:
             problem = f"must not be less than 'window_start_time' ({hours['window_start_time']:g})"
@@ -84,11 +86,11 @@ class TimedSunSky(Daylight):
         for key, hour in hours.items():
             setattr(self, key, as_float(hour))
         self.start_year, self.start_month, self.start_day = (
-            props.integer(key, default) for key, default in zip(DATES, (2025, 1, 1), strict=False)
+            props.integer(key, default, **FAR) for key, default in zip(DATES, (2025, 1, 1), strict=False)
         )
-        self.end_year = props.integer("end_year", self.start_year + 1)
-        self.end_month = props.integer("end_month", self.start_month)
-        self.end_day = props.integer("end_day", self.start_day)
+        self.end_year = props.integer("end_year", self.start_year + 1, **FAR)
+        self.end_month = props.integer("end_month", self.start_month, **FAR)
+        self.end_day = props.integer("end_day", self.start_day, **FAR)
         opens, closes = props.float("shutter_open", 0.0), props.float("shutter_close", 1.0)
         if closes < opens:
             raise props.error("shutter_close", f"must not be less than 'shutter_open' ({opens:g})")
