@@ -51,6 +51,8 @@ class TimedSunSky(Daylight):
     * `latitude`, `longitude` (degrees, default Tokyo), `timezone` (hours, default 9);
     * `shutter_open`, `shutter_close` (default 0, 1), as the camera has them.
 
+    Images have no derivatives by these parameters: the sky is read from tables that are computed once.
+
     The sun is as bright as its elevation says. Mitsuba 3.9.1 looks it up 1.5 degrees lower, and its dates are multiples
     of six hours: its sun stands up to a quarter of a degree elsewhere.
     """
