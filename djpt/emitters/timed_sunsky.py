@@ -51,7 +51,7 @@ class TimedSunSky(Daylight):
     * `latitude`, `longitude` (degrees, default Tokyo), `timezone` (hours, default 9);
     * `shutter_open`, `shutter_close` (default 0, 1), as the camera has them.
 
-    Images have no derivatives by these parameters: the sky is read from tables that are computed once.
+    Images have derivatives by `albedo`.
 
     The sun is as bright as its elevation says. Mitsuba 3.9.1 looks it up 1.5 degrees lower, and its dates are multiples
     of six hours: its sun stands up to a quarter of a degree elsewhere.
@@ -63,7 +63,10 @@ class TimedSunSky(Daylight):
         **Daylight.values,
         **dict.fromkeys((*PLACE, *WINDOW, "first_day", "days", "shutter_open", "per_shutter"), HIDDEN),
     }
-    tables: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("controls", "suns", "densities"), HIDDEN)
+    tables: ClassVar[Mapping[str, ParamFlags]] = {
+        "controls": ParamFlags.Differentiable,
+        **dict.fromkeys(("suns", "densities"), HIDDEN),
+    }
 
     latitude: Any
     longitude: Any
@@ -128,8 +131,10 @@ class TimedSunSky(Daylight):
         if after < first:
             raise ParameterError(f"the end must not be before the start, found {first - after:g} days less")
         self.first_day, self.days = as_float(first), as_float(max(after - first, 1.0))
+        controls = atmosphere(self.turbidity, self.albedo.eval(None))
+        dr.make_opaque(controls.numbers)
+        self.controls = TensorXf(controls.numbers, controls.shape)
         with dr.suspend_grad():
-            controls = atmosphere(self.turbidity, self.albedo.eval(None))
             irradiances = table("irradiance").at(self.turbidity - 1).numbers
             row = dr.arange(UInt32, ELEVATIONS)
             red, green, blue, of_sun, of_sky = (dr.gather(Float, irradiances, row * 5 + k) for k in range(5))
@@ -140,7 +145,6 @@ class TimedSunSky(Daylight):
             cell = dr.arange(UInt32, ELEVATIONS * 6)
             row, column = cell // 6, cell % 6
             densities = dr.gather(Float, fitted, row * FITTED + column, column < FITTED)
-            self.controls = TensorXf(opaque(controls.numbers), controls.shape)
             self.suns = TensorXf(opaque(dr.ravel(suns)), (ELEVATIONS, 1, 4))
             self.densities = TensorXf(opaque(densities), (ELEVATIONS, 1, 6))
             # Where the disc is at an instant and its colour are told to its copies.

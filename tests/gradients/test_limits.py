@@ -35,7 +35,6 @@ WITHOUT = {
     "regular": "has no derivatives",
     "irregular": "has no derivatives",
     "measured": "has no derivatives",
-    "timed_sunsky": "has no derivatives",
 }
 """Plugins that aren't taken to the ends of ranges, and why."""
 
@@ -98,7 +97,8 @@ def scene_of(kind: str, plugin: str) -> tuple[dict[str, Any], str]:
         name = COLOURED.get(plugin) or next(name for name in materials.NAMES if materials.plugin_of(name) == plugin)
         return ball(materials.bsdf(name) | {"type": plugin}, size=8), "ball.bsdf"
     if kind == "emitter":
-        entry = emitters.entry(next(name for name in emitters.NAMES if emitters.plugin_of(name) == plugin))
+        known = (emitters.entry(name) for name in emitters.NAMES if emitters.plugin_of(name) == plugin)
+        entry = next(known, {"type": plugin})
         integrator = {"type": "path", "max_depth": 4}
         prefix = "light.emitter" if "emitter" in entry else "light"
         return floor_scene({"light": entry}, size=8, integrator=integrator), prefix
