@@ -242,7 +242,7 @@ def scattering_point(
     coloured = medium.has_spectral_extinction()
     point = uniform_point(ray, *span(medium, ray, length if coloured else flown, active), active)
     mei = MediumInteraction3f.on(ray, point.t)
-    weight = medium.albedo_at(mei, active) * (elsewhere(medium, mei, point.u, active) * point.length)
+    weight = medium.albedo_at(mei, active) * (elsewhere(medium, ray, mei, point.u, active) * point.length)
     if coloured:
         weight = weight * transmittance(medium, ray, point.t, own_stream(ray, point.t), active & (point.length > 0))
     return point, weight

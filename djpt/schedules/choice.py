@@ -33,7 +33,7 @@ def choose(name: str, job: Job) -> Schedule:
     Raises:
         RenderError: There is none of that name, or it can't run the job's integrator on the job's scene.
     """
-    if name not in NAMES:
+    if not isinstance(name, str) or name not in NAMES:
         raise RenderError(f"unknown schedule '{name}'{near_miss(str(name), NAMES)}")
     if not job.sampler.has_streams:
         require_lanes(name, job)
