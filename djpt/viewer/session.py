@@ -20,10 +20,16 @@ from djpt.viewer.watch import Watch, files_of
 
 __all__ = ["Session", "packed"]
 
-SHORT, LONG = 0.05, 0.15
+SHORT, LONG = 0.02, 0.06
 """Seconds of a round's kernel below which the next round has more samples, and above which it has fewer.
 
 The page is answered between rounds; and each round costs time beside its kernel.
+"""
+
+FRAME_SECONDS = 0.25
+"""The time between two frames of a picture that gets better; the first ones come at once.
+
+Browsers take time to show a frame, which rounds that run meanwhile take from them.
 """
 
 LOOK_SECONDS = 0.5
@@ -74,7 +80,7 @@ class Session:
         self.stage = Stage(description, sensor)
         self.picture = Picture(self.stage.channels)
         self._round_spp, self._paused, self._asked = 1, False, 0
-        self._start = self._looked = time.perf_counter()
+        self._start = self._looked = self._published = time.perf_counter()
 
     def run(self, inbox: queue.SimpleQueue[dict[str, Any]]) -> None:
         """Render and take messages until an exception ends it, such as `KeyboardInterrupt`."""
@@ -121,10 +127,12 @@ class Session:
             self._round_spp = 2 * spp
         elif seconds > LONG:
             self._round_spp = max(1, spp // 2)
-        self.publish()
+        if self.picture.rounds <= 2 or self.waits or time.perf_counter() - self._published >= FRAME_SECONDS:
+            self.publish()
 
     def publish(self) -> None:
         """Publish the picture as it is."""
+        self._published = time.perf_counter()
         if self.picture.rounds:
             self._publish(packed(self.header(), self.shown()))
 
