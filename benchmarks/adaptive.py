@@ -23,7 +23,7 @@ RED_GREEN_BLUE = np.array([0.212671, 0.715160, 0.072169])
 
 
 def hard_corner() -> dict[str, Any]:
-    """A hall in the sun, which has no noise, and in one corner a lamp behind bars, whose shadows have much."""
+    """A glowing floor, which has no noise, and in one corner a lamp behind bars, whose shadows have much."""
     grey = {"type": "diffuse", "reflectance": 0.6}
     bars = {
         f"bar{i}": {
@@ -39,7 +39,7 @@ def hard_corner() -> dict[str, Any]:
     }
     return {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": 3, "hide_emitters": True},
+        "integrator": {"type": "path", "max_depth": 3},
         "sensor": {
             "type": "perspective",
             "fov": 42,
@@ -47,8 +47,12 @@ def hard_corner() -> dict[str, Any]:
             "film": {"type": "hdrfilm", "width": 128, "height": 128, "rfilter": {"type": "gaussian"}},
             "sampler": {"type": "independent"},
         },
-        "floor": {"type": "rectangle", "to_world": T().rotate([1, 0, 0], -90).scale(4), "bsdf": grey},
-        "sun": {"type": "directional", "direction": [0.3, -1, -0.4], "irradiance": 1.0},
+        "floor": {
+            "type": "rectangle",
+            "to_world": T().rotate([1, 0, 0], -90).scale(4),
+            "bsdf": grey,
+            "emitter": {"type": "area", "radiance": 0.3},
+        },
         "lamp": {
             "type": "sphere",
             "center": [2.6, 0.5, -2.6],

@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.description.frozen import without_garbage
 from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters
@@ -113,7 +114,8 @@ class AdaptiveRounds:
                 films = self._films([], *numbers)
                 self._inputs = inputs(self._scene, self._sensor, self._integrator)
                 return films
-            return self._recorded[count](self._inputs, *numbers)
+            with without_garbage():
+                return self._recorded[count](self._inputs, *numbers)
 
     def _films(self, inputs: list[Any], places: UInt32, seeds: UInt32) -> Any:
         """The films of some tiles: see `djpt.long_renders.tile_job.film_sums`; `inputs` is what their kernels read."""

@@ -70,7 +70,10 @@ def shares(tiles: Tiles, taken: Counts, variances: Doubles) -> Counts:
 
 
 def smoothed(variances: Doubles) -> Doubles:
-    """The means of each tile and its surroundings of 3 x 3 tiles: few surveys know little of a single one."""
+    """Three quarters of each tile's variance, and one of the mean of the 3 x 3 tiles around it.
+
+    Few surveys know little of a single tile.
+    """
     rows, columns = variances.shape
     around = np.zeros((rows + 2, columns + 2))
     number = np.zeros_like(around)
@@ -78,5 +81,5 @@ def smoothed(variances: Doubles) -> Doubles:
     total, inside = (
         sum(a[y : y + rows, x : x + columns] for y in range(3) for x in range(3)) for a in (around, number)
     )
-    mean: Doubles = (variances + total / inside) / 2
-    return mean
+    blended: Doubles = (3 * variances + total / inside) / 4
+    return blended

@@ -95,7 +95,7 @@ def render_passes(
         target_error: Stop when the relative RMSE is estimated to be less, after 4 rounds at least: 0.01 is 1 %.
         time_budget: Stop when the next round would end later than this many seconds after the start; one round
             is always rendered if none exists.
-        adaptive: Take more samples in tiles of 16 x 16 pixels that have more noise, without bias: see
+        adaptive: Take more samples in tiles of 8 x 8 pixels that have more noise, without bias: see
             `djpt.long_renders.allocation`. The numbers of samples are means over the image then; `samples` says
             how many each pixel has. By default a round has a sixteenth of the `spp`. Only integrators that follow
             paths from the camera can.
@@ -194,7 +194,8 @@ class EvenImage(RoundImage):
         return lambda found: found.with_round(seed, result())
 
     def overlaps(self, number: int) -> bool:
-        return True
+        # Larger ones would take the memory twice.
+        return self._rounds.small
 
 
 class AdaptiveImage(RoundImage):

@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.description.frozen import Holder
+from djpt.description.frozen import Holder, without_garbage
 from djpt.display.progress import Progress
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators.base import Integrator
@@ -79,6 +79,11 @@ class Rounds:
         self._inputs: list[Any] = []
         self._recorded: Callable[..., list[Float]] = dr.freeze(self._one_band, auto_opaque=False)
 
+    @property
+    def small(self) -> bool:
+        """Whether a round is known to be small enough to be computed in one band."""
+        return self._job is not None
+
     def begin(self, seed: int, progress: Progress | None, interruption: Interruption | None) -> Callable[[], RoundSums]:
         """Launch the kernels of a round; the result waits for them.
 
@@ -103,12 +108,21 @@ class Rounds:
             summed = list(how.rows(job)) if job.channel_names() else []
         if len(summed) == 1 and can_be_recorded(job):
             self._job, self._inputs = job, inputs(scene, sensor, integrator)
-        return lambda: RoundSums(*sums_of_rows(job, summed), constant)
+
+        def result() -> RoundSums:
+            sums = sums_of_rows(job, summed)
+            if len(summed) > 1:
+                # What large bands took is needed for sums of 64 bits.
+                summed.clear()
+                dr.flush_malloc_cache()
+            return RoundSums(*sums, constant)
+
+        return result
 
     def _launched_again(self, job: Job, seed: int) -> Callable[[], RoundSums]:
         """Launch the recorded kernels with another seed; the first time they are traced."""
         begin_trace()
-        with dr.suspend_grad():
+        with dr.suspend_grad(), without_garbage():
             sums = self._recorded(self._inputs, dr.opaque(UInt32, seed))
         assert self._constant is not None
         weight = sums[-1] if job.film.filters else Float(self._spp)

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 __all__ = ["Tiles"]
 
-SIDE = 16
-"""The largest width and height of a tile: what a packet of lanes covers."""
+SIDE = 8
+"""The largest width and height of a tile: small enough for what is noisy, large enough to know its variance."""
 
 Number = TypeVar("Number", bound=np.generic)
 
