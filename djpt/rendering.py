@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import operator
 from typing import Any
 
@@ -101,9 +102,12 @@ def render(
         }
         return render_denoised(scene, method, sensor, integrator, seed, spp, options)
     if adaptive:
-        from djpt.long_renders.adaptive_image import render_adaptively
-
-        return render_adaptively(scene, sensor, integrator, seed, spp, schedule, progress, keep_partial)
+        # What is built on top of this file is imported when it is first used.
+        above: Any = importlib.import_module("djpt.long_renders.adaptive_image")
+        image: TensorXf = above.render_adaptively(
+            scene, sensor, integrator, seed, spp, schedule, progress, keep_partial
+        )
+        return image
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)

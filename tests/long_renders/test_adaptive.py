@@ -60,7 +60,8 @@ def luminance(found: djpt.Accumulation) -> Any:
 @pytest.mark.parametrize("sampler", ["independent", pytest.param("multijitter", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_going_on_gives_the_bits_of_a_longer_render(tmp_path: Path, sampler: str, rfilter: str) -> None:
-    scene, options = box(sampler, rfilter, size=35), {"adaptive": True, "seed": 3}
+    scene = box(sampler, rfilter, size=35)
+    options: dict[str, Any] = {"adaptive": True, "seed": 3}
     at_once = list(djpt.render_passes(scene, spp=32, round_spp=4, **options))
     for begun in (at_once[2], at_once[4]):
         begun.save(tmp_path / "a.djpt")

@@ -220,15 +220,16 @@ def five_scenes() -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("adaptive", [False, True])
 @pytest.mark.parametrize("name", five_scenes())
-def test_a_target_is_met(name: str) -> None:
+def test_a_target_is_met(name: str, adaptive: bool) -> None:
     """The true error is within 0.7 .. 1.3 of the target, which takes more than the least number of rounds."""
     from djpt.description.overrides import described, override
 
     _, description = described(name, {})
     scene = djpt.load_dict(override(description, width=24))
     target = min(0.05, 0.3 * last(scene, round_spp=8, spp=32).error().overall)
-    found = last(scene, round_spp=8, target_error=target, seed=1)
+    found = last(scene, round_spp=8, target_error=target, seed=1, adaptive=adaptive)
     reference = last(scene, round_spp=256, spp=max(4096, 16 * found.spp), seed=2)
     weights = np.array([0.212671, 0.715160, 0.072169], np.float32)
     error, mean = (found.image().numpy() - reference.image().numpy())[..., :3] @ weights, reference.image().numpy()
