@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import signal
 from typing import Any
 
@@ -14,7 +13,6 @@ from djpt.errors import RenderError
 from djpt.long_renders.rounds import round_seed
 from djpt.process.interruption import interruptible
 from djpt.scene import Scene
-from djpt.scenes import NAMES
 
 SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 
@@ -214,23 +212,20 @@ def test_the_error_is_that_of_many_renders() -> None:
     assert np.isinf(last(scene, spp=8, round_spp=8).error().overall)
 
 
-def five_scenes() -> list[str]:
-    """Scenes of one kind of light each."""
-    return list(itertools.islice((name for name in NAMES if name != "bunny"), 5))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("adaptive", [False, True])
-@pytest.mark.parametrize("name", five_scenes())
+@pytest.mark.parametrize(
+    "name", ["cornell_box", "cornell_box_boxfilter", "cornell_box_spheres", "shader_ball", "stage"]
+)
 def test_a_target_is_met(name: str, adaptive: bool) -> None:
-    """The true error is within 0.7 .. 1.3 of the target, which takes more than the least number of rounds."""
+    """Renders that stop at an error of 1 % have one of 0.7 % to 1.3 %."""
     from djpt.description.overrides import described, override
 
     _, description = described(name, {})
-    scene = djpt.load_dict(override(description, width=24))
-    target = min(0.05, 0.3 * last(scene, round_spp=8, spp=32).error().overall)
-    found = last(scene, round_spp=8, target_error=target, seed=1, adaptive=adaptive)
-    reference = last(scene, round_spp=256, spp=max(4096, 16 * found.spp), seed=2)
-    weights = np.array([0.212671, 0.715160, 0.072169], np.float32)
-    error, mean = (found.image().numpy() - reference.image().numpy())[..., :3] @ weights, reference.image().numpy()
-    assert 0.7 * target < np.sqrt(np.mean(error**2)) / (mean[..., :3] @ weights).mean() < 1.3 * target
+    scene = djpt.load_dict(override(description, width=16))
+    found = last(scene, target_error=0.01, seed=1, adaptive=adaptive)
+    reference = last(scene, round_spp=2**12, spp=8 * found.spp, seed=2**31)
+    weights = np.array([0.212671, 0.715160, 0.072169])
+    image, truth = (one.image().numpy()[..., :3].astype(np.float64) @ weights for one in (found, reference))
+    assert 0.007 < np.sqrt(np.mean((image - truth) ** 2)) / truth.mean() < 0.013
+    assert found.rounds > 4
