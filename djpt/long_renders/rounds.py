@@ -20,6 +20,7 @@ from djpt.display.progress import Progress
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace
+from djpt.long_renders.streaks import StreakJob, rows_by_streaks, streak
 from djpt.process.interruption import Interruption
 from djpt.rendering import centres, make_job, render, require_still
 from djpt.scene import Scene
@@ -76,7 +77,10 @@ class Rounds:
         self._job: Job | None = None
         """The job of a round that was computed in one band."""
         self._constant: Floats | None = None
+        self._streak = 1
+        """The pixels of a lane of the recorded kernels."""
         self._inputs: list[Any] = []
+        """The arrays that they read."""
         self._recorded: Callable[..., list[Float]] = dr.freeze(self._one_band, auto_opaque=False)
 
     @property
@@ -107,7 +111,8 @@ class Rounds:
                 return waiting_for_image(how.image(job), spp, constant)
             summed = list(how.rows(job)) if job.channel_names() else []
         if len(summed) == 1 and can_be_recorded(job):
-            self._job, self._inputs = job, inputs(scene, sensor, integrator)
+            self._job, self._streak = job, streak(job, how)
+            self._inputs = inputs(scene, sensor, integrator)
 
         def result() -> RoundSums:
             sums = sums_of_rows(job, summed)
@@ -134,7 +139,10 @@ class Rounds:
         """The sums of a round that is computed in one band, by channel; `inputs` is what its kernels read."""
         job = replace(make_job(self._scene, self._sensor, self._integrator, seed, self._spp), repeated=True)
         with dr.suspend_grad():
-            ((rows, _),) = choose(self._schedule, job).rows(job)
+            if self._streak > 1:
+                ((rows, _),) = rows_by_streaks(StreakJob.of(job, self._streak))
+            else:
+                ((rows, _),) = choose(self._schedule, job).rows(job)
         return rows.sums
 
 
