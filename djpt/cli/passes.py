@@ -51,10 +51,10 @@ class Passes:
 
     def render(
         self, scene: Any, sensor: int, seed: int, spp: int, schedule: str, keep_partial: bool, quiet: bool
-    ) -> tuple[Accumulation, Callable[[], None]]:
-        """What was rendered, and a function to be called once it is written: it ends a process that a signal ends.
+    ) -> tuple[Accumulation, int, Callable[[], None]]:
+        """What exists, the rounds of it that were rendered now, and a function to be called once it is written.
 
-        Signals write the checkpoint before they end a render.
+        The function ends a process that a signal ends. Signals write the checkpoint before they end a render.
         """
         import djpt
 
@@ -105,7 +105,7 @@ class Passes:
             if not keep_partial:
                 leave()
         assert found is not None
-        return found, leave
+        return found, found.rounds - first, leave
 
 
 def status(

@@ -123,15 +123,17 @@ def command(
         from djpt.long_renders.to_file import facts
 
         with ending_at_once():
-            found, leave = in_rounds.render(loaded, sensor, seed, spp or 0, schedule, keep_partial, quiet)
+            found, rounds, leave = in_rounds.render(loaded, sensor, seed, spp or 0, schedule, keep_partial, quiet)
             of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
             stored = names[:kept] if target.suffix.lower() == ".exr" and tone is None else None
             pixels = convert(found.image().numpy())
             djpt.write(target, pixels, channels=stored, metadata=carried(target, {**of_image, **metadata}))
             leave()
         if not quiet:
-            size, seconds = f"{found.size[0]} x {found.size[1]}", time.perf_counter() - start
-            print(f"{target}: {size}, {found.spp} spp, error {found.error().overall:.2%}, {seconds:.2f} s")
+            (columns, rows), seconds = found.size, time.perf_counter() - start
+            speed = f"{short(rounds * found.round_spp * columns * rows / seconds)}samples/s"
+            what = f"{columns} x {rows}, {found.spp} spp, error {found.error().overall:.2%}"
+            print(f"{target}: {what}, {seconds:.2f} s, {speed}")
         return
 
     with progress_bar("rendering", "samples", quiet) as show, ending_at_once():
