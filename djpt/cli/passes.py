@@ -36,6 +36,8 @@ class Passes:
     """Whether to go on with that file, if it exists."""
     target_error: float | None
     time_budget: float | None
+    adaptive: bool = False
+    """Whether there are more samples where there is more noise."""
 
     def check(self) -> None:
         """Raise an error if the checkpoint can't be written, or would be lost by a new render."""
@@ -49,10 +51,10 @@ class Passes:
 
     def render(
         self, scene: Any, sensor: int, seed: int, spp: int, schedule: str, keep_partial: bool, quiet: bool
-    ) -> tuple[Accumulation, Callable[[], None]]:
-        """What was rendered, and a function to be called once it is written: it ends a process that a signal ends.
+    ) -> tuple[Accumulation, int, Callable[[], None]]:
+        """What exists, the rounds of it that were rendered now, and a function to be called once it is written.
 
-        Signals write the checkpoint before they end a render.
+        The function ends a process that a signal ends. Signals write the checkpoint before they end a render.
         """
         import djpt
 
@@ -84,6 +86,7 @@ class Passes:
                     spp=spp,
                     target_error=self.target_error,
                     time_budget=self.time_budget,
+                    adaptive=self.adaptive,
                     resume_from=begun,
                     schedule=schedule,
                     interruption=interruption,
@@ -102,7 +105,7 @@ class Passes:
             if not keep_partial:
                 leave()
         assert found is not None
-        return found, leave
+        return found, found.rounds - first, leave
 
 
 def status(

@@ -42,6 +42,7 @@ __all__ = ["command"]
 @click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists.")
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
+@click.option("--adaptive", is_flag=True, help="Take more samples where there is more noise; --spp is their mean.")
 @options.define
 @options.quiet
 def command(
@@ -67,6 +68,7 @@ def command(
     resume: bool,
     target_error: str | None,
     time_budget: str | None,
+    adaptive: bool,
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
@@ -76,7 +78,7 @@ def command(
     require_positive(spp=spp, width=width, height=height)
     name, description = described(scene, parameters(define))
     in_rounds = None
-    if checkpoint or resume or target_error is not None or time_budget is not None:
+    if checkpoint or resume or adaptive or target_error is not None or time_budget is not None:
         from djpt.cli.passes import Passes, seconds_of, share_of
 
         in_rounds = Passes(
@@ -85,6 +87,7 @@ def command(
             resume,
             None if target_error is None else share_of(target_error),
             None if time_budget is None else seconds_of(time_budget),
+            adaptive,
         )
         in_rounds.check()
     # NumPy is imported after the scene was found.
@@ -120,15 +123,17 @@ def command(
         from djpt.long_renders.to_file import facts
 
         with ending_at_once():
-            found, leave = in_rounds.render(loaded, sensor, seed, spp or 0, schedule, keep_partial, quiet)
+            found, rounds, leave = in_rounds.render(loaded, sensor, seed, spp or 0, schedule, keep_partial, quiet)
             of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
             stored = names[:kept] if target.suffix.lower() == ".exr" and tone is None else None
             pixels = convert(found.image().numpy())
             djpt.write(target, pixels, channels=stored, metadata=carried(target, {**of_image, **metadata}))
             leave()
         if not quiet:
-            size, seconds = f"{found.size[0]} x {found.size[1]}", time.perf_counter() - start
-            print(f"{target}: {size}, {found.spp} spp, error {found.error().overall:.2%}, {seconds:.2f} s")
+            (columns, rows), seconds = found.size, time.perf_counter() - start
+            speed = f"{short(rounds * found.round_spp * columns * rows / seconds)}samples/s"
+            what = f"{columns} x {rows}, {found.spp} spp, error {found.error().overall:.2%}"
+            print(f"{target}: {what}, {seconds:.2f} s, {speed}")
         return
 
     with progress_bar("rendering", "samples", quiet) as show, ending_at_once():

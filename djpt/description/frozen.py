@@ -15,7 +15,8 @@ import operator
 import types
 import warnings
 import weakref
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Iterator
+from contextlib import contextmanager
 from enum import Enum
 from functools import cache, partial
 from typing import Any
@@ -25,7 +26,17 @@ import numpy as np
 
 from djpt.errors import ParameterError
 
-__all__ = ["SHARED", "Held", "Holder", "Structure", "hold_garbage", "recording", "require_editable", "undifferentiated"]
+__all__ = [
+    "SHARED",
+    "Held",
+    "Holder",
+    "Structure",
+    "hold_garbage",
+    "recording",
+    "require_editable",
+    "undifferentiated",
+    "without_garbage",
+]
 
 SHARED: list[Any] = []
 """Arrays that kernels may read whatever they compute: they belong to the process, not to a scene."""
@@ -62,6 +73,18 @@ def hold_garbage() -> None:
 
 _held: list[bool] = []
 """Not empty while collections are off because of `hold_garbage`."""
+
+
+@contextmanager
+def without_garbage() -> Iterator[None]:
+    """Collect no garbage, for the same reason, while a frozen function is called that Python alone knows of."""
+    on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if on:
+            gc.enable()
 
 
 undifferentiated: list[str] = []

@@ -23,7 +23,7 @@ from djpt.schedules.reconstruction import Read
 from djpt.schedules.tap_function import ADD_SAMPLES, CHANNELS, Taps, tap_function
 from djpt.types import ArrayXf, Bool, Float, Point2f, UInt32
 
-__all__ = ["CalledSums", "prepare_sums", "reader", "usable"]
+__all__ = ["CalledSums", "prepare_function", "prepare_sums", "reader", "usable"]
 
 
 class CalledSums:
@@ -35,21 +35,26 @@ class CalledSums:
         self._code = function(taps, rfilter)
         self._lane, self._lanes = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes)
 
-    def add(self, corner: Point2f, offset: Point2f, channels: list[Float], active: Bool) -> Bool:
+    def add(
+        self, corner: Point2f, offset: Point2f, channels: list[Float], active: Bool, slot: UInt32 | None = None
+    ) -> Bool:
         """Add a sample of each active lane; return where there was one.
 
-        `offset` is the sample's place on its pixel, whose corner has the film position `corner`. The call takes
-        place only if the result is used.
+        `offset` is the sample's place on its pixel, whose corner has the film position `corner`. `slot` says whose
+        sums it is added to: by default those of its lane. No two lanes may add to the same ones. The call takes place
+        only if the result is used.
         """
+        if slot is None:
+            slot = self._lane
         # The last packet may have lanes beyond the last one.
-        active = active & (self._lane < self._lanes)
+        active = active & (slot < self._lanes)
         # Distances come from rounded film positions, as in Mitsuba: in the filter's tail the rounding shows.
         position = corner + offset
         unused, end = Float(0), Float(1)
         words: list[Any] = [*channels, *[unused] * (len(CHANNELS) - len(channels))]
         last = [dr.reinterpret_array(UInt32, word) for word in words[4:]]
         floats = [position.x, position.y, corner.x, corner.y, *words[:4], end]
-        inputs = [Bool(False), active, *floats, self._lane, *last]
+        inputs = [Bool(False), active, *floats, slot, *last]
         # The function leaves the end of the "ray" as it is, so nothing is ever blocked.
         (blocked,) = call(self._code, self.memory, [dr.detach(x) for x in inputs], [Bool(False)], any_hit=True)
         taken: Bool = active & ~blocked
@@ -73,7 +78,12 @@ def prepare_sums(film: Film, integrator: Integrator) -> None:
     """Compile the function that adds an integrator's samples to a film, if they are added by calls."""
     taps = Taps(film.taps, len(image_channels(film, integrator)))
     if film.filters and "flat" in integrator.schedules and usable(taps, film.rfilter()):
-        function(taps, film.rfilter())
+        prepare_function(taps, film.rfilter())
+
+
+def prepare_function(taps: Taps, rfilter: ReconstructionFilter) -> None:
+    """Compile the function that adds samples with a filter's weights, which frozen functions can't."""
+    function(taps, rfilter)
 
 
 _functions: dict[Any, Code] = {}

@@ -13,6 +13,7 @@ import illumination
 import mist
 import observers
 import proof
+import rounds
 import slopes
 import surfaces
 import vapour
@@ -21,7 +22,10 @@ from places import IMAGES
 
 FIGURES = {
     name: getattr(module, name)
-    for module in (proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes, window, cards)
+    for module in (
+        *(proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes),
+        *(rounds, window, cards),
+    )
     for name in module.__all__
 }
 """All figures by name; `cards` comes last, as it is cut from the others."""

@@ -30,27 +30,29 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.chdir(tmp_path)
 
 
-def begun() -> subprocess.Popen[str]:
+def begun(*further: str) -> subprocess.Popen[str]:
     """A process that renders; it has written a checkpoint, or has ended."""
-    process = subprocess.Popen([sys.executable, "-m", "djpt", *LONG], stderr=subprocess.PIPE, text=True, env=os.environ)
+    command = [sys.executable, "-m", "djpt", *LONG, *further]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ)
     before = Path("job.djpt").stat().st_mtime_ns if Path("job.djpt").exists() else 0
     while process.poll() is None and not (Path("job.djpt").exists() and Path("job.djpt").stat().st_mtime_ns != before):
         time.sleep(0.005)
     return process
 
 
-def killed_and_resumed(times: int) -> None:
+def killed_and_resumed(times: int, *further: str) -> None:
     """Kill a render a number of times, each time a bit later; go on, and compare with one that nothing disturbs."""
-    undisturbed = last(box(size=16, rfilter="gaussian"), spp=8192).image().numpy()
+    adaptive = "--adaptive" in further
+    undisturbed = last(box(size=16, rfilter="gaussian"), spp=8192, adaptive=adaptive).image().numpy()
     chance, kills = random.Random(3), 0
     for _ in range(times):
-        process = begun()
+        process = begun(*further)
         time.sleep(chance.uniform(0, 0.05))
         process.kill()
         process.communicate()
         kills += process.returncode == -signal.SIGKILL
     assert kills > times // 2, "the render ended before it was killed"
-    run(*LONG)
+    run(*LONG, *further)
     np.testing.assert_array_equal(np.load("a.npy"), undisturbed)
     assert {path.name for path in Path().iterdir()} == {"job.djpt", "a.npy"}
 
@@ -60,8 +62,9 @@ def test_two_kills_cost_no_bit() -> None:
 
 
 @pytest.mark.slow
-def test_twenty_kills_cost_no_bit() -> None:
-    killed_and_resumed(20)
+@pytest.mark.parametrize("further", [[], ["--adaptive"]])
+def test_twenty_kills_cost_no_bit(further: list[str]) -> None:
+    killed_and_resumed(20, *further)
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -107,6 +110,17 @@ def test_a_render_stops_when_it_is_good() -> None:
     code, out, _ = run(*SMALL, "--target-error", "30%", "--time-budget", "5m", "-o", "a.png")
     assert code == ExitCode.DONE
     assert float(out.partition("error ")[2].partition("%")[0]) <= 30
+
+
+def test_adaptive_renders_of_the_command_line() -> None:
+    code, out, error = run(*SMALL, "--spp", "64", "--adaptive", "--checkpoint", "a.djpt", "-o", "a.npy")
+    assert (code, out.startswith("a.npy: 16 x 16, 64 spp, error ")) == (ExitCode.DONE, True), error
+    expected = last(box(size=16, rfilter="gaussian"), spp=64, adaptive=True)
+    np.testing.assert_array_equal(np.load("a.npy"), expected.image().numpy())
+    assert run("merge", "a.djpt", "-o", "b.npy")[0] == ExitCode.DONE
+    np.testing.assert_array_equal(np.load("b.npy"), expected.image().numpy())
+    code, _, error = run(*SMALL, "--spp", "128", "--checkpoint", "a.djpt", "--resume", "-o", "a.npy")
+    assert (code, "begun with adaptive=True" in error) == (ExitCode.BAD_INPUT, True)
 
 
 def test_the_line_says_why_a_render_will_stop() -> None:
