@@ -29,7 +29,7 @@ from djpt.sensors import Sensor
 from djpt.types import TensorXf, UInt32
 from djpt.working_frame.twin import carried, twin
 
-__all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "render"]
+__all__ = ["channel_names", "film_image", "find_sensor", "image_derivative", "noticing", "render"]
 
 
 def render(
@@ -47,6 +47,7 @@ def render(
     pass_spp: int = 0,
     keep_partial: bool = False,
     denoise: bool | str = False,
+    adaptive: bool = False,
 ) -> TensorXf:
     """Render an image: TensorXf of shape (height, width, channels), linear float32, row 0 on top.
 
@@ -76,6 +77,8 @@ def render(
         denoise: True or a method of `djpt.denoise`: remove the noise. Samples are counted with the box filter then,
             because denoisers need pixels whose noise is independent; albedo and normals are rendered along; and
             the film keeps the noisy image, ``sensor.film().develop()``. Such images have no derivatives.
+        adaptive: Take more samples where there is more noise, `spp` on average, without bias: the last image of
+            `render_passes`, which says more. Such images have no derivatives, and `pass_spp` has no effect.
 
     Raises:
         BackendError: The denoiser isn't installed.
@@ -89,8 +92,18 @@ def render(
         from djpt.denoising.rendered import render_denoised
 
         method = "oidn" if denoise is True else denoise
-        options = {"schedule": schedule, "progress": progress, "pass_spp": pass_spp, "keep_partial": keep_partial}
+        options = {
+            "schedule": schedule,
+            "progress": progress,
+            "pass_spp": pass_spp,
+            "keep_partial": keep_partial,
+            "adaptive": adaptive,
+        }
         return render_denoised(scene, method, sensor, integrator, seed, spp, options)
+    if adaptive:
+        from djpt.long_renders.adaptive_image import render_adaptively
+
+        return render_adaptively(scene, sensor, integrator, seed, spp, schedule, progress, keep_partial)
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)

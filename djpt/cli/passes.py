@@ -36,6 +36,8 @@ class Passes:
     """Whether to go on with that file, if it exists."""
     target_error: float | None
     time_budget: float | None
+    adaptive: bool = False
+    """Whether there are more samples where there is more noise."""
 
     def check(self) -> None:
         """Raise an error if the checkpoint can't be written, or would be lost by a new render."""
@@ -84,6 +86,7 @@ class Passes:
                     spp=spp,
                     target_error=self.target_error,
                     time_budget=self.time_budget,
+                    adaptive=self.adaptive,
                     resume_from=begun,
                     schedule=schedule,
                     interruption=interruption,

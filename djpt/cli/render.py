@@ -42,6 +42,7 @@ __all__ = ["command"]
 @click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists.")
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
+@click.option("--adaptive", is_flag=True, help="Take more samples where there is more noise; --spp is their mean.")
 @options.define
 @options.quiet
 def command(
@@ -67,6 +68,7 @@ def command(
     resume: bool,
     target_error: str | None,
     time_budget: str | None,
+    adaptive: bool,
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
@@ -76,7 +78,7 @@ def command(
     require_positive(spp=spp, width=width, height=height)
     name, description = described(scene, parameters(define))
     in_rounds = None
-    if checkpoint or resume or target_error is not None or time_budget is not None:
+    if checkpoint or resume or adaptive or target_error is not None or time_budget is not None:
         from djpt.cli.passes import Passes, seconds_of, share_of
 
         in_rounds = Passes(
@@ -85,6 +87,7 @@ def command(
             resume,
             None if target_error is None else share_of(target_error),
             None if time_budget is None else seconds_of(time_budget),
+            adaptive,
         )
         in_rounds.check()
     # NumPy is imported after the scene was found.

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import RenderError
 from djpt.long_renders.fingerprint import Fingerprint, difference
-from djpt.long_renders.rounds import RoundSums
 from djpt.types import TensorXf
 
-__all__ = ["Accumulation", "Error"]
+__all__ = ["Accumulation", "Doubles", "Error", "Floats", "luminance"]
 
 Doubles = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
+
+Same = TypeVar("Same", bound="Accumulation")
 
 RED_GREEN_BLUE = 0.212671, 0.715160, 0.072169
 """The shares of linear sRGB in the luminance."""
@@ -38,8 +40,10 @@ class Error(NamedTuple):
 class Accumulation:
     """The sum of some rounds of a render: an image, its error, and all that is needed to go on.
 
-    `djpt.render_passes` makes them. An accumulation doesn't change: the next round makes another one. Sums are of 64
-    bits and are added up in the order of rounds, so that the image is a function of scene, seed, round size and count.
+    `djpt.render_passes` makes them: `djpt.long_renders.even.EvenAccumulation`, and with `adaptive` those of
+    `djpt.long_renders.adaptive.AdaptiveAccumulation`. An accumulation doesn't change: the next round makes another
+    one. Sums are of 64 bits and are added up in the order of rounds, so that the image is a function of scene, seed,
+    round size and count.
     """
 
     fingerprint: Fingerprint
@@ -47,37 +51,14 @@ class Accumulation:
     channels: tuple[str, ...]
     """The names of the image's channels."""
     round_spp: int
-    """Samples per pixel of each round."""
+    """Samples per pixel of each round, on average."""
     seeds: tuple[int, ...]
     """The seed of each round."""
-    sums: Doubles
-    """Weighted sums, (channels that are filtered, height, width)."""
-    weights: Doubles
-    """Their weights, (height, width), or (1, 1) if all pixels have the same."""
     constant: Floats
     """The channels that come from the centres of pixels, (height, width, channels)."""
-    luminance: Doubles
-    """Sums over the even rounds, and over the odd ones, of the image's luminance, (2, height, width)."""
-    squares: Doubles
-    """The sum over all rounds of the squared luminance, (height, width)."""
 
-    @classmethod
-    def empty(
-        cls, fingerprint: Fingerprint, channels: Sequence[str], constant: int, size: tuple[int, int], round_spp: int
-    ) -> Accumulation:
-        """The accumulation of no rounds, of `size` (width, height); `constant` channels aren't filtered."""
-        width, height = size
-        return cls(
-            fingerprint=fingerprint,
-            channels=tuple(channels),
-            round_spp=round_spp,
-            seeds=(),
-            sums=np.zeros((len(channels) - constant, height, width)),
-            weights=np.zeros((1, 1)),
-            constant=np.zeros((height, width, constant), np.float32),
-            luminance=np.zeros((2, height, width)),
-            squares=np.zeros((height, width)),
-        )
+    stored: ClassVar[Mapping[str, str]] = {"constant": "<f4"}
+    """The arrays in the order of files, and their types there."""
 
     # ---- the image ----------------------------------------------------------------------------
 
@@ -88,89 +69,81 @@ class Accumulation:
 
     @property
     def spp(self) -> int:
-        """Samples per pixel that the image consists of."""
+        """Samples per pixel that the image consists of, on average."""
         return self.rounds * self.round_spp
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
-        height, width = self.squares.shape
+        height, width, _ = self.constant.shape
         return width, height
 
     def image(self) -> TensorXf:
         """The image, (height, width, channels), as `render` returns it."""
-        weights = np.where(self.weights == 0, 1, self.weights)
-        filtered = np.moveaxis((self.sums / weights).astype(np.float32), 0, 2)
+        filtered = np.moveaxis(self.filtered().astype(np.float32), 0, 2)
         return TensorXf(np.ascontiguousarray(np.concatenate([filtered, self.constant], axis=2)))
 
     def error(self) -> Error:
         """The error of the image's luminance, estimated from the variance between rounds; infinite for one round.
 
-        With R rounds of luminance x: variance of the mean = (sum of x^2 - (sum of x)^2 / R) / (R (R - 1)), per pixel,
-        which is unbiased as rounds are independent, also for samplers whose samples within a round are not. Light that
+        It is unbiased also for samplers whose samples within a round depend on each other, as rounds don't. Light that
         no round has found yet is no part of it. Files without colours have the mean of their channels for a luminance.
         """
-        variance, total = self._variance(), self.luminance.sum(0)
-        mean = float(total.mean()) / max(1, self.rounds)
+        return self._error
+
+    @cached_property
+    def _error(self) -> Error:
+        variance, mean = self.variance(), self.mean_luminance()
         squared = float(variance.mean()) if variance.size else 0.0
         relative = math.sqrt(squared) / abs(mean) if mean else math.inf if squared else 0.0
         if self.rounds < 2:
             relative = math.inf
         return Error(relative, TensorXf(np.sqrt(variance).astype(np.float32)))
 
-    def _variance(self) -> Doubles:
-        """The variance of the mean luminance of each pixel."""
-        count = self.rounds
-        if count < 2:
-            return np.full_like(self.squares, np.inf)
-        spread = self.squares - self.luminance.sum(0) ** 2 / count
-        return np.maximum(spread, 0) / (count * (count - 1))
+    def samples(self) -> TensorXf:
+        """Samples of each pixel, (height, width)."""
+        raise NotImplementedError
+
+    def filtered(self) -> Doubles:
+        """The channels that samples are filtered for, (channels, height, width)."""
+        raise NotImplementedError
+
+    def variance(self) -> Doubles:
+        """The squared standard error of the luminance of each pixel, (height, width); infinite for one round."""
+        raise NotImplementedError
+
+    def mean_luminance(self) -> float:
+        """The mean luminance of all pixels."""
+        raise NotImplementedError
 
     # ---- sums ----------------------------------------------------------------------------------
 
-    def with_round(self, seed: int, part: RoundSums) -> Accumulation:
-        """This accumulation and one more round."""
-        weights = np.where(part.weights == 0, 1, part.weights)
-        brightness = luminance(part.sums / weights, self.channels).astype(np.float64)
-        halves = self.luminance.copy()
-        halves[self.rounds % 2] += brightness
-        return replace(
-            self,
-            seeds=(*self.seeds, seed),
-            sums=self.sums + part.sums,
-            weights=self.weights + part.weights,
-            constant=part.constant,
-            luminance=halves,
-            squares=self.squares + brightness * brightness,
-        )
-
-    def __add__(self, other: object) -> Accumulation:
+    def __add__(self: Same, other: object) -> Same:
         """The sum of two accumulations of one image, with rounds of one size and different seeds.
 
         Raises:
-            RenderError: They are of different images, or share rounds.
+            RenderError: They are of different images, or share rounds, or only one is adaptive.
         """
         if not isinstance(other, Accumulation):
             return NotImplemented
-        self.require_same(other.fingerprint, "accumulations can't be added")
+        problem = "accumulations can't be added"
+        self.require_same(other.fingerprint, problem)
+        if type(other) is not type(self):
+            raise RenderError(f"{problem}: one is adaptive")
         for name in ("size", "channels", "round_spp"):
             mine, others = getattr(self, name), getattr(other, name)
             if mine != others:
-                raise RenderError(f"accumulations can't be added: '{name}' is {mine} and {others}")
+                raise RenderError(f"{problem}: '{name}' is {mine} and {others}")
         shared = set(self.seeds) & set(other.seeds)
         if shared:
             raise RenderError(
-                f"accumulations can't be added: both have the round of seed {min(shared)}; render them with seeds that "
-                "differ"
+                f"{problem}: both have the round of seed {min(shared)}; render them with seeds that differ"
             )
-        return replace(
-            self,
-            seeds=self.seeds + other.seeds,
-            sums=self.sums + other.sums,
-            weights=self.weights + other.weights,
-            luminance=self.luminance + other.luminance,
-            squares=self.squares + other.squares,
-        )
+        return self.joined(other)
+
+    def joined(self: Same, other: Same) -> Same:
+        """The sum with an accumulation of the same kind and image."""
+        raise NotImplementedError
 
     def require_same(self, fingerprint: Fingerprint, problem: str) -> None:
         """Raise `RenderError` if a fingerprint isn't this one."""
@@ -201,9 +174,28 @@ class Accumulation:
 
         return load(path)
 
+    def facts(self) -> dict[str, Any]:
+        """What files say besides the arrays, and besides what all accumulations have: texts and whole numbers."""
+        return {}
+
+    @classmethod
+    def shapes(cls, header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+        """The shapes of the arrays of a file with a header whose common entries have been checked.
+
+        Raises:
+            ValueError: The other entries are wrong.
+            KeyError: They are missing.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def further(cls, header: Mapping[str, Any]) -> dict[str, Any]:
+        """The attributes that a header holds in its `facts`."""
+        return {}
+
 
 def luminance(image: npt.NDArray[np.floating], channels: Sequence[str]) -> npt.NDArray[np.floating]:
-    """The luminance of an image (channels, height, width): of R, G, B, or Y; without those the mean of all."""
+    """The luminance of an image (channels, ..): of R, G, B, or Y; without those the mean of all."""
     places = {name: i for i, name in reversed(list(enumerate(channels[: len(image)])))}
     if all(name in places for name in "RGB"):
         r, g, b = (image[places[name]] * image.dtype.type(s) for name, s in zip("RGB", RED_GREEN_BLUE, strict=True))

@@ -11,6 +11,7 @@ Nothing in it is code, and all sizes follow from the line of JSON.
 from __future__ import annotations
 
 import json
+import math
 import os
 import zlib
 from collections.abc import Mapping
@@ -31,9 +32,6 @@ __all__ = ["load", "save"]
 
 KIND, VERSION = b"djpt accumulation ", 1
 
-ARRAYS = {"sums": "<f8", "weights": "<f8", "constant": "<f4", "luminance": "<f8", "squares": "<f8"}
-"""The arrays in the order of the file, and their types."""
-
 
 def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
     """Write an accumulation: see `Accumulation.save`."""
@@ -46,10 +44,11 @@ def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
         "size": accumulation.size,
         "round_spp": accumulation.round_spp,
         "seeds": accumulation.seeds,
-        "weighted": accumulation.weights.size != 1 or accumulation.size == (1, 1),
+        **accumulation.facts(),
     }
-    parts = [json.dumps(header).encode() + b"\n"]
-    parts += [np.ascontiguousarray(getattr(accumulation, name), kind).tobytes() for name, kind in ARRAYS.items()]
+    parts: list[Any] = [json.dumps(header).encode() + b"\n"]
+    for name, kind in accumulation.stored.items():
+        parts.append(np.ascontiguousarray(getattr(accumulation, name), kind).reshape(-1).view(np.uint8))
     check = 0
     for part in parts:
         check = zlib.crc32(part, check)
@@ -60,7 +59,8 @@ def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
 
 def load(path: str | os.PathLike[str]) -> Accumulation:
     """Read an accumulation: see `Accumulation.load`."""
-    from djpt.long_renders.accumulation import Accumulation
+    from djpt.long_renders.adaptive import AdaptiveAccumulation
+    from djpt.long_renders.even import EvenAccumulation
 
     source = as_path(path)
     kind, _, rest = read_bytes(source).partition(b"\n")
@@ -75,23 +75,24 @@ def load(path: str | os.PathLike[str]) -> Accumulation:
     line, _, memory = data.partition(b"\n")
     try:
         header = checked(json.loads(line))
-        shapes = shapes_of(header)
-        needed = sum(int(np.dtype(ARRAYS[name]).itemsize) * product(shape) for name, shape in shapes.items())
+        made: type[Accumulation] = AdaptiveAccumulation if "tiles" in header else EvenAccumulation
+        types, shapes = made.stored, made.shapes(header)
+        needed = sum(int(np.dtype(types[name]).itemsize) * math.prod(shape) for name, shape in shapes.items())
         if needed != len(memory):
             raise ValueError(f"its arrays have {len(memory)} bytes, its header asks for {needed}")
-        arrays, place = {}, 0
+        entries, place = made.further(header), 0
         for name, shape in shapes.items():
-            array = np.frombuffer(memory, ARRAYS[name], product(shape), place).reshape(shape)
+            array = np.frombuffer(memory, types[name], math.prod(shape), place).reshape(shape)
             place += array.nbytes
-            arrays[name] = array.astype(array.dtype.newbyteorder("="))
+            entries[name] = array.astype(array.dtype.newbyteorder("="))
     except (ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise unreadable(source, f"its header is wrong: {str(error) or type(error).__name__}") from None
-    return Accumulation(
+    return made(
         fingerprint=header["fingerprint"],
         channels=tuple(header["channels"]),
         round_spp=header["round_spp"],
         seeds=tuple(header["seeds"]),
-        **arrays,
+        **entries,
     )
 
 
@@ -114,26 +115,6 @@ def checked(header: Any) -> Mapping[str, Any]:
     if len(set(header["seeds"])) != len(header["seeds"]):
         raise ValueError("two rounds have the same seed")
     return header
-
-
-def shapes_of(header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
-    """The shapes of the arrays."""
-    (width, height), constant = header["size"], header["constant"]
-    return {
-        "sums": (len(header["channels"]) - constant, height, width),
-        "weights": (height, width) if header["weighted"] else (1, 1),
-        "constant": (height, width, constant),
-        "luminance": (2, height, width),
-        "squares": (height, width),
-    }
-
-
-def product(shape: tuple[int, ...]) -> int:
-    """The number of entries of an array, as Python's integer, which has no limit."""
-    count = 1
-    for n in shape:
-        count *= n
-    return count
 
 
 def unreadable(source: Path, problem: str) -> FileError:

@@ -7,14 +7,19 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Protocol
 
 from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.long_renders.accumulation import Accumulation
+from djpt.long_renders.adaptive import AdaptiveAccumulation
+from djpt.long_renders.adaptive_rounds import AdaptiveRounds
+from djpt.long_renders.allocation import is_survey
+from djpt.long_renders.even import EvenAccumulation
 from djpt.long_renders.fingerprint import fingerprint
-from djpt.long_renders.rounds import RoundSums, begin_round, round_seed
+from djpt.long_renders.rounds import Rounds, round_seed
 from djpt.process.interruption import Interruption
 from djpt.rendering import channel_names, check_count, check_seed, find_integrator, find_sensor
 from djpt.scene import Scene
@@ -24,6 +29,9 @@ __all__ = ["ROUND_SPP", "Goal", "render_passes"]
 
 ROUND_SPP = 64
 """Samples per pixel of a round, unless fewer are asked for."""
+
+ADAPTIVE_ROUNDS = 16
+"""The rounds that an adaptive render of few samples is divided into."""
 
 LEAST_ROUNDS = 4
 """The rounds that an error must come from to stop a render."""
@@ -62,6 +70,7 @@ def render_passes(
     round_spp: int = 0,
     target_error: float | None = None,
     time_budget: float | None = None,
+    adaptive: bool = False,
     resume_from: Accumulation | None = None,
     schedule: str = "auto",
     progress: Progress | None = None,
@@ -86,6 +95,10 @@ def render_passes(
         target_error: Stop when the relative RMSE is estimated to be less, after 4 rounds at least: 0.01 is 1 %.
         time_budget: Stop when the next round would end later than this many seconds after the start; one round
             is always rendered if none exists.
+        adaptive: Take more samples in tiles of 16 x 16 pixels that have more noise, without bias: see
+            `djpt.long_renders.allocation`. The numbers of samples are means over the image then; `samples` says
+            how many each pixel has. By default a round has a sixteenth of the `spp`. Only integrators that follow
+            paths from the camera can.
         resume_from: What to go on with: of the same scene, seed, sensor and integrator. If nothing is left to be done
             it is given as it is.
         schedule: As for `render`.
@@ -95,7 +108,7 @@ def render_passes(
     Gradients of parameters are left alone. While a round is looked at, the next one may be running.
 
     Raises:
-        RenderError: Arguments are out of range, or `resume_from` is another render's.
+        RenderError: Arguments are out of range, `resume_from` is another render's, or the render can't be adaptive.
     """
     camera, estimator, seed = find_sensor(scene, sensor), find_integrator(scene, integrator), check_seed("seed", seed)
     spp, round_spp = check_count("spp", spp), check_count("round_spp", round_spp)
@@ -105,26 +118,107 @@ def render_passes(
     sampler = camera.sampler()
     if not spp and target_error is None and time_budget is None:
         spp = sampler.sample_count()
-    found = resume_from or begun(
-        scene, camera, estimator, sampler.round_count(round_spp or min(spp or ROUND_SPP, ROUND_SPP))
-    )
+    of_round = sampler.round_count(round_spp or usual_spp(spp, adaptive))
     if resume_from is not None:
-        require_resumable(
-            resume_from, fingerprint(scene, camera, estimator), seed, round_spp and sampler.round_count(round_spp)
-        )
-    goal = Goal(-(-spp // found.round_spp) if spp else None, target_error, time_budget)
-
-    def begin(number: int, watched: bool) -> Callable[[], RoundSums]:
-        watch = (progress, interruption) if watched else (None, None)
-        return begin_round(scene, camera, estimator, round_seed(seed, number), found.round_spp, schedule, *watch)
-
-    return rounds(found, seed, goal, begin)
+        require_resumable(resume_from, fingerprint(scene, camera, estimator), seed, round_spp and of_round, adaptive)
+        of_round = resume_from.round_spp
+    kind = AdaptiveImage if adaptive else EvenImage
+    image = kind(scene, camera, estimator, seed, of_round, schedule, progress, interruption)
+    goal = Goal(-(-spp // of_round) if spp else None, target_error, time_budget)
+    return rounds(resume_from or image.empty(), goal, image)
 
 
-def rounds(
-    found: Accumulation, seed: int, goal: Goal, begin: Callable[[int, bool], Callable[[], RoundSums]]
-) -> Iterator[Accumulation]:
-    """The accumulations after each round until a goal is reached, one at least; `begin` launches a round."""
+def usual_spp(spp: int, adaptive: bool) -> int:
+    """The samples per pixel of a round, if nobody says how many."""
+    return min(max(4, -(-spp // ADAPTIVE_ROUNDS)) if spp and adaptive else spp or ROUND_SPP, ROUND_SPP)
+
+
+class Image(Protocol):
+    """An image that is rendered in rounds."""
+
+    def empty(self) -> Any:
+        """The accumulation of no rounds."""
+
+    def begin(self, found: Any, number: int, watched: bool) -> Callable[[Any], Accumulation]:
+        """Launch a round; the result waits for it and adds it to an accumulation.
+
+        Args:
+            found: What is known when the round begins.
+            number: Of the round.
+            watched: Whether progress is shown and signals are noticed meanwhile.
+        """
+
+    def overlaps(self, number: int) -> bool:
+        """Whether the next round may begin before a round has ended."""
+
+
+@dataclass(frozen=True)
+class RoundImage:
+    """What all images in rounds consist of."""
+
+    scene: Scene
+    sensor: Sensor
+    integrator: Integrator
+    seed: int
+    spp: int
+    """Samples per pixel of a round."""
+    schedule: str
+    progress: Progress | None
+    interruption: Interruption | None
+
+    def watch(self, watched: bool) -> tuple[Progress | None, Interruption | None]:
+        """Who is told of passes."""
+        return (self.progress, self.interruption) if watched else (None, None)
+
+    def description(self) -> tuple[dict[str, str], tuple[str, ...], int]:
+        """The fingerprint, the names of the channels, and how many of them come from the centres of pixels."""
+        scene, sensor, integrator = self.scene, self.sensor, self.integrator
+        constant = len(integrator.unfiltered_names())
+        return fingerprint(scene, sensor, integrator), channel_names(scene, sensor, integrator), constant
+
+
+class EvenImage(RoundImage):
+    """An image whose pixels all have the same number of samples."""
+
+    @cached_property
+    def _rounds(self) -> Rounds:
+        return Rounds(self.scene, self.sensor, self.integrator, self.spp, self.schedule)
+
+    def empty(self) -> EvenAccumulation:
+        width, height = self.sensor.film().crop_size()
+        return EvenAccumulation.empty(*self.description(), (int(width), int(height)), self.spp)
+
+    def begin(self, found: EvenAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
+        seed = round_seed(self.seed, number)
+        result = self._rounds.begin(seed, *self.watch(watched))
+        return lambda found: found.with_round(seed, result())
+
+    def overlaps(self, number: int) -> bool:
+        return True
+
+
+class AdaptiveImage(RoundImage):
+    """An image that has more samples where there is more noise."""
+
+    @cached_property
+    def _rounds(self) -> AdaptiveRounds:
+        return AdaptiveRounds(self.scene, self.sensor, self.integrator, self.spp, self.schedule)
+
+    def empty(self) -> AdaptiveAccumulation:
+        return AdaptiveAccumulation.empty(*self.description(), self._rounds.tiles, self.spp)
+
+    def begin(self, found: AdaptiveAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
+        seed = round_seed(self.seed, number)
+        result = self._rounds.begin(self.seed, number, found.places(number), *self.watch(watched))
+        return lambda found: found.with_round(seed, result())
+
+    def overlaps(self, number: int) -> bool:
+        # What the next round samples follows from the surveys, and from the counts of its own half.
+        return not is_survey(number)
+
+
+def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulation]:
+    """The accumulations after each round until a goal is reached, one at least."""
     start = before = time.perf_counter()
     of_round, waiting = 0.0, None
     if found.rounds and goal.is_reached(found, 0.0, 0.0):
@@ -132,13 +226,13 @@ def rounds(
         return
     for number in itertools.count(found.rounds):
         # Watched in the beginning: nobody knows yet how long a round takes.
-        result = waiting or begin(number, of_round > SLOW or not of_round)
+        result = waiting or image.begin(found, number, of_round > SLOW or not of_round)
         waiting = None
         elapsed = time.perf_counter() - start
         ahead = of_round and of_round <= SLOW and (goal.rounds is None or number + 1 < goal.rounds)
-        if ahead and (goal.seconds is None or elapsed + 2 * of_round <= goal.seconds):
-            waiting = begin(number + 1, False)
-        found = found.with_round(round_seed(seed, number), result())
+        if ahead and image.overlaps(number) and (goal.seconds is None or elapsed + 2 * of_round <= goal.seconds):
+            waiting = image.begin(found, number + 1, False)
+        found = result(found)
         now = time.perf_counter()
         of_round, before = max(now - before, 1e-6), now
         yield found
@@ -146,19 +240,12 @@ def rounds(
             return
 
 
-def begun(scene: Scene, sensor: Sensor, integrator: Integrator, round_spp: int) -> Accumulation:
-    """The accumulation of no rounds of an image."""
-    width, height = sensor.film().crop_size()
-    names, constant = channel_names(scene, sensor, integrator), len(integrator.unfiltered_names())
-    return Accumulation.empty(
-        fingerprint(scene, sensor, integrator), names, constant, (int(width), int(height)), round_spp
-    )
-
-
-def require_resumable(found: Accumulation, current: dict[str, str], seed: int, round_spp: int) -> None:
+def require_resumable(found: Accumulation, current: dict[str, str], seed: int, round_spp: int, adaptive: bool) -> None:
     """Raise `RenderError` unless an accumulation is the beginning of a render."""
     problem = "the render can't go on"
     found.require_same(current, problem)
+    if isinstance(found, AdaptiveAccumulation) != adaptive:
+        raise RenderError(f"{problem}: it was {'not ' if adaptive else ''}begun with adaptive=True")
     if round_spp and round_spp != found.round_spp:
         raise RenderError(f"{problem}: its rounds have {found.round_spp} spp, 'round_spp' is {round_spp}")
     if found.seeds != tuple(round_seed(seed, number) for number in range(found.rounds)):

@@ -8,14 +8,16 @@ that is asked for; rounds ask for the same one each, whatever the render is exte
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
+from djpt.description.frozen import Holder
 from djpt.display.progress import Progress
+from djpt.gradients.leaves import attached_parameters
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace
 from djpt.process.interruption import Interruption
@@ -25,11 +27,17 @@ from djpt.schedules.canvas import Summed
 from djpt.schedules.choice import choose
 from djpt.schedules.job import Job
 from djpt.schedules.memory import check_memory
+from djpt.schedules.reconstruction import Rows
+from djpt.sensors import Sensor
+from djpt.types import Float, UInt32
 
-__all__ = ["RoundSums", "begin_round", "round_seed"]
+__all__ = ["RoundSums", "Rounds", "constant_of", "inputs", "round_seed"]
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
+
+RECORDED_SAMPLES = 2**24
+"""The samples of the largest rounds whose kernels are recorded: tracing them matters less and less in larger ones."""
 
 
 def round_seed(seed: int, number: int) -> int:
@@ -55,46 +63,96 @@ class RoundSums:
     """The channels that come from the centres of pixels, the same in each round: (height, width, channels)."""
 
 
-def begin_round(
-    scene: Scene,
-    sensor: Any,
-    integrator: Integrator,
-    seed: int,
-    spp: int,
-    schedule: str,
-    progress: Progress | None,
-    interruption: Interruption | None,
-) -> Callable[[], RoundSums]:
-    """Launch the kernels of a round; the result waits for them.
+class Rounds:
+    """The rounds of one image.
 
-    Kernels run meanwhile, unless there is something to be told after each pass.
+    Python traces the kernels of the first two rounds; those of the others are recorded and launched again with other
+    seeds (`dr.freeze`), which takes no time, if the image is small enough to be computed in one band.
     """
-    begin_trace()
-    if type(integrator).render is not Integrator.render:
-        return waiting_for_image(render(scene, None, sensor, integrator, seed, spp=spp), spp)
-    require_still(scene)
-    job = make_job(scene, sensor, integrator, seed, spp, 0, progress, interruption)
-    how = choose(schedule, job)
-    check_memory(job)
-    with dr.suspend_grad():
-        if job.channel_names() and not how.in_bands:
-            return waiting_for_image(how.image(job), spp, job)
-        summed = list(how.rows(job)) if job.channel_names() else []
 
-    def result() -> RoundSums:
-        return RoundSums(*sums_of_rows(job, summed), constant_of(job))
+    def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
+        self._scene, self._sensor, self._integrator = scene, sensor, integrator
+        self._spp, self._schedule = spp, schedule
+        self._job: Job | None = None
+        """The job of a round that was computed in one band."""
+        self._constant: Floats | None = None
+        self._inputs: list[Any] = []
+        self._recorded: Callable[..., list[Float]] = dr.freeze(self._one_band, auto_opaque=False)
 
-    return result
+    def begin(self, seed: int, progress: Progress | None, interruption: Interruption | None) -> Callable[[], RoundSums]:
+        """Launch the kernels of a round; the result waits for them.
+
+        Kernels run meanwhile, unless there is something to be told after each pass.
+        """
+        if self._job is not None and progress is None and interruption is None:
+            return self._launched_again(self._job, seed)
+        begin_trace()
+        scene, sensor, integrator, spp = self._scene, self._sensor, self._integrator, self._spp
+        if type(integrator).render is not Integrator.render:
+            return waiting_for_image(render(scene, None, sensor, integrator, seed, spp=spp), spp)
+        require_still(scene)
+        job = make_job(scene, sensor, integrator, seed, spp, 0, progress, interruption)
+        how = choose(self._schedule, job)
+        check_memory(job)
+        if self._constant is None:
+            self._constant = constant_of(job)
+        constant = self._constant
+        with dr.suspend_grad():
+            if job.channel_names() and not how.in_bands:
+                return waiting_for_image(how.image(job), spp, constant)
+            summed = list(how.rows(job)) if job.channel_names() else []
+        if len(summed) == 1 and can_be_recorded(job):
+            self._job, self._inputs = job, inputs(scene, sensor, integrator)
+        return lambda: RoundSums(*sums_of_rows(job, summed), constant)
+
+    def _launched_again(self, job: Job, seed: int) -> Callable[[], RoundSums]:
+        """Launch the recorded kernels with another seed; the first time they are traced."""
+        begin_trace()
+        with dr.suspend_grad():
+            sums = self._recorded(self._inputs, dr.opaque(UInt32, seed))
+        assert self._constant is not None
+        weight = sums[-1] if job.film.filters else Float(self._spp)
+        summed = [(Rows(0, job.height, sums), weight)]
+        constant = self._constant
+        return lambda: RoundSums(*sums_of_rows(job, summed), constant)
+
+    def _one_band(self, inputs: list[Any], seed: UInt32) -> list[Float]:
+        """The sums of a round that is computed in one band, by channel; `inputs` is what its kernels read."""
+        job = replace(make_job(self._scene, self._sensor, self._integrator, seed, self._spp), repeated=True)
+        with dr.suspend_grad():
+            ((rows, _),) = choose(self._schedule, job).rows(job)
+        return rows.sums
 
 
-def waiting_for_image(image: Any, spp: int, job: Job | None = None) -> Callable[[], RoundSums]:
+def inputs(*holders: Holder) -> list[Any]:
+    """The arrays that kernels read of some objects, as they are now.
+
+    A frozen function that was given the objects would look through them at each call.
+    """
+    return [array for holder in holders for array in holder.held[1:]]
+
+
+def can_be_recorded(job: Job) -> bool:
+    """Whether the kernels of a round can be launched again without Python.
+
+    Integrators and samplers of scripts may do anything between kernels, and parameters with gradients may change.
+    """
+    return (
+        job.samples <= RECORDED_SAMPLES
+        and not job.integrator.from_script
+        and job.sampler.has_streams
+        and not attached_parameters(job.scene)
+    )
+
+
+def waiting_for_image(image: Any, spp: int, constant: Floats | None = None) -> Callable[[], RoundSums]:
     """The sums of a round of which only the image is known: each sample has the weight 1."""
 
     def result() -> RoundSums:
         values = np.moveaxis(image.numpy(), 2, 0).astype(np.float64) * spp
         height, width = values.shape[1:]
-        constant = np.zeros((height, width, 0), np.float32) if job is None else constant_of(job)
-        return RoundSums(values, np.full((1, 1), spp, np.float32), constant)
+        of_centres = np.zeros((height, width, 0), np.float32) if constant is None else constant
+        return RoundSums(values, np.full((1, 1), spp, np.float32), of_centres)
 
     return result
 

@@ -56,6 +56,8 @@ class Job:
     """Samples per pixel of one pass; 0: as many as suit the schedule. It changes time and memory, never the image."""
     interruption: Interruption | None = None
     """The signals that end the render; None: whatever Python makes of them."""
+    repeated: bool = False
+    """Whether the same kernels will be launched many times, so that the time to compile them doesn't matter."""
 
     splits_freely: ClassVar[bool] = True
     """Whether passes of any size make the same image."""

@@ -26,6 +26,7 @@ from djpt.types import Event, Float, TensorXf, UInt32
 __all__ = [
     "AddToFilm",
     "Samples",
+    "computed",
     "filtered_rows",
     "image_of_samples",
     "one_ahead",

@@ -30,11 +30,13 @@ from djpt.schedules.wide_filter import add_to_targets, gather_from_targets, reac
 from djpt.types import Bool, Float, Int32, Point2f, UInt32
 
 __all__ = [
+    "MAX_SUMS",
     "Read",
     "Rows",
     "Spread",
     "Sums",
     "add_box",
+    "add_by_pixels",
     "add_samples",
     "add_taps",
     "by_pixels",
@@ -202,11 +204,15 @@ Read = Callable[[UInt32, int, Bool], Sums]
 def collect(job: Job, band: Band, lanes: int, read: Callable[[int], Read], rows_in_reach: Rows) -> Sums:
     """Add to each pixel in a band's reach what the `lanes` of the band's pixels around it hold for it.
 
-    `read` gives how the sums for a row tap are read. All row taps have the same kernel, which is soon compiled.
+    `read` gives how the sums for a row tap are read. All row taps have the same kernel, which is soon compiled; where
+    it is launched again and again, one kernel for all of them is faster.
     """
     image = rows_in_reach.sums
     for j in reversed(range(job.film.taps)):
         image = collect_row(job, band, lanes, read(j), j - job.film.taps // 2, rows_in_reach, image)
+        if not job.repeated:
+            dr.eval(image)
+    dr.eval(image)
     return image
 
 
@@ -229,7 +235,6 @@ def collect_row(job: Job, band: Band, lanes: int, read: Read, below: int, place:
 
     start = dr.zeros(UInt32, dr.width(column))
     _, result = while_loop((start, list(image)), lambda start, image: start < end, body, label="film spread")
-    dr.eval(result)
     return result
 
 

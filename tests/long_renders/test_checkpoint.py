@@ -13,7 +13,7 @@ import pytest
 import djpt
 from djpt.errors import DjptError, FileError
 from djpt.long_renders.accumulation import Accumulation
-from djpt.long_renders.checkpoint import ARRAYS
+from djpt.long_renders.even import EvenAccumulation
 from tests.long_renders.test_passes import box, last
 
 
@@ -31,7 +31,7 @@ def test_what_is_read_is_what_was_written(tmp_path: Path, rfilter: str) -> None:
     read = Accumulation.load(tmp_path / "a.djpt")
     for name in ("fingerprint", "channels", "round_spp", "seeds", "spp", "size"):
         assert getattr(read, name) == getattr(written, name)
-    for name in ARRAYS:
+    for name in EvenAccumulation.stored:
         np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
     assert [path.name for path in tmp_path.iterdir()] == ["a.djpt"]
 

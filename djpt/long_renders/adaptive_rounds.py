@@ -1,0 +1,138 @@
+"""Rounds over tiles: the kernels of adaptive renders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from djpt.display.progress import Progress
+from djpt.errors import RenderError
+from djpt.gradients.leaves import attached_parameters
+from djpt.integrators.base import Integrator
+from djpt.kernels import begin_trace, shared
+from djpt.long_renders.adaptive import Counts, TileSums
+from djpt.long_renders.rounds import constant_of, inputs, round_seed
+from djpt.long_renders.tile_job import TileJob, film_sums, reason_against
+from djpt.long_renders.tiles import Tiles
+from djpt.process.interruption import Interruption
+from djpt.rendering import make_job, require_still
+from djpt.scene import Scene
+from djpt.schedules.choice import choose
+from djpt.schedules.job import Job
+from djpt.schedules.memory import check_memory
+from djpt.sensors import Sensor
+from djpt.types import Float, UInt32
+
+__all__ = ["AdaptiveRounds"]
+
+PIXELS = 2**16
+"""The pixels of the tiles that are computed at once: a film's sums are up to half a kilobyte for each."""
+
+REPEATED = 2**20
+"""The numbers of rounds end here; those of a tile that a round samples again follow."""
+
+
+class AdaptiveRounds:
+    """The rounds of one image over tiles.
+
+    The samples of a tile in a round are those of `render` with the round's seed. If the round samples the tile again,
+    they have the seed of a round that no render comes to.
+
+    Raises:
+        RenderError: The image can't be rendered in tiles.
+    """
+
+    def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
+        self._scene, self._sensor, self._integrator = scene, sensor, integrator
+        self._spp, self._schedule = spp, schedule
+        if type(integrator).render is not Integrator.render:
+            raise RenderError(f"{integrator.id()} renders by itself: it can't be adaptive")
+        require_still(scene)
+        job = self._job()
+        check_memory(job)
+        if not job.sampler.has_streams:
+            raise RenderError(f"{job.sampler.id()} has no stream for each sample, which adaptive renders need")
+        if choose(schedule, job).name == "machine":
+            self._schedule = "flat"
+        problem = reason_against(job, choose(self._schedule, job))
+        if problem:
+            raise RenderError(f"the render can't be adaptive: {problem}")
+        border = job.film.border
+        width, height = job.film.crop_size()
+        grid = int(width) + 2 * border, int(height) + 2 * border
+        self.tiles = Tiles(grid, border, job.film.taps // 2)
+        self._filters, self._constant = job.film.filters, constant_of(job)
+        self._inputs: list[Any] = []
+        self._recorded: dict[int, Callable[..., list[Float]]] | None = None
+        if not integrator.from_script and not attached_parameters(job.scene):
+            self._recorded = {}
+
+    def _job(self) -> Job:
+        begin_trace()
+        return make_job(self._scene, self._sensor, self._integrator, 0, self._spp)
+
+    def begin(
+        self, seed: int, number: int, places: Counts, progress: Progress | None, interruption: Interruption | None
+    ) -> Callable[[], TileSums]:
+        """Launch the kernels of a round that samples the tiles `places`, in order; the result waits for them."""
+        _, first = np.unique(places, return_index=True)
+        again = np.arange(len(places)) - np.repeat(first, np.diff(first, append=len(places)))
+        seeds = [round_seed(seed, number + REPEATED * k) for k in again.tolist()]
+        size = max(1, PIXELS // (self.tiles.width * self.tiles.height))
+        parts = []
+        for start in range(0, len(places), size):
+            parts.append(self._launch(places[start : start + size], seeds[start : start + size]))
+            if interruption is not None or progress is not None or start >= 2 * size:
+                # Never far ahead of the kernels: what all of them need must not pile up in memory.
+                dr.sync_thread()
+            if interruption is not None:
+                interruption.check()
+            if progress is not None:
+                progress(start + len(places[start : start + size]), len(places))
+
+        def result() -> TileSums:
+            return TileSums(places, self._on_host(parts, len(places)), self._constant)
+
+        return result
+
+    def _launch(self, places: Counts, seeds: list[int]) -> list[Float]:
+        """Launch the kernels of some tiles."""
+        begin_trace()
+        count = len(seeds)
+        numbers = [copied(np.array(values, np.uint32)) for values in (places, seeds)]
+        with dr.suspend_grad():
+            if self._recorded is None:
+                return self._films([], *numbers)
+            if count not in self._recorded:
+                # The first time they are only traced: what kernels call is compiled then.
+                self._recorded[count] = dr.freeze(self._films, auto_opaque=False)
+                films = self._films([], *numbers)
+                self._inputs = inputs(self._scene, self._sensor, self._integrator)
+                return films
+            return self._recorded[count](self._inputs, *numbers)
+
+    def _films(self, inputs: list[Any], places: UInt32, seeds: UInt32) -> Any:
+        """The films of some tiles: see `djpt.long_renders.tile_job.film_sums`; `inputs` is what their kernels read."""
+        with dr.suspend_grad():
+            job = make_job(self._scene, self._sensor, self._integrator, 0, self._spp)
+            tiles = TileJob.of(job, self.tiles, places, seeds)
+            return film_sums(tiles, choose(self._schedule, tiles))
+
+    def _on_host(self, parts: list[list[Float]], count: int) -> Any:
+        """The sums of all parts, (channels and weight, tiles, height, width)."""
+        films = np.concatenate([np.stack([sums.numpy() for sums in part]) for part in parts], axis=1)
+        films = films.reshape(-1, count, *self.tiles.film)
+        if self._filters:
+            return films
+        return np.concatenate([films, np.full((1, *films.shape[1:]), self._spp, np.float32)])
+
+
+def copied(numbers: npt.NDArray[np.uint32]) -> UInt32:
+    """A copy of an array in memory of Dr.Jit's own, which doesn't wait for kernels."""
+    result = shared(numbers) ^ dr.opaque(UInt32, 0)
+    dr.eval(result)
+    return result
