@@ -19,6 +19,7 @@ from djpt.cluster.bundle import Bundle
 from djpt.description.overrides import described, override
 from djpt.errors import BackendError, DjptError, ParameterError, RenderError, SceneError
 from djpt.long_renders.rounds import round_seed
+from tests.kit.commands import run
 
 distributed = pytest.importorskip("distributed")
 
@@ -177,3 +178,15 @@ def test_errors_name_the_cause(cluster: Cluster) -> None:
         djpt.cluster.gradient(client, box(), {}, brightness, [0])
     with pytest.raises(RenderError, match="'views'"):
         djpt.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [])
+
+
+def test_the_command_line(cluster: Cluster, tmp_path: Path) -> None:
+    address = cluster.scheduler.scheduler_address
+    small = ("cornell_box", "--width", "16", "--spp", "128", "-q", "--target-error", "1e-6")
+    for name, options in (("here", ()), ("there", ("--cluster", address, "--preview", str(tmp_path / "now.png")))):
+        code, _, err = run("render", *small, *options, "-o", str(tmp_path / f"{name}.exr"))
+        assert code == 0, err
+    assert np.array_equal(djpt.read(tmp_path / "here.exr").numpy(), djpt.read(tmp_path / "there.exr").numpy())
+    assert djpt.read(tmp_path / "now.png").shape == (16, 16, 3)
+    code, _, err = run("render", "cornell_box", "--cluster", address, "--adaptive")
+    assert code == 2 and "--adaptive" in err
