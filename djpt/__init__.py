@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from djpt.dispatch.pointers import EmitterPtr as EmitterPtr
     from djpt.dispatch.pointers import SensorPtr as SensorPtr
     from djpt.dispatch.pointers import ShapePtr as ShapePtr
+    from djpt.display.live import show_passes as show_passes
     from djpt.emitters import Emitter as Emitter
     from djpt.errors import AmbiguityError as AmbiguityError
     from djpt.errors import BackendError as BackendError
@@ -159,6 +160,7 @@ _EXPORTS = {
     "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
     "djpt.dispatch.pointers": "BSDFPtr EmitterPtr SensorPtr ShapePtr",
     "djpt.emitters": "Emitter",
+    "djpt.display.live": "show_passes",
     "djpt.long_renders.accumulation": "Accumulation",
     "djpt.long_renders.passes": "render_passes",
     "djpt.long_renders.to_file": "render_to_file",

@@ -20,20 +20,8 @@ from djpt.files import reason
 __all__ = ["COMMANDS", "app", "main", "run"]
 
 COMMANDS = (
-    *(
-        "render",
-        "view",
-        "merge",
-        "denoise",
-        "tonemap",
-        "compare",
-        "gradcheck",
-        "validate",
-        "info",
-        "scenes",
-        "gallery",
-        "doctor",
-    ),
+    *("render", "view", "worker", "merge", "denoise", "tonemap", "compare", "gradcheck", "validate"),
+    *("info", "scenes", "gallery", "doctor"),
     *("turntable", "animate", "ladder", "bounces", "spp", "strategies"),
 )
 """The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from djpt.cli.console import has_terminal, short
-from djpt.errors import FileError, RenderError
+from djpt.errors import BackendError, FileError, RenderError
 from djpt.files import check_target
 from djpt.process.interruption import interruptible
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from djpt.long_renders.accumulation import Accumulation
 
 __all__ = ["Passes", "seconds_of", "share_of", "status"]
+
+PREVIEW_SECONDS = 1.0
+"""The least time between two writings of the preview."""
 
 UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
@@ -38,11 +42,21 @@ class Passes:
     time_budget: float | None
     adaptive: bool = False
     """Whether there are more samples where there is more noise."""
+    cluster: str | None = None
+    """The address of a scheduler whose workers render."""
+    preview: Path | None = None
+    """A picture that is written again as rounds come."""
 
     def check(self) -> None:
         """Raise an error if the checkpoint can't be written, or would be lost by a new render."""
         if self.resume and self.checkpoint is None:
             raise RenderError("--resume needs --checkpoint FILE: what to go on with")
+        if self.cluster is not None and self.adaptive:
+            raise RenderError("--adaptive needs each round for the next one, so --cluster can't share them")
+        if self.preview is not None:
+            from djpt.images.image import check_writable
+
+            check_writable(self.preview)
         if self.checkpoint is None:
             return
         check_target(self.checkpoint)
@@ -50,20 +64,29 @@ class Passes:
             raise FileError(f"'{self.checkpoint}' exists: go on with it (--resume), or remove it")
 
     def render(
-        self, scene: Any, sensor: int, seed: int, spp: int, schedule: str, keep_partial: bool, quiet: bool
+        self,
+        scene: Any,
+        description: Mapping[str, Any],
+        sensor: int,
+        seed: int,
+        spp: int,
+        schedule: str,
+        keep_partial: bool,
+        quiet: bool,
     ) -> tuple[Accumulation, int, Callable[[], None]]:
         """What exists, the rounds of it that were rendered now, and a function to be called once it is written.
 
         The function ends a process that a signal ends. Signals write the checkpoint before they end a render.
         """
         import djpt
+        from djpt.cli.pictures import channels_for
 
         begun = None
         if self.resume and self.checkpoint is not None and self.checkpoint.exists():
             begun = djpt.Accumulation.load(self.checkpoint)
         found, first = begun, 0 if begun is None else begun.rounds
         saved = first
-        start = last = time.perf_counter()
+        start = last = shown = time.perf_counter()
         line = Line(quiet)
 
         def save() -> None:
@@ -77,20 +100,33 @@ class Passes:
                 f"'{self.checkpoint}' has what exists" if self.checkpoint else "the image has what exists"
             )
 
-        with interruptible(keeps=False) as interruption, line:
+        def show() -> None:
+            nonlocal shown
+            if self.preview is not None and found is not None:
+                names = channels_for(self.preview, found.channels, len(scene.sensors()[sensor].film().channel_names()))
+                djpt.write(self.preview, found.image()[..., :names])
+                shown = time.perf_counter()
+
+        options: dict[str, Any] = {
+            "sensor": sensor,
+            "seed": seed,
+            "spp": spp,
+            "target_error": self.target_error,
+            "time_budget": self.time_budget,
+            "resume_from": begun,
+            "schedule": schedule,
+        }
+        with interruptible(keeps=False) as interruption, line, self.connected() as client:
             try:
-                for found in djpt.render_passes(
-                    scene,
-                    sensor=sensor,
-                    seed=seed,
-                    spp=spp,
-                    target_error=self.target_error,
-                    time_budget=self.time_budget,
-                    adaptive=self.adaptive,
-                    resume_from=begun,
-                    schedule=schedule,
-                    interruption=interruption,
-                ):
+                if client is None:
+                    images = djpt.render_passes(scene, adaptive=self.adaptive, interruption=interruption, **options)
+                else:
+                    from djpt.cluster.rendering import render_passes
+
+                    images = render_passes(client, description, **options)
+                for found in images:
+                    if time.perf_counter() - shown >= PREVIEW_SECONDS:
+                        show()
                     if line.visible:
                         done, elapsed = found.rounds - first, time.perf_counter() - start
                         line.show(status(found, done, elapsed, spp, self.target_error, self.time_budget))
@@ -102,10 +138,28 @@ class Passes:
                 if interruption.signal is None or found is None:
                     raise
             save()
+            show()
             if not keep_partial:
                 leave()
         assert found is not None
         return found, found.rounds - first, leave
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[Any]:
+        """A client of the cluster, or None where there is none to ask."""
+        if self.cluster is None:
+            yield None
+            return
+        try:
+            from distributed import Client
+        except ImportError:
+            raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+        try:
+            client: Any = Client(self.cluster)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError, TypeError) as error:
+            raise RenderError(f"no scheduler answers at '{self.cluster}': {error}") from None
+        with client:
+            yield client
 
 
 def status(

@@ -42,6 +42,8 @@ __all__ = ["command"]
 @click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists.")
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
+@click.option("--preview", type=click.Path(path_type=Path), help="Write a picture of what exists again and again.")
+@click.option("--cluster", metavar="ADDRESS", help="Render on the workers of this scheduler: tcp://host:8786.")
 @click.option("--adaptive", is_flag=True, help="Take more samples where there is more noise; --spp is their mean.")
 @options.define
 @options.quiet
@@ -68,6 +70,8 @@ def command(
     resume: bool,
     target_error: str | None,
     time_budget: str | None,
+    preview: Path | None,
+    cluster: str | None,
     adaptive: bool,
     define: tuple[str, ...],
     quiet: bool,
@@ -78,7 +82,8 @@ def command(
     require_positive(spp=spp, width=width, height=height)
     name, description = described(scene, parameters(define))
     in_rounds = None
-    if checkpoint or resume or adaptive or target_error is not None or time_budget is not None:
+    stops = target_error is not None or time_budget is not None
+    if checkpoint or resume or adaptive or cluster or preview or stops:
         from djpt.cli.passes import Passes, seconds_of, share_of
 
         in_rounds = Passes(
@@ -88,6 +93,8 @@ def command(
             None if target_error is None else share_of(target_error),
             None if time_budget is None else seconds_of(time_budget),
             adaptive,
+            cluster,
+            preview,
         )
         in_rounds.check()
     # NumPy is imported after the scene was found.
@@ -123,7 +130,9 @@ def command(
         from djpt.long_renders.to_file import facts
 
         with ending_at_once():
-            found, rounds, leave = in_rounds.render(loaded, sensor, seed, spp or 0, schedule, keep_partial, quiet)
+            found, rounds, leave = in_rounds.render(
+                loaded, description, sensor, seed, spp or 0, schedule, keep_partial, quiet
+            )
             of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
             stored = names[:kept] if target.suffix.lower() == ".exr" and tone is None else None
             pixels = convert(found.image().numpy())

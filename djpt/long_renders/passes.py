@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from djpt.display.progress import Progress
 from djpt.errors import RenderError
@@ -110,6 +110,36 @@ def render_passes(
     Raises:
         RenderError: Arguments are out of range, `resume_from` is another render's, or the render can't be adaptive.
     """
+    plan = planned(scene, sensor, integrator, seed, spp, round_spp, target_error, time_budget, adaptive, resume_from)
+    kind = AdaptiveImage if adaptive else EvenImage
+    image = kind(scene, plan.sensor, plan.integrator, plan.seed, plan.of_round, schedule, progress, interruption)
+    return rounds(resume_from or image.empty(), plan.goal, image)
+
+
+class Plan(NamedTuple):
+    """A render in rounds, its arguments checked."""
+
+    sensor: Sensor
+    integrator: Integrator
+    seed: int
+    of_round: int
+    """Samples per pixel of a round."""
+    goal: Goal
+
+
+def planned(
+    scene: Scene,
+    sensor: Any,
+    integrator: Any,
+    seed: int,
+    spp: int,
+    round_spp: int,
+    target_error: float | None,
+    time_budget: float | None,
+    adaptive: bool,
+    resume_from: Accumulation | None,
+) -> Plan:
+    """Check the arguments of `render_passes`, and replace those that were left out."""
     camera, estimator, seed = find_sensor(scene, sensor), find_integrator(scene, integrator), check_seed("seed", seed)
     spp, round_spp = check_count("spp", spp), check_count("round_spp", round_spp)
     for name, limit in (("target_error", target_error), ("time_budget", time_budget)):
@@ -122,10 +152,8 @@ def render_passes(
     if resume_from is not None:
         require_resumable(resume_from, fingerprint(scene, camera, estimator), seed, round_spp and of_round, adaptive)
         of_round = resume_from.round_spp
-    kind = AdaptiveImage if adaptive else EvenImage
-    image = kind(scene, camera, estimator, seed, of_round, schedule, progress, interruption)
     goal = Goal(-(-spp // of_round) if spp else None, target_error, time_budget)
-    return rounds(resume_from or image.empty(), goal, image)
+    return Plan(camera, estimator, seed, of_round, goal)
 
 
 def usual_spp(spp: int, adaptive: bool) -> int:

@@ -73,7 +73,8 @@ class Rounds:
 
     def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
         self._scene, self._sensor, self._integrator = scene, sensor, integrator
-        self._spp, self._schedule = spp, schedule
+        self.spp, self._schedule = spp, schedule
+        """Samples per pixel of each round, and how lanes are filled."""
         self._job: Job | None = None
         """The job of a round that was computed in one band."""
         self._constant: Floats | None = None
@@ -96,7 +97,7 @@ class Rounds:
         if self._job is not None and progress is None and interruption is None:
             return self._launched_again(self._job, seed)
         begin_trace()
-        scene, sensor, integrator, spp = self._scene, self._sensor, self._integrator, self._spp
+        scene, sensor, integrator, spp = self._scene, self._sensor, self._integrator, self.spp
         if type(integrator).render is not Integrator.render:
             return waiting_for_image(render(scene, None, sensor, integrator, seed, spp=spp), spp)
         require_still(scene)
@@ -130,14 +131,14 @@ class Rounds:
         with dr.suspend_grad(), without_garbage():
             sums = self._recorded(self._inputs, dr.opaque(UInt32, seed))
         assert self._constant is not None
-        weight = sums[-1] if job.film.filters else Float(self._spp)
+        weight = sums[-1] if job.film.filters else Float(self.spp)
         summed = [(Rows(0, job.height, sums), weight)]
         constant = self._constant
         return lambda: RoundSums(*sums_of_rows(job, summed), constant)
 
     def _one_band(self, inputs: list[Any], seed: UInt32) -> list[Float]:
         """The sums of a round that is computed in one band, by channel; `inputs` is what its kernels read."""
-        job = replace(make_job(self._scene, self._sensor, self._integrator, seed, self._spp), repeated=True)
+        job = replace(make_job(self._scene, self._sensor, self._integrator, seed, self.spp), repeated=True)
         with dr.suspend_grad():
             if self._streak > 1:
                 ((rows, _),) = rows_by_streaks(StreakJob.of(job, self._streak))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from djpt.errors import DjptError, RenderError
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
-from djpt.long_renders.rounds import begin_round, round_seed
+from djpt.long_renders.rounds import Rounds, round_seed
 from djpt.viewer.picture import Picture
 from djpt.viewer.stage import LAYERS, Stage
 from djpt.viewer.watch import Watch, files_of
@@ -80,6 +80,7 @@ class Session:
         self.stage = Stage(description, sensor)
         self.picture = Picture(self.stage.channels)
         self._round_spp, self._paused, self._asked = 1, False, 0
+        self._rounds: Rounds | None = None
         self._start = self._looked = self._published = time.perf_counter()
 
     def run(self, inbox: queue.SimpleQueue[dict[str, Any]]) -> None:
@@ -118,7 +119,9 @@ class Session:
         stage = self.stage
         spp = stage.sensor.sampler().round_count(min(self._round_spp, max(1, self.spp - self.picture.spp)))
         seed = round_seed(self.seed, self.picture.rounds)
-        result = begin_round(stage.scene, stage.sensor, stage.integrator, seed, spp, "auto", None, None)
+        if self._rounds is None or self._rounds.spp != spp:
+            self._rounds = Rounds(stage.scene, stage.sensor, stage.integrator, spp, "auto")
+        result = self._rounds.begin(seed, None, None)
         start = time.perf_counter()
         part = result()
         seconds = time.perf_counter() - start
@@ -184,7 +187,7 @@ class Session:
 
     def begin(self) -> None:
         """Begin the picture anew, with rounds of one sample per pixel."""
-        self.picture, self._round_spp = Picture(self.stage.channels), 1
+        self.picture, self._round_spp, self._rounds = Picture(self.stage.channels), 1, None
         self._start = time.perf_counter()
 
     def reload_if_changed(self) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from djpt.description.document import Document
+from djpt.description.named_files import named_files
 
 __all__ = ["Watch", "files_of"]
 
@@ -43,16 +44,5 @@ def stamp(path: Path) -> tuple[int, int] | None:
 def files_of(description: Mapping[str, Any]) -> list[Path]:
     """The files that a description came from, and those that its nodes name; none for a dict that names none."""
     places = description.places.values() if isinstance(description, Document) else ()
-    folders = description.directories if isinstance(description, Document) else ()
     written = [Path(place.rpartition(":")[0]) for place in places]
-    named = [folder / name for name in filenames(description) for folder in (Path(), *folders)]
-    return [path for path in dict.fromkeys([*written, *named]) if path.is_file()]
-
-
-def filenames(node: Mapping[str, Any]) -> Iterator[str]:
-    """The values of ``filename`` in a description."""
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            yield from filenames(value)
-        elif key == "filename" and isinstance(value, (str, os.PathLike)):
-            yield os.fspath(value)
+    return [path for path in dict.fromkeys([*written, *named_files(description).values()]) if path.is_file()]

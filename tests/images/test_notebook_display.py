@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import sys
 from collections.abc import Iterator
@@ -154,3 +155,36 @@ def test_functions_are_called_as_they_are() -> None:
         assert show is None
     with pytest.raises(djpt.RenderError, match="'progress' must be a function or True, found int"):
         djpt.render(small_box(), spp=1, progress=3)
+
+
+# ---------------------------------------------------------------- renders in rounds
+
+
+def rounds_of_box(count: int) -> Iterator[Any]:
+    description = djpt.cornell_box()
+    description["sensor"]["film"].update(width=12, height=12)
+    return djpt.render_passes(djpt.load_dict(description), spp=4 * count, round_spp=4)
+
+
+def test_a_render_in_rounds_is_shown_while_it_gets_better(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("djpt.display.live.INTERVAL", 0.0)
+    done = djpt.show_passes(rounds_of_box(3))
+    assert done.spp == 12
+    assert [page.partition("<figcaption>")[2].partition(" spp")[0] for page in shell.pages] == ["4", "8", "12", "12"]
+    data = shell.pages[-1].partition("base64,")[2].partition('"')[0]
+    with Picture.open(io.BytesIO(base64.b64decode(data))) as picture:
+        assert picture.size == (12, 12)
+
+
+def test_an_interrupted_render_gives_what_exists(shell: Shell) -> None:
+    def interrupted() -> Iterator[Any]:
+        yield next(rounds_of_box(1))
+        raise KeyboardInterrupt
+
+    assert djpt.show_passes(interrupted()).spp == 4
+    with pytest.raises(djpt.RenderError, match="no rounds"):
+        djpt.show_passes(iter(()))
+
+
+def test_nothing_is_shown_without_a_notebook() -> None:
+    assert djpt.show_passes(rounds_of_box(1)).spp == 4

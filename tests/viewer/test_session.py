@@ -10,7 +10,7 @@ import pytest
 import djpt
 from djpt.description.overrides import described, override
 from djpt.errors import DjptError
-from djpt.long_renders.rounds import begin_round, round_seed
+from djpt.long_renders.rounds import Rounds, round_seed
 from djpt.viewer.controls import controls
 from djpt.viewer.picture import Picture
 from djpt.viewer.session import Session, packed
@@ -63,7 +63,7 @@ def test_rounds_of_any_size_give_the_error_of_the_mean() -> None:
         picture = Picture(("R", "G", "B"))
         for number, spp in enumerate((1, 2, 4, 1)):
             seed = round_seed(100 * run, number)
-            picture.add(begin_round(scene, sensor, integrator, seed, spp, "auto", None, None)(), spp)
+            picture.add(Rounds(scene, sensor, integrator, spp, "auto").begin(seed, None, None)(), spp)
         means.append(picture.pixels() @ np.array([0.212671, 0.715160, 0.072169]))
         estimates.append(picture.error() ** 2)
     assert np.isclose(np.mean(estimates), np.var(means, axis=0, ddof=1).mean(), rtol=0.15)

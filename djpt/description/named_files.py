@@ -1,0 +1,43 @@
+"""The files that a scene description names."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from djpt.description.document import Document
+
+__all__ = ["named_files", "with_files"]
+
+
+def named_files(description: Mapping[str, Any]) -> dict[str, Path]:
+    """The files that nodes name by ``filename``, by that name; names without a file are left out."""
+    folders = (Path(), *(description.directories if isinstance(description, Document) else ()))
+    found = {}
+    for name in of(description):
+        places = [folder / name for folder in folders if (folder / name).is_file()]
+        if places:
+            found[name] = places[0]
+    return found
+
+
+def with_files(description: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:
+    """A copy of a description that names other files in place of some."""
+    result = description.copy() if isinstance(description, Document) else dict(description)
+    for key, value in description.items():
+        if isinstance(value, Mapping):
+            result[key] = with_files(value, files)
+        elif key == "filename" and isinstance(value, (str, os.PathLike)):
+            result[key] = files.get(os.fspath(value), value)
+    return result
+
+
+def of(node: Mapping[str, Any]) -> Iterator[str]:
+    """The values of ``filename`` in a description."""
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from of(value)
+        elif key == "filename" and isinstance(value, (str, os.PathLike)):
+            yield os.fspath(value)

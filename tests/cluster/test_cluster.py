@@ -1,0 +1,192 @@
+"""Renders and gradients on workers: the bits of one machine, whatever happens to the workers."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.cluster.bundle import Bundle
+from djpt.description.overrides import described, override
+from djpt.errors import BackendError, DjptError, ParameterError, RenderError, SceneError
+from djpt.long_renders.rounds import round_seed
+from tests.kit.commands import run
+
+distributed = pytest.importorskip("distributed")
+
+import djpt.cluster  # noqa: E402
+
+
+def box(**options: Any) -> dict[str, Any]:
+    return override(described("cornell_box")[1], width=16, **options)
+
+
+class Cluster:
+    """A scheduler, and workers that are processes of their own."""
+
+    def __init__(self, scheduler: Any) -> None:
+        self.scheduler = scheduler
+        self.client = distributed.Client(scheduler)
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def add(self) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "djpt", "worker", self.scheduler.scheduler_address, "--threads", "1"]
+        self.workers.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        return self.workers[-1]
+
+    def wait(self, count: int) -> None:
+        self.client.wait_for_workers(count, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with distributed.LocalCluster(
+        n_workers=0, dashboard_address=None, protocol="tcp://", host="127.0.0.1"
+    ) as scheduler:
+        result = Cluster(scheduler)
+        result.add()
+        result.wait(1)
+        yield result
+        result.client.close()
+        for worker in result.workers:
+            worker.kill()
+            worker.wait()
+
+
+def last(images: Iterator[Any]) -> Any:
+    return list(images)[-1]
+
+
+def test_the_bits_are_those_of_one_machine(cluster: Cluster) -> None:
+    expected = last(djpt.render_passes(djpt.load_dict(box()), spp=12, round_spp=4, seed=7))
+    found = last(djpt.cluster.render_passes(cluster.client, box(), spp=12, round_spp=4, seed=7))
+    assert found.rounds == 3
+    assert np.array_equal(found.image().numpy(), expected.image().numpy())
+    assert found.error().overall == expected.error().overall
+    # Whoever began, the other can go on.
+    more = last(djpt.render_passes(djpt.load_dict(box()), spp=16, seed=7, resume_from=found))
+    assert np.array_equal(
+        more.image().numpy(),
+        last(djpt.cluster.render_passes(cluster.client, box(), spp=16, seed=7, resume_from=expected)).image().numpy(),
+    )
+
+
+def test_a_render_that_is_left_early(cluster: Cluster) -> None:
+    images = djpt.cluster.render_passes(cluster.client, box(), spp=4000, round_spp=4)
+    next(images)
+    images.close()  # type: ignore[attr-defined]
+    deadline = time.monotonic() + 30
+    while cluster.client.processing() and any(cluster.client.processing().values()):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+@pytest.mark.slow
+def test_workers_that_are_killed_join_and_leave(cluster: Cluster) -> None:
+    options = {"spp": 160, "round_spp": 4, "seed": 3}
+    expected = last(djpt.render_passes(djpt.load_dict(box(integrator="bdpt")), **options))
+    cluster.add()
+    cluster.wait(2)
+    for found in djpt.cluster.render_passes(cluster.client, box(integrator="bdpt"), **options):
+        if found.rounds == 4:
+            os.kill(cluster.workers[-1].pid, signal.SIGKILL)
+            cluster.add()
+        if found.rounds == 14:
+            os.kill(cluster.workers[0].pid, signal.SIGTERM)
+        if found.rounds == 24:
+            cluster.add()
+        if found.rounds == 30:
+            for worker in cluster.workers:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(worker.pid, signal.SIGKILL)
+            cluster.add()
+    assert found.rounds == 40
+    assert np.array_equal(found.image().numpy(), expected.image().numpy())
+
+
+def test_files_travel(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    djpt.write(tmp_path / "paint.png", np.linspace(0, 1, 48, dtype=np.float32).reshape(4, 4, 3))
+    scene = box()
+    scene["white"] = {"type": "diffuse", "reflectance": {"type": "bitmap", "filename": "paint.png"}}
+    monkeypatch.chdir(tmp_path)
+    expected = last(djpt.render_passes(djpt.load_dict(scene), spp=4))
+    bundle = Bundle.of(scene)
+    assert {name: stored.endswith(".png") for name, (stored, _) in bundle.files.items()} == {"paint.png": True}
+    images = djpt.cluster.render_passes(cluster.client, scene, spp=4)
+    (tmp_path / "paint.png").unlink()
+    assert np.array_equal(last(images).image().numpy(), expected.image().numpy())
+
+
+def two_views() -> dict[str, Any]:
+    scene = box()
+    scene["second"] = dict(
+        scene["sensor"], to_world=djpt.ScalarTransform4f().look_at([0.5, 0, 3.5], [0, 0, 0], [0, 1, 0])
+    )
+    return scene
+
+
+def brightness(image: Any, view: int) -> Any:
+    return dr.mean(dr.square(image), axis=None)
+
+
+def test_gradients_are_sums_over_views(cluster: Cluster) -> None:
+    key = "red.reflectance.value"
+    value = np.array([[0.5], [0.1], [0.2]], np.float32)
+    loss, found = djpt.cluster.gradient(cluster.client, two_views(), {key: value}, brightness, [0, 1], spp=4, seed=9)
+    scene = djpt.load_dict(two_views())
+    params = djpt.traverse(scene)
+    expected, total = np.zeros((3, 1)), 0.0
+    for view in (0, 1):
+        params[key] = djpt.Color3f([0.5, 0.1, 0.2])
+        dr.enable_grad(params[key])
+        params.update()
+        result = brightness(djpt.render(scene, params, sensor=view, spp=4, seed=round_seed(9, view)), view)
+        dr.backward(result)
+        expected += np.array(dr.grad(params[key]), np.float64).reshape(3, 1)
+        total += float(result.numpy().ravel()[0])
+    assert np.isclose(loss, total, rtol=1e-6)
+    assert np.allclose(found[key].reshape(3, 1), expected, rtol=1e-6)
+    # The parameter is the scene's again.
+    unchanged = last(djpt.cluster.render_passes(cluster.client, two_views(), spp=4))
+    assert np.array_equal(
+        unchanged.image().numpy(), last(djpt.render_passes(djpt.load_dict(two_views()), spp=4)).image().numpy()
+    )
+
+
+def test_errors_name_the_cause(cluster: Cluster) -> None:
+    client = cluster.client
+    with pytest.raises(BackendError, match=r"must be a distributed\.Client"):
+        djpt.cluster.render_passes("tcp://somewhere", box())
+    with pytest.raises(RenderError, match="there is no number 3"):
+        djpt.cluster.render_passes(client, box(), sensor=3)
+    with pytest.raises(RenderError, match="'seed'"):
+        djpt.cluster.render_passes(client, box(), seed=-1)
+    with pytest.raises(SceneError, match="can't travel"):
+        djpt.cluster.render_passes(client, {**box(), "extra": lambda: None})
+    with pytest.raises(DjptError, match=r"on a worker: .*no\.such"):
+        djpt.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [0])
+    with pytest.raises(ParameterError, match="found none"):
+        djpt.cluster.gradient(client, box(), {}, brightness, [0])
+    with pytest.raises(RenderError, match="'views'"):
+        djpt.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [])
+
+
+def test_the_command_line(cluster: Cluster, tmp_path: Path) -> None:
+    address = cluster.scheduler.scheduler_address
+    small = ("cornell_box", "--width", "16", "--spp", "128", "-q", "--target-error", "1e-6")
+    for name, options in (("here", ()), ("there", ("--cluster", address, "--preview", str(tmp_path / "now.png")))):
+        code, _, err = run("render", *small, *options, "-o", str(tmp_path / f"{name}.exr"))
+        assert code == 0, err
+    assert np.array_equal(djpt.read(tmp_path / "here.exr").numpy(), djpt.read(tmp_path / "there.exr").numpy())
+    assert djpt.read(tmp_path / "now.png").shape == (16, 16, 3)
+    code, _, err = run("render", "cornell_box", "--cluster", address, "--adaptive")
+    assert code == 2 and "--adaptive" in err
