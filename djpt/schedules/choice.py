@@ -14,6 +14,7 @@ __all__ = ["choose"]
 SCHEDULES = {
     "machine": "Machine",
     "flat": "Flat",
+    "learning": "Learning",
     "progressive": "Progressive",
     "splatting": "Splatting",
     "wave": "Wave",
