@@ -1,6 +1,6 @@
 """Which method wins where: the table of docs/theory/both-ends.md, of all integrators from `path` on.
 
-    python benchmarks/methods.py [--size N] [--spp N] [--seeds N] [SCENE ..]
+    python benchmarks/methods.py [SCENE ..] [--methods ..] [--size N] [--spp N] [--seeds N]
 
 Per scene and method: the gain, which is error times time of `path` over that of the method; in brackets the time of a
 sample and the error, both as shares of those of `path`. The error is the mean square over all pixels but those that see
@@ -90,10 +90,10 @@ def row(name: str, options: Any) -> str:
     straight = np.array(djpt.render(scene, integrator=djpt.load_dict({"type": "path", "max_depth": 1}), spp=256))
     where = straight.max(axis=2) == 0
     found = {}
-    for step in STEPS[FIRST:]:
+    for step in (step for step in STEPS if step.title in options.methods):
         integrator = djpt.load_dict(step.description(scene))
         found[step.title] = run(scene, integrator, options.spp, options.seeds, where)
-    path, reference, cells = found["path"], found["bdpt"], []
+    path, reference, cells = found["path"], found.get("bdpt", found["path"]), []
     for runs in found.values():
         share, slower = runs.error(reference) / path.error(reference), runs.seconds / path.seconds
         cells.append(f"{1 / (share * slower):.2g} ({slower:.1f} x {share:.2g})")
@@ -104,13 +104,14 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS, help="path must be among them")
     parser.add_argument("--size", type=int, default=64)
-    parser.add_argument("--spp", type=int, default=256)
+    parser.add_argument("--spp", type=int, default=1024)
     parser.add_argument("--seeds", type=int, default=32)
     options = parser.parse_args()
     warnings.simplefilter("ignore")  # of what a method can't show in a scene
-    print("| scene | " + " | ".join(f"`{title}`" for title in METHODS) + " |")
-    print("|---" * (1 + len(METHODS)) + "|")
+    print("| scene | " + " | ".join(f"`{title}`" for title in METHODS if title in options.methods) + " |")
+    print("|---" * (1 + len(options.methods)) + "|")
     for name in options.scenes:
         print(row(name, options), flush=True)
 

@@ -74,7 +74,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1), `rr_depth` (Russian roulette
     starts there, default 5), `hide_emitters`, `emitter_choice` (as for `path`), `share` (the chance to follow a
     guide that has seen much, default 0.5), `practice` (paths to learn from, as a share of the image's samples, default
-    0.125; at least 2^13, at most 2^21), `bounces`.
+    0.25; at least 2^13, at most 2^21), `bounces`.
 
     T. Müller, M. Gross and J. Novák, "Practical path guiding for efficient light-transport simulation", 2017, for the
     passes and the tree; A. Rath and others, "Variance-aware path guiding", 2020, for what is learned; the histogram
@@ -92,7 +92,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
         self.rr_depth = first_roulette(props, self.max_depth)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
         self.share = props.float("share", 0.5, low=0.0, high=0.95)
-        self.practice = props.float("practice", 0.125, low=0.0, high=16.0)
+        self.practice = props.float("practice", 0.25, low=0.0, high=16.0)
         self._taught_schedules: tuple[str, ...] = ("wave",) if self.bounces else UnidirectionalPath.schedules
         self.schedules, self.differentiable = GuidedPath.schedules, False
 
@@ -145,13 +145,14 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
 
         # ----------------------- Guide ------------------------
         bsdf = si.bsdf()
-        guide = self.guide.at(si.p, dr.mulsign(si.n, -dr.dot(si.n, ray.d)))
-        share = dr.select(has_flag(bsdf.flags(), BSDFFlags.Smooth), guide.share, 0)
+        guided = proceed & has_flag(bsdf.flags(), BSDFFlags.Smooth)
+        guide = self.guide.at(si.p, dr.mulsign(si.n, -dr.dot(si.n, ray.d)), guided)
+        share = guide.share
         u, place = sampler.next_1d(), sampler.next_2d()
         follows = u < share
         # What the decision leaves of `u` is a uniform number again.
         u = dr.select(follows, u * dr.rcp(share), (u - share) * dr.rcp(1 - share))
-        suggested = guide.sample(u, place)
+        suggested = guide.sample(u, place, follows)
 
         # ------------ Light sampling, BSDF sampling -----------
         ds = light.ds
@@ -163,14 +164,14 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
             return *result, *bsdf.eval_pdf(context, si, to_suggested, proceed)
 
         value, pdf, bs, weight, suggested_value, suggested_pdf = bsdf.visit(method, proceed)
-        pdf = dr.fma(share, guide.heading(ds.d).pdf - pdf, pdf)
+        pdf = dr.fma(share, guide.heading(ds.d, share > 0).pdf - pdf, pdf)
         mis = dr.select(ds.delta, 1, dr.rcp(1 + dr.square(pdf * ds.weight)))
         reflected = dr.select(proceed, state.throughput * (value * light.weight * mis), 0)
 
         # ------------------- Next direction -------------------
         delta = ~follows & has_flag(bs.sampled_type, BSDFFlags.Delta)
         d = dr.select(follows, suggested, si.to_world(bs.wo))
-        heading = guide.heading(d)
+        heading = guide.heading(d, share > 0)
         value = dr.select(follows, suggested_value, weight * bs.pdf)
         pdf = dr.select(follows, suggested_pdf, bs.pdf)
         alone = dr.select(follows, minimum(dr.max(value) * dr.rcp(pdf), 1.0), dr.max(weight))

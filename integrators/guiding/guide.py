@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from djpt.integrators.guiding.cells import Cells, Leaves
 from djpt.integrators.guiding.octahedron import direction_at, place_of
 from djpt.kernels import minimum, own_copy, own_floats
-from djpt.types import Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["SIDE", "SQUARES", "Guide", "Heading", "LocalGuide"]
 
@@ -53,11 +53,11 @@ class Guide:
         self._share = own_floats((share * known[:, 0]).astype(np.float32))
         self._tickets, self._squares = (own_copy(halves.ravel().view(np.uint32)) for halves in (tickets, squares))
 
-    def at(self, p: Point3f, n: Normal3f) -> LocalGuide:
-        """The guide at a surface point with the normal `n`."""
+    def at(self, p: Point3f, n: Normal3f, active: Bool | bool = True) -> LocalGuide:
+        """The guide at a surface point with the normal `n`; there is nothing to follow on lanes that aren't active."""
         cell = self.cells.at(p, n)
-        leaf = dr.gather(UInt32, self._leaf_of_cell, cell)
-        return LocalGuide(cell, leaf, dr.gather(Float, self._share, leaf), self._tickets, self._squares)
+        leaf = dr.gather(UInt32, self._leaf_of_cell, cell, active)
+        return LocalGuide(cell, leaf, dr.gather(Float, self._share, leaf, active), self._tickets, self._squares)
 
 
 @dataclass
@@ -73,19 +73,20 @@ class LocalGuide:
     squares: UInt32
     """The square of each ticket, in the same form."""
 
-    def sample(self, u: Float, within: Point2f) -> Vector3f:
+    def sample(self, u: Float, within: Point2f, active: Bool | bool = True) -> Vector3f:
         """A direction: `u` draws a ticket, `within` a place on its square."""
         ticket = UInt32(minimum(u * TICKETS, TICKETS - 1.0))
-        square = half_word(self.squares, dr.fma(self.leaf, TICKETS, ticket))
+        # Memory is what takes the time of a guide: other lanes don't touch it.
+        square = half_word(self.squares, dr.fma(self.leaf, TICKETS, ticket), active)
         corner = Point2f(Float(square & (SIDE - 1)), Float(square // SIDE))
         return direction_at(dr.fma(corner + within, 2 / SIDE, -1))
 
-    def heading(self, d: Vector3f) -> Heading:
-        """What is known of a direction."""
+    def heading(self, d: Vector3f, active: Bool | bool = True) -> Heading:
+        """What is known of a direction; nothing on lanes that aren't active."""
         place, spread = place_of(d)
         column, row = (UInt32(minimum(dr.fma(c, SIDE / 2, SIDE / 2), SIDE - 1.0)) for c in place)
         square = dr.fma(self.leaf, SQUARES, dr.fma(row, SIDE, column))
-        tickets = half_word(self.tickets, square)
+        tickets = half_word(self.tickets, square, active)
         # The map has the area 4. What isn't a number is no direction.
         pdf = dr.select(spread > 0, Float(tickets) * (SQUARES / 4 / TICKETS) * dr.rcp(spread), 0)
         return Heading(square, pdf, spread)
@@ -103,7 +104,7 @@ class Heading:
     """The solid angle per area of the map there."""
 
 
-def half_word(memory: UInt32, index: UInt32) -> UInt32:
-    """The entry of an array of 16-bit numbers, which is kept as one of words."""
-    word = dr.gather(UInt32, memory, index >> 1)
+def half_word(memory: UInt32, index: UInt32, active: Bool | bool) -> UInt32:
+    """The entry of an array of 16-bit numbers, which is kept as one of words; 0 on lanes that aren't active."""
+    word = dr.gather(UInt32, memory, index >> 1, active)
     return (word >> ((index & 1) << 4)) & 0xFFFF
