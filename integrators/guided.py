@@ -34,7 +34,7 @@ __all__ = ["GuidedPath"]
 FIRST = 2**15
 """The paths of the first pass of practice; later ones have twice as many as the one before."""
 
-PRACTICE = 2**13, 2**21
+PRACTICE = 2**13, 2**20
 """The least and the most paths of practice."""
 
 VISITS = 2000
@@ -74,7 +74,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1), `rr_depth` (Russian roulette
     starts there, default 5), `hide_emitters`, `emitter_choice` (as for `path`), `share` (the chance to follow a
     guide that has seen much, default 0.5), `practice` (paths to learn from, as a share of the image's samples, default
-    0.25; at least 2^13, at most 2^21), `bounces`.
+    0.125; at least 2^13, at most 2^20), `bounces`.
 
     T. Müller, M. Gross and J. Novák, "Practical path guiding for efficient light-transport simulation", 2017, for the
     passes and the tree; A. Rath and others, "Variance-aware path guiding", 2020, for what is learned; the histogram
@@ -92,7 +92,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
         self.rr_depth = first_roulette(props, self.max_depth)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=CHOICES)
         self.share = props.float("share", 0.5, low=0.0, high=0.95)
-        self.practice = props.float("practice", 0.25, low=0.0, high=16.0)
+        self.practice = props.float("practice", 0.125, low=0.0, high=16.0)
         self._taught_schedules: tuple[str, ...] = ("wave",) if self.bounces else UnidirectionalPath.schedules
         self.schedules, self.differentiable = GuidedPath.schedules, False
 

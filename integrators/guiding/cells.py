@@ -7,6 +7,7 @@ been are put together to the leaves of a tree. A kernel doesn't descend the tree
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +61,7 @@ class Cells:
         side = 2 * axis + dr.select(along < 0, UInt32(1), 0)
         return (side << HALVINGS) + x + (y << self._shift_y) + (z << self._shift_z)
 
+    @functools.cached_property
     def order(self) -> NDArray[np.intp]:
         """The numbers of all cells in the order of the tree's leaves: the two halves of each box follow each other."""
         rank = np.arange(2**HALVINGS)
@@ -82,13 +84,13 @@ class Leaves:
     def equal(cells: Cells, halvings: int) -> Leaves:
         """The leaves after so many halvings."""
         of_cell = np.empty(cells.count, np.uint32)
-        of_cell[cells.order()] = np.repeat(np.arange(SIDES * 2**halvings), 2 ** (HALVINGS - halvings))
+        of_cell[cells.order] = np.repeat(np.arange(SIDES * 2**halvings), 2 ** (HALVINGS - halvings))
         return Leaves(of_cell, SIDES * 2**halvings)
 
     @staticmethod
     def by_visits(cells: Cells, visits: NDArray[np.uint32], most: float) -> Leaves:
         """The largest boxes with fewer than `most` visits, `visits` being the number of those in each cell."""
-        order = cells.order()
+        order = cells.order
         sorted_visits = visits[order].astype(np.int64)
         label = np.full(SIDES, -1, np.int64)
         count = 0

@@ -99,7 +99,7 @@ def test_cells_and_leaves() -> None:
     """Every cell has a leaf; those that are visited often are told apart, and all others lie together."""
     cells = Cells(np.zeros(3), np.array([2.0, 1.0, 0.5]))
     assert [cells.axes.count(axis) for axis in range(3)] == [7, 5, 4]
-    assert sorted(cells.order()) == list(range(cells.count))
+    assert sorted(cells.order) == list(range(cells.count))
     p, n = Point3f(0.3, 0.2, 0.1), Normal3f(0.1, -0.9, 0.2)
     visits = np.zeros(cells.count, np.uint32)
     visits[cells.at(p, n)[0]] = 1000
