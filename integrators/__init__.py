@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from djpt.integrators.depth import Depth as Depth
     from djpt.integrators.direct import Direct as Direct
     from djpt.integrators.distributed import Distributed as Distributed
+    from djpt.integrators.guided import GuidedPath as GuidedPath
+    from djpt.integrators.learning import LearningIntegrator as LearningIntegrator
     from djpt.integrators.mmlt import MultiplexedMetropolis as MultiplexedMetropolis
     from djpt.integrators.moment import Moment as Moment
     from djpt.integrators.passes import PassIntegrator as PassIntegrator

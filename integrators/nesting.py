@@ -8,6 +8,7 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator
+from djpt.integrators.learning import LearningIntegrator
 from djpt.records import Ray3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float
@@ -32,6 +33,8 @@ class NestingIntegrator(Integrator):
         for name, integrator in self.nested:
             if integrator.starts_at_lights:
                 raise SceneError(f"{props.node}.{name}: an integrator that traces rays from lights can't be nested")
+            if isinstance(integrator, LearningIntegrator):
+                raise SceneError(f"{props.node}.{name}: an integrator that learns about the scene can't be nested")
         self.needs_light = any(integrator.needs_light for integrator in integrators)
         # Path replay is for path tracers that stand alone, and their `sample` has no derivative.
         self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)

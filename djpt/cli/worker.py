@@ -22,7 +22,9 @@ def command(
     threads: int | None,
     name: str | None,
 ) -> None:
-    """Work for the cluster whose scheduler has ADDRESS, such as tcp://host:8786.
+    """Work for a cluster.
+
+    ADDRESS is that of its scheduler, such as tcp://host:8786.
 
     SIGINT and SIGTERM let the worker hand on what it has and leave. TLS is configured as Dask says.
     """

@@ -15,6 +15,7 @@ SCHEDULES = {
     "machine": "Machine",
     "media_machine": "MediaMachine",
     "flat": "Flat",
+    "learning": "Learning",
     "progressive": "Progressive",
     "splatting": "Splatting",
     "wave": "Wave",

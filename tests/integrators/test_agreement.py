@@ -65,6 +65,8 @@ STEPS: dict[str, Step] = {
     "bdpt": Step("bdpt", keys={"rr_depth": 3}),
     "bdpt, balance": Step("bdpt", keys={"heuristic": "balance", "emitter_choice": "power"}),
     "bdpt, Sobol": Step("bdpt", sampler="sobol"),
+    "guided": Step("guided", keys={"rr_depth": 3}),
+    "guided, Sobol": Step("guided", sampler="sobol"),
     "distributed": Step("distributed", 3, {"split": 3, "light_samples": 2}),
     "distributed, tree": Step("distributed", 3, {"split": 2, "light_samples": 1, "emitter_choice": "tree"}),
     "direct": Step("direct", 2),

@@ -170,7 +170,9 @@ def test_integrating_sphere(integrator: Keys, depth: int) -> None:
     check(render(lamp_in_a_sphere(albedo), integrator, depth, 512), expected)
 
 
-@pytest.mark.parametrize("integrator", [{"type": t} for t in ("path_nee", "path", "ptracer", "bdpt")], ids=str)
+@pytest.mark.parametrize(
+    "integrator", [{"type": t} for t in ("path_nee", "path", "guided", "ptracer", "bdpt")], ids=str
+)
 def test_endless_integrating_sphere(integrator: Keys) -> None:
     """I a / (pi R^2 (1 - a)), with roulette and nothing else to end a path."""
     albedo = 0.6

@@ -155,6 +155,14 @@ STEPS: tuple[Step, ...] = (
         has_caustics_of_points,
     ),
     Step(
+        "guided",
+        "guided",
+        "Some paths learn where light comes from, and the others are sent there.",
+        "caustics of point, spot and directional lamps",
+        (DEPTH, ROULETTE, HIDE, CHOICE),
+        has_caustics_of_points,
+    ),
+    Step(
         "ptracer",
         "ptracer",
         "Paths begin at the lights, and each vertex is shown to the camera.",

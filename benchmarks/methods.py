@@ -1,0 +1,120 @@
+"""Which method wins where: the table of docs/theory/both-ends.md, of all integrators from `path` on.
+
+    python benchmarks/methods.py [SCENE ..] [--methods ..] [--size N] [--spp N] [--seeds N]
+
+Per scene and method: the gain, which is error times time of `path` over that of the method; in brackets the time of a
+sample and the error, both as shares of those of `path`. The error is the mean square over all pixels but those that see
+a lamp, the bias against the mean of `bdpt` included; the time is that of all processor cores, all that a method does
+before and after its samples included. Methods are those of `djpt ladder` that reach all light of most scenes.
+"""
+
+from __future__ import annotations
+
+import djpt  # isort: skip (first: it finds the LLVM library that Dr.Jit opens)
+import argparse
+import tempfile
+import time
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mesh_scenes
+import numpy as np
+
+from djpt.validation.ladder.steps import STEPS
+
+FIRST = next(i for i, step in enumerate(STEPS) if step.title == "path")
+
+METHODS = tuple(step.title for step in STEPS[FIRST:])
+"""The integrators that are compared."""
+
+SCENES = ("cornell_box", "mesh", "fixture", "lamp_in_glass", "glass_ball", "parabolic_mirror", "door_ajar")
+"""Built-in scenes, and the Cornell box with a ball of triangles."""
+
+
+def scene_of(name: str, size: int) -> dict[str, Any]:
+    """The description of a scene, `size` x `size` pixels with a box filter."""
+    scene = with_mesh() if name == "mesh" else djpt.scenes.SCENES[name]()
+    scene["sensor"]["film"].update(width=size, height=size, rfilter={"type": "box"})
+    return scene
+
+
+def with_mesh() -> dict[str, Any]:
+    """The Cornell box with a bumpy ball of 20,000 triangles in the place of the small box."""
+    scene = djpt.cornell_box()
+    place = djpt.ScalarTransform4f().translate([0.4, -0.65, 0.35]).scale(0.3)
+    file = str(mesh_scenes.write_bumpy_sphere(Path(tempfile.gettempdir()), 20_000))
+    scene["small-box"] = {"type": "ply", "filename": file, "to_world": place, "bsdf": scene["small-box"]["bsdf"]}
+    return scene
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The images of a method."""
+
+    images: np.ndarray
+    """(seeds, pixels, 3)"""
+    seconds: float
+    """The median of the time of an image."""
+
+    @property
+    def variance(self) -> np.ndarray:
+        """The variance of each pixel's channels."""
+        return self.images.var(axis=0, ddof=1)
+
+    def error(self, reference: Runs) -> float:
+        """The mean squared error against the mean of other images, without the noise of either mean."""
+        bias = np.square(self.images.mean(axis=0) - reference.images.mean(axis=0))
+        noise = self.variance / len(self.images) + reference.variance / len(reference.images)
+        same = self is reference
+        return float(self.variance.mean()) + (0.0 if same else max(0.0, float((bias - noise).mean())))
+
+
+def run(scene: Any, integrator: Any, spp: int, seeds: int, where: np.ndarray) -> Runs:
+    """Render with seeds 0, 1, .., after an image whose time isn't counted, since kernels are compiled for it."""
+    images, times = [], []
+    for seed in range(-1, seeds):
+        dr.sync_thread()
+        start = time.process_time()
+        image = np.array(djpt.render(scene, integrator=integrator, spp=spp, seed=max(seed, 0)), np.float64)
+        times.append(time.process_time() - start)
+        images.append(image[..., :3][where])
+    return Runs(np.array(images[1:]), float(np.median(times[1:])))
+
+
+def row(name: str, options: Any) -> str:
+    """The row of a scene."""
+    scene = djpt.load_dict(scene_of(name, options.size))
+    straight = np.array(djpt.render(scene, integrator=djpt.load_dict({"type": "path", "max_depth": 1}), spp=256))
+    where = straight.max(axis=2) == 0
+    found = {}
+    for step in (step for step in STEPS if step.title in options.methods):
+        integrator = djpt.load_dict(step.description(scene))
+        found[step.title] = run(scene, integrator, options.spp, options.seeds, where)
+    path, reference, cells = found["path"], found.get("bdpt", found["path"]), []
+    for runs in found.values():
+        share, slower = runs.error(reference) / path.error(reference), runs.seconds / path.seconds
+        cells.append(f"{1 / (share * slower):.2g} ({slower:.1f} x {share:.2g})")
+    return f"| `{name}` | " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS, help="path must be among them")
+    parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--spp", type=int, default=1024)
+    parser.add_argument("--seeds", type=int, default=32)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")  # of what a method can't show in a scene
+    print("| scene | " + " | ".join(f"`{title}`" for title in METHODS if title in options.methods) + " |")
+    print("|---" * (1 + len(options.methods)) + "|")
+    for name in options.scenes:
+        print(row(name, options), flush=True)
+
+
+if __name__ == "__main__":
+    main()
