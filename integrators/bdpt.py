@@ -223,7 +223,7 @@ class BidirectionalPath(SplattingIntegrator):
     def light_vertex(self, scene: Scene, camera: Sensor, lane: Lane, power: Float, ledger: Ledger) -> Lane:
         """Keep the next vertex of a light path, and show it to the camera."""
         si = scene.surface_interaction(lane.end.ray, scene.closest_hit(lane.end.ray), full=scene.needs_uv)
-        end, sampler = lane.end.arrived(scene, si, self.h), lane.sampler
+        end, sampler = self.joinable(lane.end.arrived(scene, si, self.h)), lane.sampler
         on = lane.active & si.is_valid()
         joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
         flux = end.throughput * power
@@ -269,6 +269,8 @@ class BidirectionalPath(SplattingIntegrator):
         radiance = lane.radiance + self.met(scene, end, si, lane.covered, ledger)
         on = lane.active & si.is_valid() & (end.depth < self.longest)
         joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
+        radiance += self.merged(end, si, joins)
+        end = self.joinable(end)
 
         # ------------------- Light sampling -------------------
         light = scene.light_sampling.sample(Reference(si.p, si.n), sampler.next_2d(), joins)
@@ -356,7 +358,15 @@ class BidirectionalPath(SplattingIntegrator):
         survives = sampler.next_1d() < chance
         return scene.light_between(ray, dr.select(survives, value * dr.rcp(chance), 0))
 
+    def merged(self, end: End, si: SurfaceInteraction3f, joins: Bool) -> Color3f:
+        """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""
+        return Color3f(0)
+
     # ---- either way --------------------------------------------------------------------
+
+    def joinable(self, end: End) -> End:
+        """The end at a vertex that can be joined, with what further ways to join it add to `End.vcm`: nothing."""
+        return end
 
     def shared(self, others: Float, edges: UInt32) -> Float:
         """The part of a weight that comes of further strategies, which longer paths don't have."""

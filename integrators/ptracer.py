@@ -23,9 +23,10 @@ from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 
 if TYPE_CHECKING:
+    from djpt.dispatch.pointers import EmitterPtr
     from djpt.scene import Scene
 
-__all__ = ["LightVertex", "ParticleTracer"]
+__all__ = ["LightVertex", "ParticleTracer", "leave_light"]
 
 
 @dataclass
@@ -118,22 +119,7 @@ class ParticleTracer(PassIntegrator):
 
     def start(self, scene: Scene, sampler: SampleStream) -> LightPath:
         """A path that leaves an emitter."""
-        u = sampler.next_1d()
-        index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, u)
-        es = scene.emitter_ptr(index).sample_emission(sampler.next_2d(), sampler.next_2d())
-        ray, flux = es.ray, es.weight
-        # Off the surface, along the ray, whichever side that is.
-        a = dr.abs(ray.o)
-        largest = maximum(maximum(a.x, a.y), a.z)
-        o = dr.fma(ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), ray.o)
-        ray = Ray3f(o, ray.d, medium=scene.medium_at(o))
-        return LightPath(
-            ray=ray,
-            flux=flux * inverse,
-            unit=dr.rcp(dr.max(flux * inverse)),
-            eta=Float(1) if scene.refracts else None,
-            depth=UInt32(1),
-        )
+        return leave_light(scene, sampler)[0]
 
     def vertex(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, path: LightPath, si: SurfaceInteraction3f
@@ -173,6 +159,26 @@ class ParticleTracer(PassIntegrator):
             path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1),
             active=proceed & survives,
         )
+
+
+def leave_light(scene: Scene, sampler: SampleStream) -> tuple[LightPath, EmitterPtr]:
+    """A path that leaves an emitter, and the emitter."""
+    index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, sampler.next_1d())
+    emitter = scene.emitter_ptr(index)
+    es = emitter.sample_emission(sampler.next_2d(), sampler.next_2d())
+    ray, flux = es.ray, es.weight
+    # Off the surface, along the ray, whichever side that is.
+    a = dr.abs(ray.o)
+    largest = maximum(maximum(a.x, a.y), a.z)
+    o = dr.fma(ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), ray.o)
+    path = LightPath(
+        ray=Ray3f(o, ray.d, medium=scene.medium_at(o)),
+        flux=flux * inverse,
+        unit=dr.rcp(dr.max(flux * inverse)),
+        eta=Float(1) if scene.refracts else None,
+        depth=UInt32(1),
+    )
+    return path, emitter
 
 
 register_integrator("ptracer", ParticleTracer)

@@ -16,6 +16,7 @@ SCHEDULES = {
     "flat": "Flat",
     "progressive": "Progressive",
     "splatting": "Splatting",
+    "photons": "Photons",
     "wave": "Wave",
 }
 """The modules of the schedules and their classes, the fastest first."""
