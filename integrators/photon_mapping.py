@@ -36,10 +36,10 @@ Self = TypeVar("Self", bound="PhotonMapping")
 class PhotonMapping(SplattingIntegrator):
     """An estimator whose camera paths look at photons: at what light paths have left near a point on a surface.
 
-    An image is made in passes. Each traces `photon_count` light paths, whose photons make a map, and as many samples
-    per pixel as give at least as many camera paths, which look at it. To count all photons within a radius as if they
-    had come to the point itself is to blur, which is an error; it vanishes, because the radius shrinks from pass to
-    pass::
+    An image is made in passes. Each traces `photon_count` light paths, whose photons make a map, and one sample of each
+    pixel, or as many as give a quarter of as many camera paths, which look at it. To count all photons within a radius
+    as if they had come to the point itself is to blur, which is an error; it vanishes, because the radius shrinks from
+    pass to pass::
 
         r_i = r_1 i^((alpha - 1) / 2),    i = 1, 2, ..
 
@@ -106,12 +106,12 @@ class PhotonMapping(SplattingIntegrator):
         raise NotImplementedError
 
     def arrive(self, scene: Scene, sampler: SampleStream, path: Any, store: PhotonStore) -> tuple[Any, Bool]:
-        """Trace the next edge of a light path, leave a photon, and return the path that goes on, and whether it does."""
+        """Trace the next edge of a light path, and leave a photon; the path that goes on, and whether it does."""
         raise NotImplementedError
 
 
 def scatters(si: SurfaceInteraction3f) -> Bool:
-    """Whether the BSDF at a surface point has lobes that aren't delta functions: photons are left and looked at there."""
+    """Whether the BSDF at a surface point has lobes that aren't delta functions, so that photons are of use there."""
     found: Bool = has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
     return found
 

@@ -87,7 +87,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
             return over_cosine(value, si, photon) * photon.flux
 
         edges = UInt32(self.longest) - state.depth - 1
-        v.emitted = v.emitted + state.throughput * self.photons.density(si.p, edges, looks, worth)
+        v.emitted = v.emitted + state.throughput * self.photons.density(si.p, si.n, edges, looks, worth)
         v.reflected = dr.select(before, v.reflected, 0)
         v.active &= before
         return v

@@ -91,7 +91,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
             return over_cosine(value, si, photon) * photon.flux * weight
 
         edges = dr.select(end.depth < self.joined, UInt32(self.joined) - end.depth, 0)
-        return end.throughput * self.photons.density(si.p, edges, joins, worth)
+        return end.throughput * self.photons.density(si.p, si.n, edges, joins, worth)
 
     # ---- photons -----------------------------------------------------------------------
 

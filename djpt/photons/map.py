@@ -19,7 +19,7 @@ import drjit as dr
 
 from djpt.kernels import as_float, if_stmt, while_loop
 from djpt.photons.photon import Photon, PhotonStore, unpacked
-from djpt.types import Array4f, Bool, Color3f, Float, Float64, Int32, Int64, Point3f, UInt32
+from djpt.types import Array4f, Bool, Color3f, Float, Float64, Int32, Int64, Normal3f, Point3f, UInt32
 
 __all__ = ["PhotonMap"]
 
@@ -31,6 +31,9 @@ SPAN = 2
 
 ROWS = SPAN * SPAN
 """Rows of such cells along x."""
+
+FLATNESS = 0.1
+"""How far from the tangent plane photons count, in relation to the radius: those on other sides of an edge don't."""
 
 LOOKS = 4
 """Photons whose distance a lane asks for before lanes that have found a near one go on with it together."""
@@ -57,6 +60,7 @@ class PhotonMap:
         self.expected = as_float(density)
         """The photons within the radius per density of light paths: pi radius^2 paths."""
         self._inverse_size, self._square = as_float((SPAN - 1) / (2 * radius)), as_float(radius**2)
+        self._height = as_float(FLATNESS * radius)
         self._scale, self._unit = as_float(2.0**DIGITS / (unit * density)), as_float(unit * 2.0**-DIGITS)
 
     def fill(self, store: PhotonStore, count: int) -> None:
@@ -94,11 +98,14 @@ class PhotonMap:
     def _hash(self, x: Int32, y: Int32, z: Int32) -> UInt32:
         return (UInt32(x) + UInt32(y) * ALONG_Y + UInt32(z) * ALONG_Z) & self._mask
 
-    def density(self, p: Point3f, edges: UInt32, active: Bool, worth: Callable[[Photon], Color3f]) -> Color3f:
+    def density(
+        self, p: Point3f, n: Normal3f, edges: UInt32, active: Bool, worth: Callable[[Photon], Color3f]
+    ) -> Color3f:
         """The sum of what photons near a point are worth, over the area of a disk of the radius and the light paths.
 
         Args:
-            p: the point.
+            p: the point, on a surface.
+            n: the surface's normal.
             edges: the most edges of the photons' paths that count.
             active: where there is a sum at all; else it is 0.
             worth: what a photon within the radius counts, a colour.
@@ -110,8 +117,9 @@ class PhotonMap:
         def near(i: UInt32, there: Bool) -> Bool:
             """Whether a photon counts."""
             place = dr.gather(Array4f, self._packets[0], i, there)
-            at = Point3f(place[0], place[1], place[2])
-            return there & (dr.squared_norm(at - p) <= self._square) & (place[3] <= most)
+            to = Point3f(place[0], place[1], place[2]) - p
+            on_surface = dr.abs(dr.dot(to, n)) <= self._height
+            return there & on_surface & (dr.squared_norm(to) <= self._square) & (place[3] <= most)
 
         def step(row: UInt32, i: UInt32, end: UInt32, total: list[Int64]) -> tuple[Any, ...]:
             found = Bool(False)

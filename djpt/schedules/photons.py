@@ -23,6 +23,9 @@ __all__ = ["Photons"]
 LANES = 2**16
 """Lanes that follow light paths, each one after the other."""
 
+SHARED = 4
+"""Light paths of a pass for each camera path, at most: less noise than with the same number of both in equal time."""
+
 STRIPS = {4: 2, 2: 8, 1: 2**32}
 """The rows of a strip, by the most samples per pixel of a pass: a packet then covers about a square."""
 
@@ -119,9 +122,9 @@ class NearLanes:
 
 
 def samples_of_pass(job: Job) -> int:
-    """The samples per pixel of a pass: as few as give one camera path, at least, for each light path."""
+    """The samples per pixel of a pass: as few as give one camera path, at least, for `SHARED` light paths."""
     assert isinstance(job.integrator, PhotonMapping)
-    return -(-job.integrator.photon_count // (job.width * job.height))
+    return -(-job.integrator.photon_count // (SHARED * job.width * job.height))
 
 
 @dataclass

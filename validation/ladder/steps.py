@@ -170,6 +170,20 @@ STEPS: tuple[Step, ...] = (
         (DEPTH, ROULETTE, HIDE),
         has_caustics_of_points,
     ),
+    Step(
+        "sppm",
+        "sppm",
+        "Light paths leave photons, which camera paths count within a radius that shrinks.",
+        "",
+        (DEPTH, ROULETTE, HIDE),
+    ),
+    Step(
+        "vcm",
+        "vcm",
+        "Paths from both ends, joined in all ways, and photons.",
+        "",
+        (DEPTH, ROULETTE, HIDE),
+    ),
 )
 """The steps, from the simplest algorithm to the most capable one."""
 
