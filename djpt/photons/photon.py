@@ -58,8 +58,10 @@ def require_memory(owner: str, paths: int, photons: int = 0) -> None:
     photons = photons or PER_PATH * paths
     missing = shortage(photons * BYTES + RESERVE)
     if photons > MOST or missing is not None:
-        problem = missing or f"are more than {MOST}"
-        raise RenderError(f"{owner}: {photons} photons of {paths} light paths {problem}; lower 'photon_count'")
+        problem = missing or f"has more than {MOST}"
+        raise RenderError(
+            f"{owner}: the map of {photons} photons of {paths} light paths {problem}; lower 'photon_count'"
+        )
 
 
 class PhotonStore:

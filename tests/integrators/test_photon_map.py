@@ -111,5 +111,7 @@ def test_a_store_grows(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_memory_does_not_hold_is_refused() -> None:
-    with pytest.raises(RenderError, match=r"map: .* photons of 268435456 light paths .*lower 'photon_count'"):
-        PhotonStore("map", 2**28)
+    with pytest.raises(
+        RenderError, match=r"caustics: the map of .* light paths (takes about|has more than) .*lower 'photon_count'"
+    ):
+        PhotonStore("caustics", 2**28)
