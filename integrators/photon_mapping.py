@@ -59,13 +59,15 @@ class PhotonMapping(SplattingIntegrator):
     starts_at_lights = True
     holds_sums: ClassVar[bool] = True
 
+    default_photon_count: ClassVar[int] = 250_000
+
     photons: PhotonMap | None = None
     """The map of the pass at hand."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.differentiable = False
-        self.photon_count = props.integer("photon_count", 250_000, low=1, high=MOST_PATHS)
+        self.photon_count = props.integer("photon_count", self.default_photon_count, low=1, high=MOST_PATHS)
         self.initial_radius = props.float("initial_radius", 0.0, low=0.0)
         self.alpha = props.float("alpha", 2 / 3, low=0.0, high=1.0, low_open=True)
 

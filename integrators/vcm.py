@@ -46,12 +46,15 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     and all ways are weighted against each other: mergings count little where connections do well.
 
-    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`.
+    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`, with a `photon_count` of 60000.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
     Simulation", 2012.
     """
+
+    # Many photons take their time at each of the vertices, and first of all connections need many samples.
+    default_photon_count = 60_000
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
