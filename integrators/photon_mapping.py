@@ -60,6 +60,7 @@ class PhotonMapping(SplattingIntegrator):
     holds_sums: ClassVar[bool] = True
 
     default_photon_count: ClassVar[int] = 250_000
+    """The light paths of a pass, unless a description says something else."""
 
     photons: PhotonMap | None = None
     """The map of the pass at hand."""
