@@ -27,13 +27,16 @@ if TYPE_CHECKING:
     from djpt.integrators.path import Path as Path
     from djpt.integrators.path_naive import PathNaive as PathNaive
     from djpt.integrators.path_nee import PathNEE as PathNEE
+    from djpt.integrators.photon_mapping import PhotonMapping as PhotonMapping
     from djpt.integrators.prb import PRB as PRB
     from djpt.integrators.prb_basic import PRBBasic as PRBBasic
     from djpt.integrators.prbvolpath import PRBVolumetricPath as PRBVolumetricPath
     from djpt.integrators.ptracer import ParticleTracer as ParticleTracer
     from djpt.integrators.raycast import Raycast as Raycast
     from djpt.integrators.splatting import SplattingIntegrator as SplattingIntegrator
+    from djpt.integrators.sppm import StochasticProgressivePhotonMapping as StochasticProgressivePhotonMapping
     from djpt.integrators.unidirectional import UnidirectionalPath as UnidirectionalPath
+    from djpt.integrators.vcm import VertexConnectionMerging as VertexConnectionMerging
     from djpt.integrators.volpath import VolumetricPath as VolumetricPath
     from djpt.integrators.volpathmis import VolumetricPathMIS as VolumetricPathMIS
     from djpt.integrators.whitted import Whitted as Whitted

@@ -65,6 +65,9 @@ class Integrator(Plugin):
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
+    holds_sums: ClassVar[bool] = False
+    """True if its passes go over the whole image, whose sums are held from one to the next."""
+
     in_any_frame: ClassVar[bool] = False
     """True if its images show no coordinates but those that it converts by `Scene.units`: scenes may then be rendered
     in a frame of another unit. Counts for the class that says so, not for those derived from it."""
@@ -182,6 +185,10 @@ class Integrator(Plugin):
     def unfiltered_names(self) -> Sequence[str]:
         """Names of channels, after all others, that come from one ray through the centre of each pixel."""
         return ()
+
+    def held_bytes(self) -> int:
+        """An estimate of the memory that it takes besides samples and images."""
+        return 0
 
     def layer_names(self) -> Sequence[str]:
         """Names of the channels of further images, after all others: see `SplattingIntegrator`."""

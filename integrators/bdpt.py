@@ -221,7 +221,7 @@ class BidirectionalPath(SplattingIntegrator):
         si = scene.surface_interaction(come.ray, scene.closest_hit(come.ray), full=scene.needs_uv)
         reached = reach(scene, come.ray, si, come.throughput, sampler)
         place = reached.place
-        end = come.arrived(place, reached.passed, self.h)
+        end = self.joinable(come.arrived(place, reached.passed, self.h))
         on = active & place.si.is_valid()
         joins = on & place.is_smooth()
         flux = end.throughput * power
@@ -282,8 +282,13 @@ class BidirectionalPath(SplattingIntegrator):
         further = on & (end.depth < self.longest)
         joins = further & place.is_smooth()
         glow = None if glow is None else come.throughput * glow
+        merged = self.merged(scene, end, place, joins)
+        if merged is not None:
+            glow = merged if glow is None else glow + merged
         # Through null surfaces all paths go on.
-        return CameraHit(place, come, end, glow, met, weight, joins, on if scene.media.scatter else further)
+        return CameraHit(
+            place, come, self.joinable(end), glow, met, weight, joins, on if scene.media.scatter else further
+        )
 
     def camera_step(self, scene: Scene, hit: CameraHit, sampler: SampleStream) -> CameraStep:
         """Sample light at a vertex of a camera path, and a continuation."""
@@ -365,7 +370,15 @@ class BidirectionalPath(SplattingIntegrator):
         survives = sampler.next_1d() < chance
         return arriving_between(scene, sampler, ray, dr.select(survives, value * dr.rcp(chance), 0))
 
+    def merged(self, scene: Scene, end: End, place: Place, joins: Bool) -> Color3f | None:
+        """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""
+        return None
+
     # ---- either way --------------------------------------------------------------------
+
+    def joinable(self, end: End) -> End:
+        """The end at a vertex that can be joined, with what further ways to join it add to `End.vcm`: nothing."""
+        return end
 
     def shared(self, others: Float, edges: UInt32) -> Float:
         """The part of a weight that comes of further strategies, which longer paths don't have."""

@@ -195,7 +195,7 @@ class CameraHit:
     end: End
     """The path that has arrived."""
     glow: Color3f | None
-    """The light that media have added on the way; None if none of them glows."""
+    """The light that media have added on the way, and that other paths have left here; None if there is neither."""
     met: Color3f
     """The light that the path has met."""
     weight: Float

@@ -25,9 +25,10 @@ from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
+    from djpt.dispatch.pointers import EmitterPtr
     from djpt.scene import Scene
 
-__all__ = ["LightVertex", "ParticleTracer"]
+__all__ = ["LightVertex", "ParticleTracer", "leave_light"]
 
 
 @dataclass
@@ -124,18 +125,7 @@ class ParticleTracer(PassIntegrator):
 
     def start(self, scene: Scene, sampler: SampleStream) -> LightPath:
         """A path that leaves an emitter."""
-        left = departure(scene, sampler)
-        flux, ray = left.sample.weight * left.inverse, left.ray(scene)
-        largest = dr.max(dr.detach(flux))
-        if dr.grad_enabled(flux):
-            largest = dr.select(largest > 0, largest, 1)  # black light may have derivatives
-        return LightPath(
-            ray=ray,
-            flux=flux,
-            unit=dr.rcp(largest),
-            eta=Float(1) if scene.refracts else None,
-            depth=UInt32(1),
-        )
+        return leave_light(scene, sampler)[0]
 
     def vertex(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, path: LightPath, si: SurfaceInteraction3f
@@ -179,6 +169,23 @@ class ParticleTracer(PassIntegrator):
             path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1, aside),
             active=proceed & survives,
         )
+
+
+def leave_light(scene: Scene, sampler: SampleStream) -> tuple[LightPath, EmitterPtr]:
+    """A path that leaves an emitter, and the emitter."""
+    left = departure(scene, sampler)
+    flux = left.sample.weight * left.inverse
+    largest = dr.max(dr.detach(flux))
+    if dr.grad_enabled(flux):
+        largest = dr.select(largest > 0, largest, 1)  # black light may have derivatives
+    path = LightPath(
+        ray=left.ray(scene),
+        flux=flux,
+        unit=dr.rcp(largest),
+        eta=Float(1) if scene.refracts else None,
+        depth=UInt32(1),
+    )
+    return path, left.emitter
 
 
 register_integrator("ptracer", ParticleTracer)

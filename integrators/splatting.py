@@ -31,7 +31,7 @@ class SplattingIntegrator(Integrator):
     `layer_names` names the channels of further images that samples may add to: layers 1, 2, .. of the sink.
     """
 
-    schedules = ("splatting",)
+    schedules: tuple[str, ...] = ("splatting",)
     needs_light = True
     differentiable = False
 

@@ -9,7 +9,7 @@ from typing import Any
 from djpt.scenes.cornell import cornell_box, shape
 from djpt.transforms import ScalarTransform4f as T
 
-__all__ = ["door_ajar", "fixture", "glass_ball", "lamp_in_glass", "parabolic_mirror"]
+__all__ = ["door_ajar", "fixture", "glass_ball", "lamp_behind_pane", "lamp_in_glass", "parabolic_mirror"]
 
 RADIANCE = (18.387, 13.9873, 6.75357)
 """That of the Cornell box's lamp."""
@@ -60,6 +60,18 @@ def lamp_in_glass() -> dict[str, Any]:
         "radius": 0.05,
         "emitter": {"type": "area", "radiance": radiance},
     }
+    return scene
+
+
+def lamp_behind_pane() -> dict[str, Any]:
+    """`lamp_in_glass` seen through a pane of glass: all light is refracted, scattered and refracted again.
+
+    Nothing that is seen can be connected to a vertex of a light path. 128x128 pixels, `sppm` with 10 edges.
+    """
+    scene = lamp_in_glass()
+    scene["integrator"] = {"type": "sppm", "max_depth": 10}
+    pane = T().translate([0, 0, 1.4]).scale([1.5, 1.5, 0.03])
+    scene["pane"] = {"type": "cube", "to_world": pane, "bsdf": {"type": "dielectric"}}
     return scene
 
 

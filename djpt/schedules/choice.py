@@ -18,6 +18,7 @@ SCHEDULES = {
     "learning": "Learning",
     "progressive": "Progressive",
     "splatting": "Splatting",
+    "photons": "Photons",
     "wave": "Wave",
 }
 """The modules of the schedules and their classes, the fastest first."""

@@ -57,8 +57,9 @@ def needed_memory(job: Job, attached: bool = False, in_bands: bool = False) -> i
     images = 0 if in_bands else 1 + IMAGES_OF_DERIVATIVES * attached
     # Plain AD holds the samples, and what they were computed from.
     samples = SAMPLE_OF_PLAIN_AD * job.samples if attached and not job.integrator.replays else 0
+    held = job.integrator.held_bytes() + (held_sums(job) if job.integrator.holds_sums else 0)
     # A band has at least one row.
-    return 4 * channels * (images * pixels + samples + numbers * max(width, min(pixels, most))) + RESERVE
+    return held + 4 * channels * (images * pixels + samples + numbers * max(width, min(pixels, most))) + RESERVE
 
 
 def holds_all_sums(job: Job) -> bool:

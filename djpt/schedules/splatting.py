@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 
 from djpt.films.splats import Splats
+from djpt.integrators.base import Integrator
 from djpt.integrators.splatting import SplattingIntegrator
 from djpt.schedules.base import Schedule
 from djpt.schedules.canvas import image_of_rows, picture
@@ -13,7 +14,7 @@ from djpt.schedules.lanes import grouped
 from djpt.schedules.passes import stored_rows
 from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
 
-__all__ = ["Splatting"]
+__all__ = ["SplattedSamples", "Splatting"]
 
 
 class Splatting(Schedule):
@@ -26,8 +27,8 @@ class Splatting(Schedule):
         assert isinstance(job.integrator, SplattingIntegrator)
         layers = len(job.integrator.layer_names())
         splats = Splats(job.film, job.scene.brightness, 1 + layers // 3)
-        samples = SplattedSamples(splats)
-        image = image_of_rows(job, stored_rows(job, samples))
+        samples = self.samples_with(splats)
+        image = image_of_rows(job, stored_rows(job, samples, *samples.passes(job)))
         # As many as `job.spp`, unless a signal ended the last pass.
         inverse = dr.rcp(dr.opaque(Float, samples.count / (job.width * job.height)))
         # Camera rays outside of the crop bring all light, since no other adds to them.
@@ -41,6 +42,10 @@ class Splatting(Schedule):
         image = image + picture(channels, *size)
         return dr.concat([image, picture(further, *size)], axis=2) if further else image
 
+    def samples_with(self, splats: Splats) -> SplattedSamples:
+        """What computes the samples of an image, whose light for other pixels goes to `splats`."""
+        return SplattedSamples(splats)
+
 
 class SplattedSamples:
     """Computes samples, adds the light that they bring to other pixels to `splats`, and counts them."""
@@ -49,13 +54,20 @@ class SplattedSamples:
         self._splats = splats
         self.count = 0
 
+    def passes(self, job: Job) -> tuple[int, int]:
+        """The pixels of a band and the samples per pixel of a pass, where nobody waits for it; 0: as many as suit."""
+        return 0, 0
+
     def __call__(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         """The samples begin <= k < end of a band."""
-        integrator = job.integrator
-        assert isinstance(integrator, SplattingIntegrator)
-        self.count += band.rows * job.width * (end - begin)
         layer, pixel = grouped(job, band, end - begin)
+        return self.values(job, job.integrator, pixel, layer + dr.opaque(UInt32, begin))
+
+    def values(self, job: Job, integrator: Integrator, pixel: UInt32, k: UInt32) -> list[Float]:
+        """The channels of the sample number `k` of a pixel, per lane; the `integrator` may differ from the job's."""
+        assert isinstance(integrator, SplattingIntegrator)
+        self.count += dr.width(pixel)
         x, y = job.coordinates(pixel)
-        stream, ray, offset = job.begin(pixel, layer + dr.opaque(UInt32, begin), x, y)
+        stream, ray, offset = job.begin(pixel, k, x, y)
         position = job.in_crop(x, y, offset)
         return job.channels(*integrator.splat_sample(job.scene, job.camera, stream, ray, position, self._splats))

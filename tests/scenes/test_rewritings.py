@@ -175,8 +175,12 @@ EFFORT = 8
 """Samples of integrators that meet lights by chance, for one of those that sample them."""
 INTEGRATORS: dict[str, int] = {"path": SAMPLES, "path_nee": SAMPLES, "ptracer": SAMPLES, "prb_basic": EFFORT * SAMPLES}
 SUBJECTS: dict[str, Callable[[], Description]] = {
-    # Paths hardly meet the lights of scenes for bdpt.
-    **{n: s for n, s in SCENES.items() if n != "cornell_box_boxfilter" and s()["integrator"]["type"] != "bdpt"},
+    # Paths hardly meet the lights of scenes for bdpt and sppm.
+    **{
+        n: s
+        for n, s in SCENES.items()
+        if n != "cornell_box_boxfilter" and s()["integrator"]["type"] not in ("bdpt", "sppm")
+    },
     "room": room,
     "room, lights by reference": lambda: drawn_out(room(), "emitter", first=True),
     "room, backwards": lambda: backwards(drawn_out(room(), "emitter", first=True)),

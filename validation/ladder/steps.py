@@ -179,6 +179,20 @@ STEPS: tuple[Step, ...] = (
         has_caustics_of_points,
     ),
     Step(
+        "sppm",
+        "sppm",
+        "Light paths leave photons, which camera paths count within a radius that shrinks.",
+        "",
+        (DEPTH, ROULETTE, HIDE),
+    ),
+    Step(
+        "vcm",
+        "vcm",
+        "Paths from both ends, joined in all ways, and photons.",
+        "",
+        (DEPTH, ROULETTE, HIDE),
+    ),
+    Step(
         "mmlt",
         "mmlt",
         "Chains of paths by the strategies of bdpt: where there is light, more are tried.",

@@ -1,0 +1,172 @@
+"""The schedule of photons: passes that trace light paths first, and then samples that look at what they have left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from djpt.films.splats import Splats
+from djpt.integrators.photon_mapping import PhotonMapping
+from djpt.kernels import while_loop, wide
+from djpt.llvm.lanes import small_blocks
+from djpt.photons import PhotonMap, PhotonStore
+from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.independent import IndependentStream
+from djpt.schedules.job import Band, Job
+from djpt.schedules.splatting import SplattedSamples, Splatting
+from djpt.types import Float, UInt32
+
+__all__ = ["Photons"]
+
+LANES = 2**16
+"""Lanes that follow light paths, each one after the other."""
+
+SHARED = 4
+"""Light paths of a pass for each camera path, at most: less noise than with the same number of both in equal time."""
+
+STRIPS = {4: 2, 2: 8, 1: 2**32}
+"""The rows of a strip, by the most samples per pixel of a pass: a packet then covers about a square."""
+
+APART = 0x9E3779B9
+"""Keeps the hashes of passes apart from those of samples."""
+
+
+class Photons(Splatting):
+    """Runs a `PhotonMapping` pass by pass."""
+
+    name = "photons"
+
+    def samples_with(self, splats: Splats) -> SplattedSamples:
+        return PhotonSamples(splats)
+
+
+class PhotonSamples(SplattedSamples):
+    """Computes samples with the map of their pass, which is made when they are asked for."""
+
+    def __init__(self, splats: Splats) -> None:
+        super().__init__(splats)
+        self._store: PhotonStore | None = None
+        self._number = -1
+        self._looking: PhotonMapping | None = None
+
+    def passes(self, job: Job) -> tuple[int, int]:
+        return job.width * job.height, samples_of_pass(job)
+
+    def __call__(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        size, parts = samples_of_pass(job), []
+        while begin < end:
+            number = begin // size
+            last = min(end, (number + 1) * size)
+            parts.append(self.of_part(job, self.of_pass(job, number), band, begin, last))
+            begin = last
+        return parts[0] if len(parts) == 1 else [dr.concat(channel) for channel in zip(*parts, strict=True)]
+
+    def of_part(self, job: Job, integrator: PhotonMapping, band: Band, begin: int, end: int) -> list[Float]:
+        """The samples begin <= k < end, all of one pass."""
+        lanes = NearLanes(job, band, end - begin)
+        values = self.values(job, integrator, lanes.pixel, lanes.layer + dr.opaque(UInt32, begin))
+        # The next pass has another map, and no kernel runs twice to be put into order.
+        with small_blocks():
+            dr.eval(values)
+        return [dr.gather(Float, value, lanes.place) for value in values]
+
+    def of_pass(self, job: Job, number: int) -> PhotonMapping:
+        """The integrator with the map of a pass, 0, 1, .."""
+        if number != self._number or self._looking is None:
+            if self._store is None:
+                assert isinstance(job.integrator, PhotonMapping)
+                self._store = PhotonStore(job.integrator.id(), job.integrator.photon_count)
+            self._looking = trace(job, self._store, number)
+            self._number = number
+        return self._looking
+
+
+class NearLanes:
+    """Lanes for `count` samples of each pixel of a band, in such an order that packets look at the same photons.
+
+    The samples of a pixel follow each other, and then those of the pixel below, in strips of a few rows.
+    """
+
+    def __init__(self, job: Job, band: Band, count: int) -> None:
+        height = next(rows for rows, most in STRIPS.items() if count <= most)
+        lane = dr.arange(UInt32, band.rows * job.width * count)
+        samples, rows = dr.opaque(UInt32, count), dr.opaque(UInt32, band.rows)
+        of_strip, width, first = (
+            dr.opaque(UInt32, height * job.width),
+            job.width_value,
+            dr.opaque(UInt32, band.first_row),
+        )
+
+        def strip(number: UInt32) -> tuple[UInt32, UInt32]:
+            """The first row of a strip, and how many rows it has."""
+            top = number * height
+            return top, dr.select(top + height > rows, rows - top, height)
+
+        place = lane // samples
+        number = place // of_strip
+        top, high = strip(number)
+        column = (place - number * of_strip) // high
+        row = top + (place - number * of_strip) - column * high
+        self.pixel = (row + first) * width + column
+        self.layer = lane - place * samples
+        """The number of the sample, among those of its pixel."""
+
+        layer = lane // dr.opaque(UInt32, band.rows * job.width)
+        pixel = lane - layer * dr.opaque(UInt32, band.rows * job.width)
+        row = pixel // width
+        top, high = strip(row // height)
+        self.place = (top * width + (pixel - row * width) * high + row - top) * samples + layer
+        """The lanes in the order [layer][pixel] of stored samples."""
+
+
+def samples_of_pass(job: Job) -> int:
+    """The samples per pixel of a pass: as few as give one camera path, at least, for `SHARED` light paths."""
+    assert isinstance(job.integrator, PhotonMapping)
+    return -(-job.integrator.photon_count // (SHARED * job.width * job.height))
+
+
+@dataclass
+class Lane:
+    """Loop state."""
+
+    path: Any
+    sampler: Any
+    number: UInt32
+    """The number of the path in its pass."""
+
+
+def trace(job: Job, store: PhotonStore, number: int) -> PhotonMapping:
+    """Follow the light paths of a pass, and return the integrator with their map."""
+    scene, integrator = job.scene, job.integrator
+    assert isinstance(integrator, PhotonMapping)
+    paths = integrator.photon_count
+    photons = PhotonMap(integrator.radius(scene, number), paths, scene.brightness)
+    looking = integrator.looking_at(photons)
+    lanes = min(LANES, paths)
+    stop, stride = dr.opaque(UInt32, paths), dr.opaque(UInt32, lanes)
+    seed = dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF)
+    seed, _ = sample_tea_32(job.seed_value, seed)
+
+    def fresh(number: UInt32) -> tuple[Any, Any]:
+        sampler = IndependentStream.seeded(*sample_tea_32(seed, number))
+        return sampler, looking.leave(scene, sampler)
+
+    def body(lane: Lane) -> tuple[Lane]:
+        path, goes_on = looking.arrive(scene, lane.sampler, lane.path, store)
+        number = dr.select(goes_on, lane.number, lane.number + stride)
+        sampler, new = fresh(number)
+        return (Lane(dr.select(goes_on, path, new), dr.select(goes_on, lane.sampler, sampler), number),)
+
+    count = None
+    while count is None:
+        store.clear()
+        first = dr.arange(UInt32, lanes)
+        sampler, path = fresh(first)
+        start = Lane(wide(path, lanes), sampler, first)
+        (done,) = while_loop((start,), lambda lane: lane.number < stop, body, label="photons")
+        dr.eval(done.number, store.sinks)
+        count = store.count()
+    photons.fill(store, count)
+    return looking

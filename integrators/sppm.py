@@ -1,0 +1,127 @@
+"""Stochastic progressive photon mapping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
+from djpt.integrators.base import PathState, Vertex
+from djpt.integrators.bdpt import is_beam
+from djpt.integrators.passes import LightPath
+from djpt.integrators.path import Path
+from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
+from djpt.integrators.ptracer import leave_light
+from djpt.integrators.splatting import Sink
+from djpt.integrators.unidirectional import UNBOUNDED, roulette
+from djpt.materials.adjoint import sample_light
+from djpt.photons import Photon, PhotonStore
+from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+    from djpt.sensors.base import Sensor
+
+__all__ = ["StochasticProgressivePhotonMapping"]
+
+
+@dataclass
+class PhotonPath(LightPath):
+    """The state of a light path that leaves photons."""
+
+    beam: Bool | bool = False
+    """Whether it began with a beam, which no light sample finds."""
+
+
+class StochasticProgressivePhotonMapping(PhotonMapping, Path):
+    """Follows camera paths through mirrors and glass up to the first surface that scatters, and looks at photons there.
+
+    The light of that surface comes from three sources, each of which is all light of its kind:
+
+    * straight from emitters: by light samples and BSDF samples, as in `path`;
+    * over other surfaces: 1 / (pi r^2 N) times the sum of f flux over the photons within the radius r, of N light paths
+      of two and more edges;
+    * through its own mirrors, if it has any, such as a coat: the path goes on.
+
+    Finds what no unbiased method does: caustics of point lights in mirrors and panes, light that is reflected,
+    scattered and reflected. Light on glossy surfaces is noisy, and corners and edges are blurred at first: `vcm` is
+    the better choice there.
+
+    Parameters: `max_depth` (edges of the longest path from emitter to camera, -1 = unbounded, default -1), `rr_depth`
+    (Russian roulette starts there, on either side, default 5), `hide_emitters`, `emitter_choice` (`uniform`, default,
+    or `power`), and those of all `PhotonMapping`.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if self.bounces:
+            raise props.error("bounces", "isn't possible with photons; possible with: path, prb")
+        # Light paths begin where no surface is known that `tree` would choose an emitter for.
+        self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
+        self.longest = UNBOUNDED if self.max_depth < 0 else self.max_depth
+
+    def splat_sample(
+        self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
+    ) -> tuple[Color3f, Bool, list[Float]]:
+        """The radiance along a ray; nothing is added to other pixels."""
+        return self.sample(scene, sampler, ray)
+
+    # ---- from the camera ---------------------------------------------------------------
+
+    def vertex(
+        self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
+    ) -> Vertex:
+        assert self.photons is not None
+        v = super().vertex(scene, sampler, state, ray, si)
+        # Beyond a surface that scatters there is only the light that its BSDF sample meets.
+        before = state.bsdf_pdf == 0
+        looks = before & self.proceeds(state, si) & scatters(si)
+
+        def worth(photon: Photon) -> Color3f:
+            value = si.bsdf().eval(BSDFContext(), si, si.to_local(-photon.d), True)
+            return over_cosine(value, si, photon) * photon.flux
+
+        edges = UInt32(self.longest) - state.depth - 1
+        v.emitted = v.emitted + state.throughput * self.photons.density(si.p, si.n, edges, looks, worth)
+        v.reflected = dr.select(before, v.reflected, 0)
+        v.active &= before
+        return v
+
+    # ---- from the light ----------------------------------------------------------------
+
+    def leave(self, scene: Scene, sampler: SampleStream) -> PhotonPath:
+        path, emitter = leave_light(scene, sampler)
+        beams = [e for e in scene.emitters() if is_beam(e.flags())]
+        return PhotonPath(**vars(path), beam=is_beam(emitter.flags()) if beams else Bool(False))
+
+    def arrive(
+        self, scene: Scene, sampler: SampleStream, path: PhotonPath, store: PhotonStore
+    ) -> tuple[PhotonPath, Bool]:
+        ray, sample1, sample2 = path.ray, sampler.next_1d(), sampler.next_2d()
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
+        flux = path.flux * scene.transmittance(ray, si.t)
+        # One more edge at least leads to the camera.
+        on = si.is_valid() & (path.depth < self.longest)
+        photon = Photon(si.p, Float(path.depth), ray.d, flux, Float(0), Float(0))
+        store.add(photon, on & scatters(si) & ((path.depth > 1) | path.beam) & (dr.max(flux) > 0))
+
+        bs, weight = si.bsdf().visit(lambda bsdf: sample_light(bsdf, si, sample1, sample2, on), on)
+        eta = None if path.eta is None else path.eta * bs.eta
+        left, survives = roulette(sampler, flux * weight * path.unit, eta, path.depth > self.rr_depth)
+        after = PhotonPath(
+            ray=si.spawn_ray(si.to_world(bs.wo)),
+            flux=left * dr.rcp(path.unit),
+            unit=path.unit,
+            eta=eta,
+            depth=path.depth + 1,
+            beam=path.beam,
+        )
+        return after, on & survives & (path.depth + 1 < self.longest)
+
+
+register_integrator("sppm", StochasticProgressivePhotonMapping)

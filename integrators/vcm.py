@@ -1,0 +1,124 @@
+"""Vertex connection and merging."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import drjit as dr
+
+from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
+from djpt.errors import RenderError
+from djpt.integrators.bdpt import BidirectionalPath
+from djpt.integrators.both_ends import End, mis_weight
+from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
+from djpt.integrators.places import Place
+from djpt.integrators.unidirectional import roulette
+from djpt.photons import Photon, PhotonMap, PhotonStore
+from djpt.samplers.base import SampleStream
+from djpt.types import Bool, Color3f, Float, UInt32
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+    from djpt.sensors.base import Sensor
+
+__all__ = ["VertexConnectionMerging"]
+
+
+@dataclass
+class PhotonPath:
+    """The state of a light path that leaves photons."""
+
+    end: End
+    power: Float
+    """What the throughput is a share of."""
+
+
+class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
+    """Joins a path from the camera and one from a light in all ways of `bdpt`, and merges it with photons.
+
+    A vertex of a camera path counts the photons about it as if they had come to the vertex itself. That is one more
+    way to find a path, and far the best one for what is reflected, scattered and reflected. With the density p of a
+    connection of the same two vertices, a merging has the density
+
+        p pi r^2 N,    N light paths of a pass, r the radius,
+
+    and all ways are weighted against each other: mergings count little where connections do well.
+
+    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`, with a `photon_count` of 60000.
+
+    I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
+    Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
+    Simulation", 2012.
+    """
+
+    # Many photons take their time at each of the vertices, and first of all connections need many samples.
+    default_photon_count = 60_000
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        if self.strategies:
+            raise props.error("strategies", "isn't possible with photons; possible with: bdpt")
+        self._merging = Float(0)
+
+    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
+        scattering = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
+        if scattering:
+            raise RenderError(
+                f"'vcm' doesn't follow light through scattering media, found {', '.join(scattering)}; "
+                "possible: the integrator 'volpath'"
+            )
+        super().check_scene(scene, sensor)
+
+    def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
+        integrator = super().looking_at(photons)
+        integrator._merging = self.h(photons.expected)
+        return integrator
+
+    # ---- where paths meet --------------------------------------------------------------
+
+    def joinable(self, end: End) -> End:
+        """The end at a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
+        return replace(end, vcm=end.vcm + self._merging)
+
+    def merged(self, scene: Scene, end: End, place: Place, joins: Bool) -> Color3f:
+        """The light of the photons about a vertex of a camera path."""
+        assert self.photons is not None
+        si = place.si
+
+        def worth(photon: Photon) -> Color3f:
+            value, pdf, back = place.evaluate(scene, True, -photon.d)
+            by_light = photon.vcm + photon.vc * self.h(pdf)
+            by_camera = end.vcm + end.vc * self.h(back)
+            weight = mis_weight((by_light + by_camera) * dr.rcp(self._merging))
+            return over_cosine(value, si, photon) * photon.flux * weight
+
+        edges = dr.select(end.depth < self.joined, UInt32(self.joined) - end.depth, 0)
+        return end.throughput * self.photons.density(si.p, si.n, edges, joins, worth)
+
+    # ---- photons -----------------------------------------------------------------------
+
+    def leave(self, scene: Scene, sampler: SampleStream) -> PhotonPath:
+        return PhotonPath(*self.at_light(scene, sampler))
+
+    def arrive(
+        self, scene: Scene, sampler: SampleStream, path: PhotonPath, store: PhotonStore
+    ) -> tuple[PhotonPath, Bool]:
+        ray = path.end.ray
+        si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
+        place = Place(si, None)
+        end = path.end.arrived(place, scene.transmittance(ray, si.t), self.h)
+        on = si.is_valid() & (end.depth < self.joined)
+        flux = end.throughput * path.power
+        photon = Photon(si.p, Float(end.depth), ray.d, flux, end.vcm, end.vc)
+        store.add(photon, on & scatters(si) & (dr.max(flux) > 0))
+
+        s = place.scatter(scene, False, None, sampler, on)
+        eta = None if end.eta is None else end.eta * s.sample.eta
+        throughput, survives = roulette(sampler, end.throughput * s.weight, eta, end.depth > self.rr_depth)
+        after = self.joinable(end).scattered(place, s, throughput, self.h)
+        return PhotonPath(after, path.power), on & survives & (end.depth + 1 < self.joined)
+
+
+register_integrator("vcm", VertexConnectionMerging)

@@ -1,0 +1,117 @@
+"""The photon map: sums over photons near a point, against sums over all of them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from djpt.errors import RenderError
+from djpt.photons import Photon, PhotonMap, PhotonStore, photon
+from djpt.photons.map import ALONG_Y, ALONG_Z, FEWEST, FLATNESS, SPAN
+from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
+
+RADIUS, PATHS, UNIT = 0.05, 1000, 0.5
+
+
+def photons(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places about the origin, powers, and numbers of edges."""
+    rng = np.random.default_rng(3)
+    edges = rng.integers(1, 6, count)
+    return rng.uniform(-0.3, 0.3, (count, 3)).astype(np.float32), rng.random((count, 3)).astype(np.float32), edges
+
+
+def filled(p: np.ndarray, flux: np.ndarray, edges: np.ndarray, radius: float = RADIUS) -> PhotonMap:
+    """The map of some photons, of which every second one travels along x, the others along z."""
+    store, count = PhotonStore("photons", PATHS), len(p)
+    store.clear()
+    if count:
+        along_x = dr.arange(UInt32, count) % 2 == 0
+        d = Vector3f(dr.select(along_x, 1, 0), 0, dr.select(along_x, 0, 1))
+        store.add(
+            Photon(Point3f(p.T), Float(edges), d, Color3f(flux.T), Float(edges) * 2, Float(edges) * 3),
+            dr.full(Bool, True, count),
+        )
+        dr.eval(store.sinks)
+    found = store.count()
+    assert found == count
+    result = PhotonMap(radius, PATHS, UNIT)
+    result.fill(store, found)
+    return result
+
+
+@pytest.mark.parametrize("count", [0, 1, 500, 5000])
+def test_sums_are_those_over_all_photons(count: int) -> None:
+    """Within the radius, near the surface, of paths that are short enough; whatever fields are asked for."""
+    p, flux, edges = photons(count)
+    map_of = filled(p, flux, edges)
+    points = np.random.default_rng(4).uniform(-0.3, 0.3, (64, 3)).astype(np.float32)
+    most = np.arange(64) % 7
+    active = np.arange(64) % 5 != 0
+
+    def worth(photon: Photon) -> Color3f:
+        return photon.flux * (photon.d.x + photon.vcm * photon.vc)
+
+    n = np.random.default_rng(5).normal(size=(64, 3)).astype(np.float32)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    found = map_of.density(Point3f(points.T), Normal3f(n.T), UInt32(most), Bool(active), worth)
+    to = (p[None] - points[:, None]).astype(np.float64) if count else np.zeros((64, 0, 3))
+    flat = np.abs((to * n[:, None]).sum(axis=2)) <= FLATNESS * RADIUS
+    counts = flat & (np.linalg.norm(to, axis=2) <= RADIUS) & (edges[None] <= most[:, None]) & active[:, None]
+    value = flux * ((np.arange(count) % 2 == 0) + 6.0 * edges**2)[:, None]
+    expected = (counts @ value if count else np.zeros((64, 3))) / (math.pi * RADIUS**2 * PATHS)
+    np.testing.assert_allclose(np.array(found).T, expected, rtol=1e-5, atol=1e-6)
+    assert count < 5000 or expected.max() > 0
+
+
+def test_a_crowd_in_one_place() -> None:
+    """All photons have one hash value."""
+    p, flux, edges = photons(2000)
+    map_of = filled(p * 0 + 0.01, flux, edges)
+    point, n, active = Point3f(0.02, 0.01, 0), Normal3f(0, 1, 0), dr.full(Bool, True, 1)
+    one = map_of.density(point, n, UInt32(9), active, lambda photon: photon.flux)
+    np.testing.assert_allclose(np.array(one).ravel(), flux.sum(axis=0) / (math.pi * RADIUS**2 * PATHS), rtol=1e-5)
+
+
+def test_sums_do_not_depend_on_the_order() -> None:
+    p, flux, edges = photons(5000)
+    points = Point3f(p[:64].T)
+    sums = []
+    for order in (slice(None), slice(None, None, -1)):
+        map_of = filled(p[order], flux[order], edges[order])
+        found = map_of.density(points, Normal3f(0, 0, 1), UInt32(9), dr.full(Bool, True, 64), lambda ph: ph.flux)
+        sums.append(np.array(found))
+    np.testing.assert_array_equal(*sums)
+
+
+def test_neighbours_have_hashes_of_their_own() -> None:
+    """No photon is found twice, and the run of a row has no photons of another row of the same ball."""
+    steps = range(1 - SPAN, SPAN)
+    for x, y, z in itertools.product(steps, steps, steps):
+        assert (x, y, z) == (0, 0, 0) or (x + y * ALONG_Y + z * ALONG_Z) % FEWEST
+
+
+def test_a_store_grows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(photon, "PER_PATH", 1)
+    store = PhotonStore("photons", 10)
+    p, flux, edges = photons(100)
+
+    def walk() -> int | None:
+        store.clear()
+        one = Photon(Point3f(p.T), Float(edges), Vector3f(0, 0, 1), Color3f(flux.T), Float(0), Float(0))
+        store.add(one, dr.full(Bool, True, 100))
+        dr.eval(store.sinks)
+        return store.count()
+
+    assert walk() is None
+    assert walk() == 100
+
+
+def test_what_memory_does_not_hold_is_refused() -> None:
+    with pytest.raises(
+        RenderError, match=r"caustics: the map of .* light paths (takes about|has more than) .*lower 'photon_count'"
+    ):
+        PhotonStore("caustics", 2**28)

@@ -1,0 +1,201 @@
+"""`sppm` and `vcm`: the means of `path`, closed forms, and what they refuse."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import RenderError, SceneError
+from djpt.photons import photon
+from djpt.process import memory
+from tests.integrators.test_bdpt import MATERIALS
+from tests.kit.emitters import NAMES, entry, plugin_of
+from tests.kit.lit_floor import floor_scene
+from tests.kit.renders import box
+
+KINDS = ("sppm", "vcm")
+
+
+def image(scene: Any, kind: str, spp: int, seed: int = 0, **keys: Any) -> np.ndarray:
+    loaded = djpt.load_dict(scene) if isinstance(scene, dict) else scene
+    return np.array(djpt.render(loaded, integrator=djpt.load_dict({"type": kind, **keys}), spp=spp, seed=seed))
+
+
+def assert_close_to_path(
+    scene: dict[str, Any], kind: str, depth: int = 4, tolerance: float = 0.02, **keys: Any
+) -> None:
+    """Assert that the means of images and of their quarters agree up to noise and a small radius' blur."""
+    loaded = djpt.load_dict(scene)
+    settings = {"initial_radius": 0.05, "photon_count": 20_000, **keys} if kind != "bdpt" else keys
+    ours = np.stack([image(loaded, kind, 64, seed, max_depth=depth, **settings) for seed in range(4)])
+    shared = {key: value for key, value in keys.items() if key in ("hide_emitters", "emitter_choice")}
+    theirs = np.stack([image(loaded, "path", 512, 50 + seed, max_depth=depth, **shared) for seed in range(4)])
+    half = ours.shape[1] // 2
+    for rows, columns in itertools.product((slice(half), slice(half, None)), repeat=2):
+        a, b = (batch[:, rows, columns].mean(axis=(1, 2)) for batch in (ours, theirs))
+        error = 4 * np.sqrt(a.var(axis=0, ddof=1) / 4 + b.var(axis=0, ddof=1) / 4)
+        assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) <= error + tolerance * b.mean(axis=0) + 1e-6).all()
+
+
+LIT = {plugin_of(name): name for name in reversed(NAMES) if plugin_of(name) != "directionalarea"}
+"""One name for each kind of light."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plugin", LIT)
+@pytest.mark.parametrize("kind", KINDS)
+def test_lights(kind: str, plugin: str) -> None:
+    assert_close_to_path(floor_scene({"light": entry(LIT[plugin])}, size=16), kind)
+
+
+@pytest.mark.parametrize("kind", ["sppm", pytest.param("vcm", marks=pytest.mark.slow)])
+def test_beams_are_shown(kind: str) -> None:
+    """Light that leaves a surface in one direction only arrives by photons of a single edge, too."""
+    scene = djpt.load_dict(floor_scene({"light": entry("directionalarea-rectangle")}, size=16))
+    keys = {"initial_radius": 0.05, "photon_count": 100_000}
+    ours = image(scene, kind, 1024, max_depth=3, **keys).mean()
+    assert ours == pytest.approx(image(scene, "ptracer", 1024, max_depth=3).mean(), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        pytest.param(kind, name, marks=() if (kind, name) == ("sppm", "coats") else pytest.mark.slow)
+        for kind, name in itertools.product(KINDS, MATERIALS)
+    ],
+)
+def test_materials(kind: str, name: str) -> None:
+    """Mirrors on top of what scatters, refraction, normals that differ from the surface, openings, absorption."""
+    scene = floor_scene(size=16)
+    scene["ball"]["bsdf"], scene["small"]["bsdf"] = MATERIALS[name]
+    assert_close_to_path(scene, kind, 5, tolerance=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_long_paths_and_roulette(kind: str) -> None:
+    scene = djpt.scenes.furnace(0.8)
+    scene["sensor"]["film"].update(width=16, height=16)
+    for depth, expected in ((6, (1 - 0.8**6) / 0.2), (-1, 5.0)):
+        found = image(scene, kind, 256, max_depth=depth, rr_depth=3, initial_radius=0.02)
+        assert found.mean() == pytest.approx(expected, rel=0.03)
+
+
+def test_short_paths_need_no_photons() -> None:
+    """With two edges, `sppm` is `path`, number by number."""
+    scene = djpt.load_dict(box(16))
+    for depth in (0, 1, 2):
+        found, expected = (image(scene, kind, 16, max_depth=depth) for kind in ("sppm", "path"))
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_without_photons_vcm_is_bdpt() -> None:
+    """In a ball that holds none, connections have all the weight."""
+    scene = djpt.load_dict(box(16))
+    found = image(scene, "vcm", 16, max_depth=5, initial_radius=1e-6, photon_count=10)
+    np.testing.assert_allclose(found, image(scene, "bdpt", 16, max_depth=5), rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("heuristic", "radius"),
+    [("balance", 0.01), *(pytest.param(h, r, marks=pytest.mark.slow) for h, r in (("balance", 0.06), ("power", 0.03)))],
+)
+def test_weights_add_up(heuristic: str, radius: float) -> None:
+    """Whether mergings count little or nearly everything."""
+    assert_close_to_path(box(16), "vcm", 5, heuristic=heuristic, initial_radius=radius)
+
+
+def test_coverage_and_hidden_lamps_are_those_of_path() -> None:
+    scene = floor_scene(size=16)
+    scene["sensor"]["film"]["pixel_format"] = "rgba"
+    loaded = djpt.load_dict(scene)
+    expected = image(loaded, "path", 16, max_depth=3, hide_emitters=True)[..., 3]
+    for kind in KINDS:
+        found = image(loaded, kind, 16, max_depth=3, hide_emitters=True, photon_count=1000)[..., 3]
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+# ---------------------------------------------------------------- the radius
+
+
+def test_caustic_of_a_parabolic_mirror() -> None:
+    """Extrapolated to the radius 0 from two radii, since the blur goes with the radius' square.
+
+    No method without photons could find it, if the screen were seen in a mirror.
+    """
+    scene = djpt.load_dict(djpt.scenes.parabolic_mirror())
+    keys = {"max_depth": 3, "alpha": 1.0, "photon_count": 50_000}
+    wide, narrow = (image(scene, "sppm", 160, initial_radius=r, **keys).mean(axis=2) for r in (0.05, 0.025))
+    found = (4.0 * narrow - wide) / 3
+    place = 3 * (np.arange(64) + 0.5) / 64 - 1.5
+    r = np.hypot(*np.meshgrid(place, place))
+    expected = (np.where(r < 1, 0.9 / 0.25 / (1 + r**2) ** 2, 0) + 2.5 / (2.5**2 + r**2) ** 1.5) / np.pi
+    rings = np.arange(0, 1.5, 0.15)
+    for low, high in itertools.pairwise(rings):
+        # At the rim of the beam the blur is no matter of squares.
+        ring = (r >= low) & (r < high) & (np.abs(r - 1) > 0.1)
+        if ring.any():
+            assert found[ring].mean() == pytest.approx(expected[ring].mean(), rel=0.01)
+
+
+def test_radii_shrink() -> None:
+    scene = djpt.load_dict(box(8))
+    low, high = (np.array(corner).ravel() for corner in scene.bbox())
+    default = djpt.load_dict({"type": "sppm"})
+    assert default.radius(scene, 0) == pytest.approx(0.01 * (high - low).max())
+    own = djpt.load_dict({"type": "vcm", "initial_radius": 0.5, "alpha": 0.5})
+    assert own.radius(scene, 15) == pytest.approx(0.5 * 16**-0.25)
+    constant = djpt.load_dict({"type": "sppm", "initial_radius": 0.5, "alpha": 1.0})
+    assert constant.radius(scene, 15) == 0.5
+
+
+# ---------------------------------------------------------------- contracts
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_image_is_the_same_for_any_threads_passes_and_memory(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = djpt.load_dict(box(8, "gaussian"))
+    plugin = djpt.load_dict({"type": kind, "max_depth": 5, "photon_count": 500, "initial_radius": 0.1})
+
+    def render(**arguments: Any) -> np.ndarray:
+        return np.array(djpt.render(scene, integrator=plugin, spp=6, **{"seed": 4, **arguments}))
+
+    count, first = dr.thread_count(), render()
+    try:
+        dr.set_thread_count(1)
+        np.testing.assert_array_equal(render(), first)
+    finally:
+        dr.set_thread_count(count)
+    np.testing.assert_array_equal(render(pass_spp=3), first)
+    done = []
+    np.testing.assert_array_equal(render(progress=lambda k, n: done.append((k, n))), first)
+    assert done[-1][0] == done[-1][1]
+    assert (render(seed=5) != first).any()
+    monkeypatch.setattr(photon, "PER_PATH", 1)
+    np.testing.assert_array_equal(render(), first)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_refused(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = djpt.load_dict(box(8))
+    for keys, problem in (
+        ({"photon_count": 0}, "photon_count"),
+        ({"alpha": 0.0}, "alpha"),
+        ({"alpha": 1.5}, "alpha"),
+        ({"initial_radius": -1.0}, "initial_radius"),
+        ({"emitter_choice": "tree"}, "emitter_choice"),
+        ({"bounces": True, "max_depth": 3} if kind == "sppm" else {"strategies": True, "max_depth": 3}, "photons"),
+    ):
+        with pytest.raises(SceneError, match=problem):
+            djpt.load_dict({"type": kind, **keys})
+    with pytest.raises(RuntimeError) as found:
+        dr.freeze(lambda: djpt.render(scene, integrator=djpt.load_dict({"type": kind}), spp=1))()
+    assert "dr.freeze can't record photon maps" in str(found.value.__cause__)
+    monkeypatch.setattr(memory, "free_memory", lambda: 2**30)
+    with pytest.raises(RenderError, match=r"photons of 40000000 light paths takes about .*lower 'photon_count'"):
+        image(scene, kind, 1, photon_count=40_000_000)
