@@ -63,6 +63,15 @@ def load(densities: np.ndarray, size: int) -> djpt.Scene:
     return djpt.load_dict(scene)
 
 
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """Numbers on a grid (Z, Y, X, 1), each mixed with its neighbours along the axes by the weights 1/4, 1/2, 1/4."""
+    for axis in range(3):
+        ends = [(1, 1) if axis == k else (0, 0) for k in range(4)]
+        near = np.moveaxis(np.pad(values, ends, mode="edge"), axis, 0)
+        values = np.moveaxis(near[:-2] / 4 + near[1:-1] / 2 + near[2:] / 4, 0, axis)
+    return np.ascontiguousarray(values)
+
+
 def recover(
     scene: djpt.Scene,
     pictures: Sequence[djpt.TensorXf],
@@ -76,6 +85,7 @@ def recover(
     """Fit the densities of `scene` to the pictures of its first cameras; return them, (Z, Y, X, 1).
 
     The search begins without smoke on a coarse grid, whose few numbers each get many samples, and makes it finer twice.
+    Gradients are smoothed, which takes away most of their noise: neighbours have similar densities.
 
     Args:
         scene: The scene; its densities are changed.
@@ -83,7 +93,7 @@ def recover(
         resolution: The densities along each axis in the end: a multiple of 4.
         steps: Steps of Adam on each grid; each looks at one picture, in turn.
         spp: Samples per pixel of each step's picture, and as many for its gradient.
-        rate: Size of the first steps on the first grid, half of that on the next. On each it shrinks to a tenth, so
+        rate: Size of the first steps on the first grid, 0.7 times that on the next. On each it shrinks to a tenth, so
             that noise averages out.
         report: Called with the number and the loss of each step.
     """
@@ -91,16 +101,18 @@ def recover(
     densities = np.zeros((resolution // 4,) * 3 + (1,), np.float32)
     for stage in range(3):
         if stage:
-            densities = densities.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+            densities = smoothed(densities.repeat(2, 0).repeat(2, 1).repeat(2, 2))
         optimizer = Adam(lr=rate, params={KEY: djpt.TensorXf(densities)})
         for step in range(stage * steps, (stage + 1) * steps):
             # Finer grids have less to change, and more noise in each number.
-            optimizer.set_learning_rate(rate * 0.5**stage * 0.1 ** (step / steps - stage))
+            optimizer.set_learning_rate(rate * 0.7**stage * 0.1 ** (step / steps - stage))
             params.update(optimizer)
             view = step % len(pictures)
             image = djpt.render(scene, params, sensor=view, spp=spp, seed=step)
             loss = dr.mean(dr.square(image - pictures[view]), axis=None)
             dr.backward(loss)
+            variable = optimizer[KEY]
+            dr.set_grad(variable, djpt.TensorXf(smoothed(np.array(dr.grad(variable)))))
             optimizer.step()
             optimizer[KEY] = dr.maximum(optimizer[KEY], 0)
             if report is not None:
@@ -118,7 +130,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=64, help="width and height of the views in pixels")
     parser.add_argument("--resolution", type=int, default=32, help="densities along each axis")
     parser.add_argument("--steps", type=int, default=60, help="steps on each of three grids")
-    parser.add_argument("--spp", type=int, default=32, help="samples per pixel of a step")
+    parser.add_argument("--spp", type=int, default=16, help="samples per pixel of a step")
     arguments = parser.parse_args()
 
     truth = ring(arguments.resolution)

@@ -24,7 +24,6 @@ from djpt.gradients.modes import Mode
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.integrators.volpath import VolumetricPathState
 from djpt.kernels import wide
-from djpt.media.differentials import own_stream
 from djpt.records import Ray3f
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
@@ -49,8 +48,8 @@ __all__ = [
 FIRST, AGAIN, ASIDE = 0, 1, 2
 """The walks of a sample."""
 
-TAKEN = 0.25
-"""The share of samples that make a detour: it takes as long as another walk, and adds little noise."""
+TAKEN = 0.1
+"""The share of samples that make a detour, which takes longer than a walk from the camera: it begins in the medium."""
 
 
 def needed(scene: Scene, numbering: Numbering) -> bool:
@@ -78,13 +77,11 @@ class Detour:
     """What comes from the point to the camera, over its largest component; the albedo is included."""
     total: Float
     """The sum of the largest components for all points that might have been taken."""
-    u: Float
-    """The number that estimates the extinction at the point."""
 
 
 def no_detour(ray: Ray3f, path: VolumetricPathState) -> Detour:
     """The detour of a path that has met no medium yet."""
-    return Detour(Ray3f(ray), replace(path), Color3f(0), Float(0), Float(0))
+    return Detour(Ray3f(ray), replace(path), Color3f(0), Float(0))
 
 
 def detour_past(
@@ -97,14 +94,13 @@ def detour_past(
     weight = dr.select(active, path.throughput * path.aside * weight, 0)
     mass = dr.max(weight)
     total = known.total + mass
-    takes = (mass > 0) & (own_stream(ray, path.throughput.x).next_1d() * total < mass)
+    takes = (mass > 0) & (point.choice * total < mass)
     onward = ray.replaced(o=ray(point.t))
     return Detour(
         ray=dr.select(takes, onward, known.ray),
         path=dr.select(takes, path, known.path),
         shade=dr.select(takes, weight * dr.rcp(mass), known.shade),
         total=total,
-        u=dr.select(takes, point.u, known.u),
     )
 
 
@@ -224,5 +220,5 @@ def scattered(scene: Scene, detour: Detour, radiance: Color3f, active: Bool) -> 
     ray = detour.ray
     assert ray.medium is not None
     mei = MediumInteraction3f.on(ray, Float(0))
-    sigma_t = scene.media.extinction_at(ray.medium, mei, detour.u, scene.lookup, active)
+    sigma_t = scene.media.extinction(ray.medium, mei, scene.lookup, active)
     return sigma_t * (detour.shade * (detour.total * radiance))

@@ -197,9 +197,13 @@ class Medium(Plugin):
         largest = maximum(maximum(color.x, color.y), color.z)
         return lambda t, active: (largest, Float(dr.inf))
 
+    def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
+        """sigma_t at a point, as derivatives are taken of it."""
+        return self.get_scattering_coefficients(mi, active)[2]
+
     def extinction_at(self, mi: MediumInteraction3f, u: Float, active: Bool | bool = True) -> Color3f:
         """sigma_t at a point, or an estimate of it from a uniform number."""
-        return self.get_scattering_coefficients(mi, active)[2]
+        return self.extinction(mi, active)
 
     def emission_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         """The radiance that the medium adds per unit of length at a point; asked only if it glows."""

@@ -62,8 +62,7 @@ class Heterogeneous(Medium):
         self.sigma_t = props.volume("sigma_t", 1.0, low=0.0)
         self.scale = as_float(props.float("scale", 1.0, low=0.0))
         self.m_has_spectral_extinction = props.boolean("has_spectral_extinction", True)
-        # Beyond the border of a grid that repeats, cells say nothing.
-        self.has_cells = getattr(self.sigma_t, "wrap_mode", None) == "clamp"
+        self.has_cells: bool
         self.maxima: Any
         self._place()
 
@@ -71,12 +70,15 @@ class Heterogeneous(Medium):
         """Compute what kernels know of the volume as a whole: its box, and the majorants."""
         box = self.sigma_t.bbox()
         self.low, self.high = as_vector(np.array(box.min)), as_vector(np.array(box.max))
-        self.largest = as_float(self.sigma_t.max())
-        counts, maxima = np.ones(3), np.zeros(1, np.float32)
+        largest = self.sigma_t.max()
+        self.largest = as_float(largest)
+        counts, maxima = np.ones(3), np.full(1, largest, np.float32)
         matrix = np.eye(4)[:3]
+        # Beyond the border of a grid that repeats, cells say nothing.
+        if getattr(self.sigma_t, "wrap_mode", None) == "clamp":
+            counts = np.clip(np.array(self.sigma_t.resolution()) // POINTS, 1, MOST)
+        self.has_cells = bool(counts.prod() > 1)
         if self.has_cells:
-            resolution = np.array(self.sigma_t.resolution())
-            counts = np.clip(resolution // POINTS, 1, MOST)
             maxima = self.sigma_t.cell_maxima([int(n) for n in counts]).ravel()
             matrix = counts[:, None] * self.sigma_t.placement().inverse().matrix[:3]
         self.maxima = TensorXf(maxima)
@@ -119,7 +121,7 @@ class Heterogeneous(Medium):
     def get_scattering_coefficients(
         self, mi: MediumInteraction3f, active: Bool | bool = True
     ) -> tuple[Color3f, Color3f, Color3f]:
-        sigma_t = self._effective(self.sigma_t.eval(mi, active), mi, active)
+        sigma_t = self.extinction(mi, active)
         return sigma_t * self.albedo.eval(mi, active), self.get_majorant(mi) - sigma_t, sigma_t
 
     def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
@@ -138,10 +140,14 @@ class Heterogeneous(Medium):
 
     # ---- tracking ------------------------------------------------------------------------
 
+    def extinction(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
+        return self._effective(self.sigma_t.eval(mi, active), mi, active)
+
     def extinction_at(self, mi: MediumInteraction3f, u: Float, active: Bool | bool = True) -> Color3f:
         # Single numbers of a coloured grid would make the weights of the channels noisy.
-        density = self.sigma_t.eval(mi, active) if self.has_spectral_extinction() else self.sigma_t.pick(mi, u, active)
-        return self._effective(density, mi, active)
+        if self.has_spectral_extinction():
+            return self.extinction(mi, active)
+        return self._effective(self.sigma_t.pick(mi, u, active), mi, active)
 
     def albedo_at(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         return self.albedo.eval(mi, active)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -284,16 +284,24 @@ class Media:
             found, weight = dr.select(mine, of_group, (found, weight))
         return found, weight
 
+    def extinction(self, medium: UInt32, mei: MediumInteraction3f, lookup: Lookup, active: Bool) -> Color3f:
+        """sigma_t at points in tracked media; 0 in all others."""
+        return self._tracked_value(medium, lookup, lambda leaves, mine: leaves.extinction(mei, mine & active))
+
     def extinction_at(
         self, medium: UInt32, mei: MediumInteraction3f, u: Float, lookup: Lookup, active: Bool
     ) -> Color3f:
         """An estimate of sigma_t at points in tracked media, from a uniform number; 0 in all others."""
-        sigma_t = Color3f(0)
+        return self._tracked_value(medium, lookup, lambda leaves, mine: leaves.extinction_at(mei, u, mine & active))
+
+    def _tracked_value(self, medium: UInt32, lookup: Lookup, value: Callable[[Medium, Bool], Color3f]) -> Color3f:
+        """What tracked media answer; 0 for all others."""
+        answer = Color3f(0)
         for group in self._tracked():
             mine = self.ensemble.members(group, medium)
             leaves = group.at(self.ensemble.slots(group, medium), lookup)
-            sigma_t = dr.select(mine, leaves.extinction_at(mei, u, mine & active), sigma_t)
-        return sigma_t
+            answer = dr.select(mine, value(leaves, mine), answer)
+        return answer
 
     def _tracked(self) -> list[Group[Medium]]:
         """The groups of media whose flights are tracked."""

@@ -47,7 +47,7 @@ class Trackers:
         """The track at the start of a segment of a ray with a unit direction, and where it ends."""
         start, end = (Float(0), Float(0)) if ray.medium is None else self._media.in_box(ray, length, self._lookup)
         shown: tuple[Any, Any] = ((start,), (Color3f(1),)) if self._shows else ((), ())
-        return Track(start, Color3f(1), Bool(False), stream, active & (start < end), None, *shown), end
+        return Track(start, Color3f(1), Bool(False), stream, active & (start < end), *shown), end
 
     def advance(
         self, track: Track, ray: Ray3f, length: Float, end: Float, estimates: Bool, throughput: Color3f, steps: int

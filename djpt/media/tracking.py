@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.kernels import maximum, minimum, wide
-from djpt.media.differentials import ScatteringPoint, collided, elsewhere, own_stream, passed, uniform_point
+from djpt.media.differentials import ScatteringPoint, elsewhere, of_flight, own_stream, passed, uniform_point
 from djpt.media.flight import Flight
 from djpt.records import Ray3f
 from djpt.records.media import MediumInteraction3f
@@ -48,8 +48,6 @@ class Track:
     collided: Bool
     stream: Any
     active: Bool
-    u: Float | None = None
-    """The number that the last collision took for its estimate of sigma_t; None if there are no derivatives."""
     shown: tuple[Float, ...] = ()
     """A place of the flight so far, uniformly distributed: of media that glow and have weights."""
     shown_weight: tuple[Color3f, ...] = ()
@@ -79,16 +77,14 @@ def fly(
     importance = importance_of(throughput)
 
     def fly_on(track: Track) -> tuple[Track]:
-        t, meets, share, u = collision(medium, majorants, ray, end, track)
+        t, meets, share = collision(medium, majorants, ray, end, track)
         probability = scattered_share(coloured, importance, track.weight, share)
         real = meets & (track.stream.next_1d(meets) < probability)
         weight = weight_after(coloured, track.weight, share, probability, meets, real)
-        last = None if track.u is None else dr.select(meets, u, track.u)
         shown, shown_weight = place_shown(track, start, t) if track.shown else ((), ())
-        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), last, shown, shown_weight),)
+        return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), shown, shown_weight),)
 
-    places, u = coloured and medium.emits(), None if leaves is None else Float(0)
-    track = run(fly_on, start, end, stream, active, "delta tracking", u, places)
+    track = run(fly_on, start, end, stream, active, "delta tracking", coloured and medium.emits())
     return landing(medium, ray, start, track, stream, active, leaves)
 
 
@@ -105,9 +101,7 @@ def landing(
     emitted = glow(medium, ray, start, track, stream, active, leaves) if medium.emits() else Color3f(0)
     weight = track.weight
     if leaves is not None:
-        assert track.u is not None
-        more = collided(leaves, ray, track.t, track.u, track.collided)
-        weight = weight * passed(leaves, ray, start, track.t, active) * dr.select(track.collided, more, 1)
+        weight = weight * of_flight(leaves, ray, start, track.t, track.collided, active)
     albedo = (leaves or medium).albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
     value = dr.select(track.collided, weight * albedo, weight)
     return Flight(track.t, track.collided, value, Color3f(1), emitted)
@@ -176,7 +170,7 @@ def transmittance(
     majorants = medium.majorants(ray)
 
     def pass_on(track: Track) -> tuple[Track]:
-        t, meets, share, _ = collision(medium, majorants, ray, end, track)
+        t, meets, share = collision(medium, majorants, ray, end, track)
         left, chance, little = thinned(track.weight, share, meets)
         survives = ~little | (track.stream.next_1d(little) < chance)
         left = dr.select(survives, dr.select(little, left * dr.rcp(chance), left), 0)
@@ -209,7 +203,7 @@ def step(
     which rays of both kinds are under way. Only where the track is `active` something happens.
     """
     coloured, moves = medium.has_spectral_extinction(), track.active
-    t, meets, share, _ = collision(medium, majorants, ray, end, track)
+    t, meets, share = collision(medium, majorants, ray, end, track)
     probability = scattered_share(coloured, importance_of(throughput), track.weight, share)
     left, chance, little = thinned(track.weight, share, meets)
     number = track.stream.next_1d(dr.select(estimates, little, meets))
@@ -242,7 +236,7 @@ def scattering_point(
     coloured = medium.has_spectral_extinction()
     point = uniform_point(ray, *span(medium, ray, length if coloured else flown, active), active)
     mei = MediumInteraction3f.on(ray, point.t)
-    weight = medium.albedo_at(mei, active) * (elsewhere(medium, ray, mei, point.u, active) * point.length)
+    weight = medium.albedo_at(mei, active) * (elsewhere(medium, ray, mei, active) * point.length)
     if coloured:
         weight = weight * transmittance(medium, ray, point.t, own_stream(ray, point.t), active & (point.length > 0))
     return point, weight
@@ -257,19 +251,18 @@ def span(medium: Medium, ray: Ray3f, length: Float, active: Bool) -> tuple[Float
 
 def collision(
     medium: Medium, majorants: Majorants, ray: Ray3f, end: Float, track: Track
-) -> tuple[Float, Bool, Color3f, Float]:
+) -> tuple[Float, Bool, Color3f]:
     """Go on to the next collision, real or not, or to where the majorant ends to hold.
 
-    Returned are the distance, whether there is a collision, sigma_t / majorant there, and the number that estimates it.
+    Returned are the distance, whether there is a collision, and an estimate of sigma_t / majorant there.
     """
     majorant, holds = majorants(track.t, track.active)
     inverse = dr.rcp(majorant)
     reach = minimum(holds, end)
     t = track.t - dr.log(1 - track.stream.next_1d(track.active)) * inverse
     meets = track.active & (t < reach)
-    mei, u = MediumInteraction3f.on(ray, t), track.stream.next_1d(meets)
-    share = medium.extinction_at(mei, u, meets) * inverse
-    return dr.select(meets, t, reach), meets, share, u
+    share = medium.extinction_at(MediumInteraction3f.on(ray, t), track.stream.next_1d(meets), meets) * inverse
+    return dr.select(meets, t, reach), meets, share
 
 
 def run(
@@ -279,7 +272,6 @@ def run(
     stream: SampleStream,
     active: Bool,
     label: str,
-    u: Float | None = None,
     places: bool = False,
 ) -> Track:
     """Make steps until the segment is through, and leave the stream where they have left it.
@@ -293,7 +285,6 @@ def run(
         collided=dr.full(Bool, False, lanes),
         stream=stream,
         active=(active & (start < end)) | dr.full(Bool, False, lanes),
-        u=wide(u, lanes),
         shown=(wide(start, lanes),) if places else (),
         shown_weight=(dr.ones(Color3f, lanes),) if places else (),
     )
