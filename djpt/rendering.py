@@ -64,9 +64,9 @@ def render(
         seed_grad: Seed of the samples that estimate the gradient; 0 derives one from `seed`.
         spp: Samples per pixel; 0 takes the sampler's `sample_count`.
         spp_grad: Samples per pixel for the gradient; 0 takes `spp`.
-        schedule: `flat` (lanes are pixels), `machine` (lanes walk through a BVH, each at its own
-            pace), both for integrators that advance vertex by vertex; `wave` (lanes are samples); or
-            `auto`: the fastest.
+        schedule: `flat` (lanes are pixels), `machine` (lanes walk through a BVH, or track rays through
+            media, each at its own pace), both for integrators that advance vertex by vertex; `wave` (lanes are
+            samples); or `auto`: the fastest.
         progress: Called with (samples done, samples in all) after each pass; True shows a bar, in notebooks
             and in terminals.
         pass_spp: Samples per pixel of one pass; 0 chooses. Changes time and memory, never the image.

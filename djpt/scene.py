@@ -224,7 +224,7 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         view = self._view()
         view.geometry = self.geometry.seen_from(sensor.starts())
         if self.media:
-            view.camera_medium = dr.opaque(UInt32, self.medium_of(sensor))
+            view.begin_in_media_of(sensor)
         return view
 
     # ---- contents ----------------------------------------------------------------------
@@ -316,16 +316,19 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
         shines = dr.max(left) > 0
         return dr.select(self.geometry.blocked(ray, shines if lit is None else shines | lit), 0, left)
 
-    def light_between(self, ray: Ray3f, light: Color3f, through_lights: Bool | bool = False) -> Color3f:
+    def light_between(
+        self, ray: Ray3f, light: Color3f, through_lights: Bool | bool = False, lit: Bool | None = None
+    ) -> Color3f:
         """The part of `light` that arrives along the segment of a ray between any two points.
 
         Unlike `light_through` it leaves out no shape, because the walls around a scene and a single lamp can hide a
         surface from a camera or from another surface. Where `through_lights` is true shapes that emit hide nothing.
         """
+        shines = dr.max(light) > 0
         if through_lights is not False:
             free = ~self.closest_hit(ray, through_lights=Bool(through_lights)).is_valid()
         else:
-            free = ~self.geometry.any_hit(ray, dr.max(light) > 0)
+            free = ~self.geometry.any_hit(ray, shines if lit is None else shines | lit)
         return dr.select(free, self.left_by_media(ray, light), 0)
 
     def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:

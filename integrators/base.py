@@ -44,7 +44,7 @@ class Integrator(Plugin):
     kind: ClassVar[str] = "integrator"
 
     schedules: tuple[str, ...] = ("wave",)
-    """The schedules that can run it: see `djpt.schedules`."""
+    """The schedules that can run it, by their modules: see `djpt.schedules`."""
 
     needs_light = False
     """True if every image is black without an emitter: `render` then refuses."""
@@ -87,6 +87,11 @@ class Integrator(Plugin):
         """True if it advances vertex by vertex, so that paths can be replayed: see `PathIntegrator`."""
         return "flat" in self.schedules
 
+    @property
+    def replays(self) -> bool:
+        """True if derivatives are by path replay, with the memory of a picture; else by plain AD of its code."""
+        return self.stepwise or self.starts_at_lights
+
     def fits_any_frame(self) -> bool:
         """Whether it, and what is nested in it, is known to render the same `in_any_frame`."""
         return bool(vars(type(self)).get("in_any_frame", False))
@@ -101,6 +106,8 @@ class Integrator(Plugin):
         Called before a frozen function renders: while one is recorded, values can't be read.
         """
         scene.emitter_choice  # noqa: B018
+        if self.starts_at_lights:
+            scene.brightness  # noqa: B018
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

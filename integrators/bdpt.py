@@ -3,34 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.frame import Frame3f
-from djpt.integrators.both_ends import End, Scattering, balance, evaluate, meeting, mis_weight, power, scatter
+from djpt.integrators.both_ends import (
+    CameraHit,
+    CameraStep,
+    End,
+    LightHit,
+    LightStep,
+    balance,
+    meeting,
+    mis_weight,
+    power,
+    scaled,
+)
+from djpt.integrators.light_paths import LightVertex, departure, vertices
+from djpt.integrators.places import Place, Scattering, arriving, arriving_between, is_half_open, reach
 from djpt.integrators.splatting import Sink, SplattingIntegrator
 from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
-from djpt.kernels import loop_traced_once, maximum, minimum, while_loop, wide
+from djpt.kernels import loop_traced_once, minimum, while_loop, wide
 from djpt.records import (
-    RAY_EPSILON,
-    BSDFFlags,
     DirectionSample3f,
     EmitterFlags,
     Ray3f,
-    Reference,
-    SurfaceInteraction3f,
     has_flag,
 )
-from djpt.records.record import Record
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -42,45 +49,6 @@ JOINED = 32
 
 LITTLE = 0.25
 """A share of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
-
-
-class LightVertex(Record):
-    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there.
-
-    What nobody reads costs nothing: LLVM leaves it out.
-    """
-
-    p: Point3f
-    n: Normal3f
-    sh_frame: Frame3f
-    uv: Point2f
-    dp_du: Vector3f
-    dp_dv: Vector3f
-    prim_uv: Point2f
-    wi: Vector3f
-    face: UInt32
-    shape_index: UInt32
-    flux: Color3f
-    vcm: Float
-    vc: Float
-    depth: UInt32
-
-    @staticmethod
-    def at(si: SurfaceInteraction3f, end: End, flux: Color3f) -> LightVertex:
-        """The vertex `si`, where the `end` of a light path has arrived with a flux."""
-        kept = {name: getattr(si, name) for name in SURFACE}
-        vertex: LightVertex = LightVertex.holding(**kept, flux=flux, vcm=end.vcm, vc=end.vc, depth=end.depth)
-        return vertex
-
-    def surface(self, scene: Scene) -> SurfaceInteraction3f:
-        """The surface point."""
-        kept = {name: getattr(self, name) for name in SURFACE}
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=(), home={scene: ()})
-        return si
-
-
-SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
-"""The fields of a surface point that BSDFs look at."""
 
 
 @dataclass
@@ -104,9 +72,6 @@ class CameraLane(Lane):
     covered: Bool
 
 
-AnyLane = TypeVar("AnyLane", bound=Lane)
-
-
 class BidirectionalPath(SplattingIntegrator):
     """Joins a path from the camera and one from a light in all ways that there are.
 
@@ -116,8 +81,11 @@ class BidirectionalPath(SplattingIntegrator):
     see `djpt.integrators.both_ends`.
 
     Strong where light comes from a lamp in a fixture or through glass; elsewhere a sample costs several times as
-    much as one of `path`, and gains little. Scattering media aren't followed. Sensors that light can't be traced to,
-    such as meters, are left out as ends: t = 1 then gives nothing.
+    much as one of `path`, and gains little. Sensors that light can't be traced to, such as meters, are left out as
+    ends: t = 1 then gives nothing.
+
+    Media that scatter light are followed as by `volpath`: a place where light is scattered is a vertex, and null
+    surfaces are none, for paths and for what joins them. Densities of distances aren't in the weights.
 
     Parameters: `max_depth` (edges of the longest path, -1 = unbounded, default -1), `rr_depth` (Russian roulette
     starts there, on either side, default 5), `hide_emitters`, `emitter_choice` (`uniform`, default, or `power`),
@@ -130,6 +98,7 @@ class BidirectionalPath(SplattingIntegrator):
     """
 
     starts_at_lights = True
+    follows_media = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -140,6 +109,7 @@ class BidirectionalPath(SplattingIntegrator):
         self.strategies = props.boolean("strategies", False)
         if self.strategies and not 2 <= self.max_depth <= MAX_PYRAMID:
             raise props.error("strategies", f"needs a 'max_depth' from 2 to {MAX_PYRAMID}, found {self.max_depth}")
+        self.differentiable = not self.strategies
         self.longest = UNBOUNDED if self.max_depth < 0 else self.max_depth
         self.joined = min(self.longest, JOINED)
 
@@ -147,17 +117,9 @@ class BidirectionalPath(SplattingIntegrator):
         return layer_names(self.max_depth) if self.strategies else ()
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        scattering = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
-        if scattering:
-            raise RenderError(
-                f"'bdpt' doesn't follow light through scattering media, found {', '.join(scattering)}; "
-                "possible: the integrator 'volpath'"
-            )
+        if not scene.emitters():
+            raise RenderError("'bdpt' starts at emitters, and the scene has none; possible: the integrator 'volpath'")
         super().check_scene(scene, sensor)
-
-    def prepare_scene(self, scene: Scene) -> None:
-        super().prepare_scene(scene)
-        scene.brightness  # noqa: B018
 
     def splat_sample(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
@@ -168,12 +130,21 @@ class BidirectionalPath(SplattingIntegrator):
             end=wide(end, lanes),
             sampler=sampler,
             active=dr.full(Bool, self.joined > 1, lanes),
-            vertices=dr.alloc_local(LightVertex, max(1, self.joined - 1)),
+            vertices=vertices(scene, self.most_vertices(scene)),
             count=dr.zeros(UInt32, lanes),
         )
 
         def from_light(lane: Lane) -> tuple[Lane]:
-            return (self.light_vertex(scene, camera, lane, power, ledger),)
+            hit = self.light_hit(scene, lane.end, power, lane.sampler, lane.active)
+            lane.vertices.write(hit.vertex, lane.count, hit.joins)
+            step = self.light_step(scene, camera, hit, lane.sampler)
+            if step.shown is not None:
+                ledger.show(step.position, step.shown, step.weight, hit.end.depth + 1)
+            lane.end, lane.active = step.end, step.active
+            lane.count = dr.select(hit.joins, lane.count + 1, lane.count)
+            if is_half_open(scene):
+                lane.active &= lane.count < self.most_vertices(scene)
+            return (lane,)
 
         (light,) = loop_traced_once(light, lambda lane: lane.active, from_light, "light path")
         camera_path = CameraLane(
@@ -187,30 +158,55 @@ class BidirectionalPath(SplattingIntegrator):
         )
 
         def from_camera(lane: CameraLane) -> tuple[CameraLane]:
-            return (self.camera_vertex(scene, lane, ray.maxt, ledger),)
+            hit = self.camera_hit(scene, lane.end, ray.maxt, lane.covered, lane.sampler, lane.active)
+            t = hit.end.depth + 1
+            radiance = lane.radiance + ledger.weighed(hit.met, hit.weight, UInt32(0), t)
+            if hit.glow is not None:
+                radiance += hit.glow
+            step = self.camera_step(scene, hit, lane.sampler)
+            radiance += ledger.weighed(step.lit, step.weight, UInt32(1), t)
+
+            def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
+                v = vertices.read(i)
+                way, value, weight = self.connection(scene, hit.end, hit.place, v)
+                value = self.through(scene, sampler, way, value, weight, radiance)
+                return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), sampler, vertices
+
+            count = dr.select(hit.joins, lane.count, 0)
+            _, lane.radiance, lane.sampler, lane.vertices = while_loop(
+                (dr.zeros(UInt32, dr.width(count)), radiance, lane.sampler, lane.vertices),
+                lambda i, radiance, sampler, vertices: i < count,
+                connect,
+                label="connections",
+            )
+            lane.covered |= step.covers
+            lane.end, lane.active = self.after(scene, hit, step, lane.sampler)
+            return (lane,)
 
         (camera_path,) = loop_traced_once(camera_path, lambda lane: lane.active, from_camera, "camera path")
         sky = scene.environment() is not None and not self.hide_emitters and self.max_depth != 0
         return camera_path.radiance, camera_path.covered | sky, []
 
+    def most_vertices(self, scene: Scene) -> int:
+        """The most vertices of a light path that are joined; where it has as many, the path ends."""
+        # Paths that pass a surface straight can be joined to it as well, and have no edge less.
+        return JOINED if is_half_open(scene) else max(1, self.joined - 1)
+
     # ---- from the light ----------------------------------------------------------------
 
     def at_light(self, scene: Scene, sampler: SampleStream) -> tuple[End, Float]:
         """A path that leaves an emitter, with throughputs up to 1, and the power that they are shares of."""
-        index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, sampler.next_1d())
-        emitter = scene.emitter_ptr(index)
-        es = emitter.sample_emission(sampler.next_2d(), sampler.next_2d())
-        # Off the surface, along the ray, whichever side that is.
-        a = dr.abs(es.ray.o)
-        largest = maximum(maximum(a.x, a.y), a.z)
-        o = dr.fma(es.ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), es.ray.o)
+        start = departure(scene, sampler)
+        es, inverse = start.sample, start.inverse
         # The density of light sampling over that of emission; the choice of the emitter is part of both.
         vcm = self.h(dr.rcp(dr.select(es.finite, es.pdf_direction, es.pdf_position)))
         if any(is_beam(e.flags()) for e in scene.emitters()):
-            vcm = dr.select(is_beam(emitter.flags()), 0, vcm)  # no light sample finds it
-        power = dr.max(es.weight) * inverse
+            vcm = dr.select(is_beam(start.emitter.flags()), 0, vcm)  # no light sample finds it
+        power = dr.detach(dr.max(es.weight) * inverse)
+        if dr.grad_enabled(es.weight):
+            power = dr.select(power > 0, power, 1)  # black light may have derivatives
         end = End(
-            ray=Ray3f(o, es.ray.d, medium=scene.medium_at(o)),
+            ray=start.ray(scene),
             throughput=es.weight * dr.select(power > 0, inverse * dr.rcp(power), 0),
             vcm=vcm,
             vc=dr.select(es.delta, 0, self.h(es.cos * inverse * dr.rcp(es.pdf_position * es.pdf_direction))),
@@ -220,89 +216,101 @@ class BidirectionalPath(SplattingIntegrator):
         )
         return end, power
 
-    def light_vertex(self, scene: Scene, camera: Sensor, lane: Lane, power: Float, ledger: Ledger) -> Lane:
-        """Keep the next vertex of a light path, and show it to the camera."""
-        si = scene.surface_interaction(lane.end.ray, scene.closest_hit(lane.end.ray), full=scene.needs_uv)
-        end, sampler = lane.end.arrived(scene, si, self.h), lane.sampler
-        on = lane.active & si.is_valid()
-        joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
+    def light_hit(self, scene: Scene, come: End, power: Float, sampler: SampleStream, active: Bool) -> LightHit:
+        """Follow a light path to its next vertex."""
+        si = scene.surface_interaction(come.ray, scene.closest_hit(come.ray), full=scene.needs_uv)
+        reached = reach(scene, come.ray, si, come.throughput, sampler)
+        place = reached.place
+        end = come.arrived(place, reached.passed, self.h)
+        on = active & place.si.is_valid()
+        joins = on & place.is_smooth()
         flux = end.throughput * power
-        lane.vertices.write(LightVertex.at(si, end, flux), lane.count, joins)
+        vertex = LightVertex.at(place, dr.detach(flux), end.vcm, end.vc, end.depth)
+        return LightHit(place, come, end, flux, vertex, joins, on)
 
-        to_camera = si.wi
-        if camera.can_be_reached:
-            ds, importance = camera.look_from(si.p, sampler.next_2d() if camera.uses_aperture else Point2f(0.5))
-            to_camera = si.to_local(ds.d)
-        s = scatter(si, False, to_camera, sampler, on)
-        if camera.can_be_reached:
-            value = flux * s.value * importance
+    def light_step(self, scene: Scene, camera: Sensor, hit: LightHit, sampler: SampleStream) -> LightStep:
+        """Show a vertex of a light path to the camera, and go on."""
+        place, end, joins = hit.place, hit.end, hit.joins
+        shows = self.shows_light(scene, camera)
+        position, shown, weight, to_camera = Point2f(0), None, Float(0), None
+        if shows:
+            ds, importance = camera.look_from(place.si.p, sampler.next_2d() if camera.uses_aperture else Point2f(0.5))
+            position, to_camera = ds.uv, ds.d
+        s = place.scatter(scene, False, to_camera, sampler, hit.active)
+        if shows:
+            shown = hit.flux * s.value * importance
             if self.hide_emitters:
-                value = dr.select(si.emitter().is_valid(), 0, value)
-            value = dr.select(joins, value, 0)
-            value = scene.light_between(si.spawn_ray_to(ds.p), value, through_lights=self.hide_emitters)
-            weight = mis_weight(meeting(end.vcm, end.vc, importance * dr.abs(dr.dot(si.n, ds.d)), s.back, self.h))
-            ledger.show(ds.uv, value, weight, end.depth + 1)
+                shown = dr.select(place.si.emitter().is_valid(), 0, shown)
+            shown = dr.select(joins, shown, 0)
+            lit = joins if dr.grad_enabled(shown) else None
+            shown = arriving_between(scene, sampler, place.ray_to(ds.p), shown, lit, not self.hide_emitters)
+            weight = mis_weight(meeting(end.vcm, end.vc, importance * place.cos(ds.d), s.back, self.h))
 
-        on &= end.depth + 1 < self.joined
-        lane.count = dr.select(joins, lane.count + 1, lane.count)
-        return self.onwards(lane, end, si, s, end.depth > self.rr_depth, on)
+        onward, survives = self.onwards(scene, sampler, hit, s, end.depth > self.rr_depth)
+        active = hit.active & (onward.depth < self.joined) & survives
+        return LightStep(position, shown, weight, onward, active)
+
+    def shows_light(self, scene: Scene, camera: Sensor) -> bool:
+        """Whether vertices of light paths are shown to the camera."""
+        # Among media rays to the camera go through null surfaces, but not through lamps.
+        return camera.can_be_reached and not (self.hide_emitters and scene.media.scatter)
 
     # ---- from the camera ---------------------------------------------------------------
 
     def at_camera(self, scene: Scene, camera: Sensor, ray: Ray3f, inside: Bool) -> End:
         """A path that begins with a camera ray; `inside`: whether a light path can be shown there."""
         vcm, before = Float(0), Float(0)
-        if camera.can_be_reached:
+        if self.shows_light(scene, camera):
             pdf, before = camera.pdf_ray(ray.d)
             vcm = dr.select(inside, self.h(dr.rcp(pdf)), 0)
         eta = Float(1) if scene.refracts else None
         return End(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))
 
-    def camera_vertex(self, scene: Scene, lane: CameraLane, maxt: Float, ledger: Ledger) -> CameraLane:
-        """Add the light that the next vertex of a camera path sends back, by all strategies."""
-        first = lane.end.depth == 1
-        ray = lane.end.ray
-        ray = Ray3f(ray.o, ray.d, maxt=dr.select(first, maxt, dr.inf), medium=ray.medium)
+    def camera_hit(
+        self, scene: Scene, come: End, maxt: Float, covered: Bool, sampler: SampleStream, active: Bool
+    ) -> CameraHit:
+        """Follow a camera path to its next vertex, where it may meet light."""
+        first = come.depth == 1
+        ray = Ray3f(come.ray.o, come.ray.d, maxt=dr.select(first, maxt, dr.inf), medium=come.ray.medium)
         hit = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
         si = scene.surface_interaction(ray, hit, full=scene.needs_uv)
-        end, sampler, t = lane.end.arrived(scene, si, self.h), lane.sampler, lane.end.depth + 1
-        met, weight = self.light_met(scene, end, si, lane.covered)
-        radiance = lane.radiance + ledger.weighed(met, weight, UInt32(0), t)
-        on = lane.active & si.is_valid() & (end.depth < self.longest)
-        joins = on & has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
+        reached = reach(scene, ray, si, come.throughput, sampler)
+        place, glow = reached.place, reached.glow
+        end = come.arrived(place, reached.passed, self.h)
+        met, weight = self.met(scene, end, place, covered)
+        on = active & place.si.is_valid()
+        further = on & (end.depth < self.longest)
+        joins = further & place.is_smooth()
+        glow = None if glow is None else come.throughput * glow
+        # Through null surfaces all paths go on.
+        return CameraHit(place, come, end, glow, met, weight, joins, on if scene.media.scatter else further)
 
-        # ------------------- Light sampling -------------------
-        light = scene.light_sampling.sample(Reference(si.p, si.n), sampler.next_2d(), joins)
-        ds, to_light = light.ds, si.to_local(light.ds.d)
-        s = scatter(si, True, to_light, sampler, on)
+    def camera_step(self, scene: Scene, hit: CameraHit, sampler: SampleStream) -> CameraStep:
+        """Sample light at a vertex of a camera path, and a continuation."""
+        place, end, joins = hit.place, hit.end, hit.joins
+        light = scene.light_sampling.sample(place.reference, sampler.next_2d(), joins)
+        ds = light.ds
+        s = place.scatter(scene, True, ds.d, sampler, hit.active)
         value = dr.select(joins, end.throughput * s.value * light.weight, 0)
-        value = scene.light_through(scene.shadow_ray(si, ds), value)
-        weight = self.light_sample_weight(scene, end, si, ds, s.pdf, s.back)
-        radiance += ledger.weighed(value, weight, UInt32(1), t)
+        lit = joins if dr.grad_enabled(value) else None
+        shadow_ray = place.in_medium(scene.shadow_ray(place.si, ds))
+        lit_by = arriving(scene, sampler, shadow_ray, value, lit)
+        weight = self.light_sample_weight(scene, end, place, ds, s.pdf, s.back)
+        return CameraStep(s, lit_by, weight, place.si.is_valid() & ~place.passes(s))
 
-        # --------------------- Connections --------------------
-        def connect(i: UInt32, radiance: Color3f, sampler: Any, vertices: Any) -> tuple[UInt32, Color3f, Any, Any]:
-            v = vertices.read(i)
-            ray, value, weight = self.connection(end, si, v, v.surface(scene))
-            value = self.through(scene, sampler, ray, value, weight, radiance)
-            return i + 1, radiance + ledger.weighed(value, weight, v.depth + 1, t), sampler, vertices
+    def after(self, scene: Scene, hit: CameraHit, step: CameraStep, sampler: SampleStream) -> tuple[End, Bool]:
+        """The camera path that goes on from a vertex, and where it does."""
+        onward, survives = self.onwards(scene, sampler, hit, step.scattering, hit.end.depth >= self.rr_depth)
+        active = hit.active & survives
+        return onward, active & (onward.depth <= self.longest) if scene.media.scatter else active
 
-        count = dr.select(joins, lane.count, 0)
-        _, radiance, lane.sampler, lane.vertices = while_loop(
-            (dr.zeros(UInt32, dr.width(count)), radiance, sampler, lane.vertices),
-            lambda i, radiance, sampler, vertices: i < count,
-            connect,
-            label="connections",
-        )
-        lane.radiance = radiance
-        passes = si.is_valid() & has_flag(s.sample.sampled_type, BSDFFlags.Null)
-        lane.covered |= si.is_valid() & ~passes
-        return self.onwards(lane, end, si, s, end.depth >= self.rr_depth, on)
-
-    def light_met(self, scene: Scene, end: End, si: SurfaceInteraction3f, covered: Bool) -> tuple[Color3f, Float]:
+    def met(self, scene: Scene, end: End, place: Place, covered: Bool) -> tuple[Color3f, Float]:
         """The light of the surface, or of the sky, that a camera path has met, and its weight: s = 0."""
+        si = place.si
         emitter = si.emitter()
         radiance = end.throughput * emitter.eval(si)
+        if place.matter is not None:
+            radiance = dr.select(place.matter.inside, 0, radiance)
         if self.hide_emitters:
             radiance = dr.select(covered | si.is_valid(), radiance, 0)
         chosen = scene.emitter_choice.probability(Point3f(0), None, emitter.index)
@@ -313,48 +321,49 @@ class BidirectionalPath(SplattingIntegrator):
         return radiance, dr.select(end.depth == 1, 1, mis_weight(others))
 
     def light_sample_weight(
-        self, scene: Scene, end: End, si: SurfaceInteraction3f, ds: DirectionSample3f, pdf: Float, back: Float
+        self, scene: Scene, end: End, place: Place, ds: DirectionSample3f, pdf: Float, back: Float
     ) -> Float:
-        """The weight of a light sample, with the BSDF's densities of both ways: s = 1."""
+        """The weight of a light sample, with the densities of both ways at the place: s = 1."""
         chosen = scene.emitter_choice.probability(Point3f(0), None, ds.emitter_index)
         position, direction = scene.emitter_ptr(ds.emitter_index).pdf_emission(-ds.d, ds.n, ds.uv)
         finite = ds.dist < dr.inf
         falloff = dr.select(finite, dr.rcp(dr.square(ds.dist)), 1)
         met = dr.select(finite, dr.abs(dr.dot(ds.n, ds.d)) * falloff * dr.rcp(position), dr.rcp(direction))
         by_bsdf = dr.select(ds.delta, 0, self.h(pdf * met * dr.rcp(chosen)))
-        here = dr.select(finite, direction * falloff, position) * dr.abs(dr.dot(si.n, ds.d))
+        here = dr.select(finite, direction * falloff, position) * place.cos(ds.d)
         by_light = meeting(end.vcm, end.vc, here, back, self.h)
         return mis_weight(by_bsdf + self.shared(by_light, end.depth + 1))
 
-    def connection(
-        self, end: End, si: SurfaceInteraction3f, v: LightVertex, lit: SurfaceInteraction3f
-    ) -> tuple[Ray3f, Color3f, Float]:
-        """The ray from `si` to the vertex `v` of the light path, at `lit`; what it sends back, and the weight."""
-        to_light = v.p - si.p
+    def connection(self, scene: Scene, end: End, place: Place, v: LightVertex) -> tuple[Ray3f, Color3f, Float]:
+        """The ray from a place to the vertex `v` of the light path; what it sends back, and the weight."""
+        there = v.place(scene)
+        to_light = v.p - place.si.p
         falloff = dr.rcp(dr.squared_norm(to_light))
         d = to_light * dr.sqrt(falloff)
-        value, pdf, pdf_back = evaluate(si, True, si.to_local(d))
-        sent, sent_pdf, sent_back = evaluate(lit, False, lit.to_local(-d))
+        value, pdf, pdf_back = place.evaluate(scene, True, d)
+        sent, sent_pdf, sent_back = there.evaluate(scene, False, -d)
         value = end.throughput * value * v.flux * sent * falloff
-        at_light = pdf * dr.abs(dr.dot(lit.n, d)) * falloff
-        at_camera = sent_pdf * dr.abs(dr.dot(si.n, d)) * falloff
+        at_light = pdf * there.cos(d) * falloff
+        at_camera = sent_pdf * place.cos(d) * falloff
         by_light = meeting(v.vcm, v.vc, at_light, sent_back, self.h)
         by_camera = meeting(end.vcm, end.vc, at_camera, pdf_back, self.h)
         fits = end.depth + v.depth < self.joined
-        return si.spawn_ray_to(lit.offset_p(-d)), dr.select(fits, value, 0), mis_weight(by_light + by_camera)
+        way = place.ray_to(there.si.offset_p(-d))
+        return way, dr.select(fits, value, 0), mis_weight(by_light + by_camera)
 
     def through(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, value: Color3f, weight: Float, radiance: Color3f
     ) -> Color3f:
         """The part of the light `value` of a connection that arrives.
 
-        Where rays search a tree, light that adds little to the `radiance` so far is followed by chance.
+        Where rays search a tree or go through media, light that adds little to the `radiance` so far is followed by
+        chance.
         """
-        if scene.geometry.triangles is None or self.strategies:
-            return scene.light_between(ray, value)
+        if (scene.geometry.triangles is None and not scene.media.scatter) or self.strategies:
+            return arriving_between(scene, sampler, ray, value)
         chance = minimum(dr.max(value) * weight * dr.rcp(LITTLE * dr.max(radiance)), 1)
         survives = sampler.next_1d() < chance
-        return scene.light_between(ray, dr.select(survives, value * dr.rcp(chance), 0))
+        return arriving_between(scene, sampler, ray, dr.select(survives, value * dr.rcp(chance), 0))
 
     # ---- either way --------------------------------------------------------------------
 
@@ -363,19 +372,19 @@ class BidirectionalPath(SplattingIntegrator):
         return others if self.joined == self.longest else dr.select(edges <= self.joined, others, 0)
 
     def onwards(
-        self,
-        lane: AnyLane,
-        end: End,
-        si: SurfaceInteraction3f,
-        s: Scattering,
-        roulette_begins: Bool,
-        active: Bool,
-    ) -> AnyLane:
-        """A lane after its vertex `si`: the sampled continuation, or the end by Russian roulette."""
+        self, scene: Scene, sampler: SampleStream, hit: LightHit | CameraHit, s: Scattering, roulette_begins: Bool
+    ) -> tuple[End, Bool]:
+        """The end of a path after a vertex, by the sampled continuation, and where it survives roulette."""
+        end, place = hit.end, hit.place
         eta = None if end.eta is None else end.eta * s.sample.eta
-        throughput, survives = roulette(lane.sampler, end.throughput * s.weight, eta, roulette_begins)
-        lane.end, lane.active = end.scattered(si, s, throughput, self.h), active & survives
-        return lane
+        product, aside = scaled(
+            end.throughput, end.aside, s.weight, lambda: place.si.bsdf().vanishes() & (s.sample.pdf > 0)
+        )
+        throughput, survives = roulette(sampler, product, eta, roulette_begins)
+        onward = replace(end, aside=aside).scattered(place, s, throughput, self.h)
+        if scene.media.scatter:
+            onward = hit.come.passing(place, place.passes(s), onward)
+        return onward, survives
 
 
 def is_beam(flags: Any) -> Any:

@@ -16,20 +16,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.materials.adjoint import eval_pdf_light, sample_light
-from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
-from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
+from djpt.integrators.base import SMALL
+from djpt.integrators.light_paths import LightVertex
+from djpt.integrators.places import Place, Scattering
+from djpt.records import BSDFFlags, Ray3f, has_flag
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
-if TYPE_CHECKING:
-    from djpt.scene import Scene
-
-__all__ = ["End", "Heuristic", "Scattering", "balance", "evaluate", "meeting", "mis_weight", "power", "scatter"]
+__all__ = [
+    "CameraHit",
+    "CameraStep",
+    "End",
+    "Heuristic",
+    "LightHit",
+    "LightStep",
+    "balance",
+    "meeting",
+    "mis_weight",
+    "power",
+    "scaled",
+    "with_derivative",
+]
 
 Heuristic = Callable[[Float], Float]
 
@@ -76,85 +85,135 @@ class End:
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
     """The number of edges, the next one included."""
+    aside: Color3f | None = None
+    """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
 
-    def arrived(self, scene: Scene, si: SurfaceInteraction3f, h: Heuristic) -> End:
-        """The end at the hit `si` of its ray: densities are per unit area there, and media have taken their share."""
-        cos = h(dr.abs(dr.dot(si.n, self.ray.d)))
-        hit = si.is_valid()
+    def arrived(self, place: Place, passed: Color3f, h: Heuristic) -> End:
+        """The end at the place that its ray has reached: densities are per unit area there.
+
+        `passed` is what media have left.
+        """
+        cos = h(place.cos(self.ray.d))
+        hit = place.si.is_valid()
         inverse = dr.rcp(dr.select(hit, cos, 1))
-        distance = si.t + self.before
+        distance = place.si.t + self.before
         spread = dr.select(hit & (self.before < dr.inf), h(dr.square(distance)), 1)
-        return replace(
-            self,
-            throughput=self.throughput * scene.transmittance(self.ray, si.t),
-            vcm=self.vcm * spread * inverse,
-            vc=self.vc * inverse,
-        )
+        return replace(self, throughput=self.throughput * passed, vcm=self.vcm * spread * inverse, vc=self.vc * inverse)
 
-    def scattered(self, si: SurfaceInteraction3f, s: Scattering, throughput: Color3f, h: Heuristic) -> End:
-        """The end of the path that goes on from `si` as `s` says, with the given throughput."""
-        d = si.to_world(s.sample.wo)
-        cos = dr.abs(dr.dot(si.n, d))
+    def scattered(self, place: Place, s: Scattering, throughput: Color3f, h: Heuristic) -> End:
+        """The end of the path that goes on from a place as `s` says, with the given throughput."""
+        d = place.direction(s)
+        cos = place.cos(d)
         delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
         # No strategy joins two vertices at a delta lobe, whose densities of both ways are equal.
         on = self.vc * h(s.back_of_sample) + self.vcm
         return End(
-            ray=si.spawn_ray(d),
+            ray=place.ray(d),
             throughput=throughput,
             vcm=dr.select(delta, 0, h(dr.rcp(s.sample.pdf))),
             vc=dr.select(delta, self.vc * h(cos), h(cos * dr.rcp(s.sample.pdf)) * on),
             before=Float(0),
             eta=None if self.eta is None else self.eta * s.sample.eta,
             depth=self.depth + 1,
+            aside=self.aside,
         )
+
+    def passing(self, place: Place, passes: Bool, other: End) -> End:
+        """`other`, or where the path `passes` a surface as if it weren't there, the same edge continued."""
+        return replace(
+            other,
+            vcm=dr.select(passes, self.vcm, other.vcm),
+            vc=dr.select(passes, self.vc, other.vc),
+            before=dr.select(passes, self.before + place.si.t, other.before),
+            depth=dr.select(passes, self.depth, other.depth),
+        )
+
+
+def scaled(
+    throughput: Color3f, aside: Color3f | None, weight: Color3f, differs: Callable[[], Bool]
+) -> tuple[Color3f, Color3f | None]:
+    """A throughput times the weight of a vertex, and what is set aside of it.
+
+    As in `PathState.carrying`, replays go on where a weight is 0 or too small to divide by: the first such factor of
+    each channel is set aside where the vertex `differs`. The throughput keeps the derivative of the product.
+    """
+    product = throughput * weight
+    if aside is None or not dr.grad_enabled(weight):
+        return product, aside
+    factor = dr.detach(weight)
+    small = (aside == 1) & (dr.abs(factor) < SMALL) & differs()
+    value = dr.detach(throughput) * dr.select(small, 1, factor)
+    return with_derivative(value, product), dr.select(small, factor, aside)
+
+
+def with_derivative(value: Color3f, other: Color3f) -> Color3f:
+    """The colour `value` with the derivative of another one."""
+    return dr.replace_grad(value, other)  # type: ignore[func-returns-value, return-value]
 
 
 @dataclass
-class Scattering:
-    """What a vertex asks of its BSDF."""
+class LightHit:
+    """The next vertex of a light path, before light is scattered there."""
 
-    value: Color3f
-    """f abs(cos) towards the given direction."""
-    pdf: Float
-    back: Float
-    """The density of the way back: `BSDF.eval_pdf_both`."""
-    sample: BSDFSample3f
-    weight: Color3f
-    back_of_sample: Float
-    """The density of the way back from the sampled direction."""
-
-
-def scatter(
-    si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, sampler: SampleStream, active: Bool
-) -> Scattering:
-    """Evaluate the BSDF towards `wo` and sample it, with the densities of both ways, in one dispatch."""
-    sample1, sample2 = sampler.next_1d(), sampler.next_2d()
-
-    def method(bsdf: BSDF) -> tuple[Any, ...]:
-        if from_camera:
-            bs, weight = bsdf.sample(BSDFContext(), si, sample1, sample2, active)
-        else:
-            bs, weight = sample_light(bsdf, si, sample1, sample2, active)
-        return (
-            *evaluated(bsdf, si, from_camera, wo, active),
-            bs,
-            weight,
-            evaluated(bsdf, si, from_camera, bs.wo, active)[2],
-        )
-
-    return Scattering(*si.bsdf().visit(method, active))
+    place: Place
+    come: End
+    """The path before it has arrived."""
+    end: End
+    """The path that has arrived."""
+    flux: Color3f
+    vertex: LightVertex
+    """What is kept for connections."""
+    joins: Bool
+    """Whether other paths can be joined to it."""
+    active: Bool
+    """True where there is something."""
 
 
-def evaluate(si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f) -> tuple[Color3f, Float, Float]:
-    """The BSDF's value towards `wo`, as `evaluated`."""
-    found: tuple[Color3f, Float, Float] = si.bsdf().visit(lambda bsdf: evaluated(bsdf, si, from_camera, wo, True))
-    return found
+@dataclass
+class LightStep:
+    """What a light path does at a vertex. Colours are attached where the scene's values are, and not weighted."""
+
+    position: Point2f
+    """The place on the film that shows it, in [0, 1)^2 of the crop window."""
+    shown: Color3f | None
+    """The light that the film receives there; None from sensors that light can't be traced to."""
+    weight: Float
+    """That of `shown`."""
+    end: End
+    """The path that goes on."""
+    active: Bool
+    """True where it does."""
 
 
-def evaluated(
-    bsdf: BSDF, si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, active: Bool | bool
-) -> tuple[Color3f, Float, Float]:
-    """The value f abs(cos) of a path from the camera, or its adjoint, and the densities of both ways."""
-    if from_camera:
-        return bsdf.eval_pdf_both(BSDFContext(), si, wo, active)
-    return eval_pdf_light(bsdf, si, wo, active)
+@dataclass
+class CameraHit:
+    """The next vertex of a camera path, before light is scattered there. Colours are as in `LightStep`."""
+
+    place: Place
+    come: End
+    """The path before it has arrived."""
+    end: End
+    """The path that has arrived."""
+    glow: Color3f | None
+    """The light that media have added on the way; None if none of them glows."""
+    met: Color3f
+    """The light that the path has met."""
+    weight: Float
+    """That of `met`."""
+    joins: Bool
+    """Whether light paths can be joined to the vertex."""
+    active: Bool
+    """True where there is something, and an edge left to go on from it."""
+
+
+@dataclass
+class CameraStep:
+    """What a camera path does at a vertex, connections aside. Colours are as in `LightStep`."""
+
+    scattering: Scattering
+    lit: Color3f
+    """The light of the light sample."""
+    weight: Float
+    """That of `lit`."""
+    covers: Bool
+    """True where there is a surface that the path doesn't pass straight through."""

@@ -10,7 +10,8 @@ import drjit as dr
 
 from djpt.frame import Frame3f
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.both_ends import End, Scattering, evaluate, meeting, mis_weight
+from djpt.integrators.both_ends import End, meeting, mis_weight
+from djpt.integrators.places import Place, Scattering
 from djpt.kernels import loop_traced_once, wide
 from djpt.materials.adjoint import sample_light
 from djpt.materials.base import BSDF
@@ -191,7 +192,8 @@ class OneStrategy:
         scene, h, ray, on_light = self.scene, self.ends.h, walk.end.ray, walk.on_light
         passes_lights = ~on_light & (walk.end.depth == 1) if self.ends.hide_emitters else None
         si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), full=scene.needs_uv)
-        end, hit = walk.end.arrived(scene, si, h), si.is_valid()
+        place, hit = Place(si, None), si.is_valid()
+        end = walk.end.arrived(place, scene.transmittance(ray, si.t), h)
         is_last = walk.left == 1
         walk.last.write(LastVertex.at(si, end, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last)
         turns = is_last & on_light & hit & (t > 1)
@@ -202,7 +204,7 @@ class OneStrategy:
         goes_on &= dr.max(throughput) > 0
         passes = has_flag(s.sample.sampled_type, BSDFFlags.Null)
         walk.covered |= ~on_light & ~passes
-        walk.end = dr.select(turns, camera, end.scattered(si, s, throughput, h))
+        walk.end = dr.select(turns, camera, end.scattered(place, s, throughput, h))
         # What has met the sky may still be a path: see `joined`.
         walk.complete = walk.active & is_last & ~turns & (hit | ~on_light)
         walk.active = goes_on | (walk.active & turns)
@@ -240,6 +242,7 @@ class OneStrategy:
         """The place on the film, and the weighted light, of a path whose sides end at `v`, the light's, and `z`."""
         scene, ends, h = self.scene, self.ends, self.ends.h
         lit, seen = v.surface(scene, time), z.surface(scene, time)
+        at_lit, at_seen = Place(lit, None), Place(seen, None)
         end = z.end(seen)
         flux = v.throughput * power
         sampled, shown = s == 1, t == 1
@@ -251,14 +254,14 @@ class OneStrategy:
         d = between * dr.sqrt(falloff)
 
         d_seen = dr.select(sampled, ds.d, d)
-        value, pdf, back = evaluate(seen, True, seen.to_local(d_seen))
-        by_sample = ends.light_sample_weight(scene, end, seen, ds, pdf, back)
+        value, pdf, back = at_seen.evaluate(scene, True, d_seen)
+        by_sample = ends.light_sample_weight(scene, end, at_seen, ds, pdf, back)
         d_lit, importance = -d, Float(0)
         if self.camera.can_be_reached:
             to_camera, importance = self.camera.look_from(v.p, joint)
             d_lit = dr.select(shown, to_camera.d, d_lit)
             place = dr.select(shown, to_camera.uv, place)
-        sent, sent_pdf, sent_back = evaluate(lit, False, lit.to_local(d_lit))
+        sent, sent_pdf, sent_back = at_lit.evaluate(scene, False, d_lit)
 
         # From one vertex to the other, or to the lens.
         at_light = pdf * dr.abs(dr.dot(lit.n, d)) * falloff
@@ -280,7 +283,7 @@ class OneStrategy:
         result = scene.light_between(ray, result, through_lights=shown if ends.hide_emitters else False)
 
         # --------------------- Light met ----------------------
-        met, met_weight = ends.light_met(scene, end, seen, z.covered != 0)
+        met, met_weight = ends.met(scene, end, at_seen, z.covered != 0)
         result = dr.select(s == 0, dr.select(complete, met * met_weight, 0), result)
         largest = dr.max(result)
         return place, dr.select((largest > 0) & (largest < dr.inf), result, 0)

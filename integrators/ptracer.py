@@ -9,18 +9,20 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
+from djpt.dispatch.pointers import at_fixed_direction
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
+from djpt.integrators.both_ends import scaled
+from djpt.integrators.light_paths import departure
 from djpt.integrators.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.path import Path
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
-from djpt.kernels import maximum
 from djpt.materials.adjoint import eval_pdf_light, sample_light
 from djpt.materials.base import BSDF
-from djpt.records import RAY_EPSILON, BSDFSample3f, Ray3f, SurfaceInteraction3f
+from djpt.records import BSDFSample3f, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -38,6 +40,8 @@ class LightVertex:
     """The light that the film receives there, per area of the window, if nothing stands between."""
     shadow_ray: Ray3f
     """The ray from the vertex to the camera."""
+    lit: Bool | None
+    """Where light could arrive, if it weren't black; None: nobody asks. Asked for derivatives only."""
     path: LightPath
     """The state of the path that goes on."""
     active: Bool
@@ -67,8 +71,10 @@ class ParticleTracer(PassIntegrator):
     """
 
     in_any_frame = True
+    from_camera: Path
 
     starts_at_lights = True
+    differentiable = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -89,10 +95,6 @@ class ParticleTracer(PassIntegrator):
 
     # ---- passes ------------------------------------------------------------------------
 
-    def prepare_scene(self, scene: Scene) -> None:
-        super().prepare_scene(scene)
-        scene.brightness  # noqa: B018
-
     def begin(self, walks: Walks) -> Splats:
         return Splats(walks.film, walks.scene.brightness)
 
@@ -104,7 +106,7 @@ class ParticleTracer(PassIntegrator):
 
         def vertex(sampler: SampleStream, path: LightPath, si: SurfaceInteraction3f) -> tuple[LightPath, Bool]:
             v = self.vertex(scene, camera, sampler, path, si)
-            arrived = scene.light_between(v.shadow_ray, v.splat, through_lights=self.hide_emitters)
+            arrived = self.seen(scene, v)
             state.add(v.position, arrived, dr.max(arrived) > 0)
             return v.path, v.active
 
@@ -116,21 +118,21 @@ class ParticleTracer(PassIntegrator):
 
     # ---- light paths -------------------------------------------------------------------
 
+    def seen(self, scene: Scene, v: LightVertex) -> Color3f:
+        """The light of a vertex that arrives at the camera."""
+        return scene.light_between(v.shadow_ray, v.splat, self.hide_emitters, v.lit)
+
     def start(self, scene: Scene, sampler: SampleStream) -> LightPath:
         """A path that leaves an emitter."""
-        u = sampler.next_1d()
-        index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, u)
-        es = scene.emitter_ptr(index).sample_emission(sampler.next_2d(), sampler.next_2d())
-        ray, flux = es.ray, es.weight
-        # Off the surface, along the ray, whichever side that is.
-        a = dr.abs(ray.o)
-        largest = maximum(maximum(a.x, a.y), a.z)
-        o = dr.fma(ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), ray.o)
-        ray = Ray3f(o, ray.d, medium=scene.medium_at(o))
+        left = departure(scene, sampler)
+        flux, ray = left.sample.weight * left.inverse, left.ray(scene)
+        largest = dr.max(dr.detach(flux))
+        if dr.grad_enabled(flux):
+            largest = dr.select(largest > 0, largest, 1)  # black light may have derivatives
         return LightPath(
             ray=ray,
-            flux=flux * inverse,
-            unit=dr.rcp(dr.max(flux * inverse)),
+            flux=flux,
+            unit=dr.rcp(largest),
             eta=Float(1) if scene.refracts else None,
             depth=UInt32(1),
         )
@@ -149,7 +151,10 @@ class ParticleTracer(PassIntegrator):
 
         def method(bsdf: BSDF) -> tuple[Color3f, BSDFSample3f, Color3f]:
             value, _, _ = eval_pdf_light(bsdf, si, to_camera, proceed)
-            return value, *sample_light(bsdf, si, sample1, sample2, proceed)
+            bs, weight = sample_light(bsdf, si, sample1, sample2, proceed)
+            bs = dr.detach(bs)
+            there, _, _ = eval_pdf_light(bsdf, si, bs.wo, proceed)
+            return value, bs, at_fixed_direction(bs, weight, there)
 
         value, bs, weight = si.bsdf().visit(method, proceed)
         splat = path.flux * value * importance
@@ -158,7 +163,7 @@ class ParticleTracer(PassIntegrator):
 
         # -------------------- BSDF sampling -------------------
         d = si.to_world(bs.wo)
-        flux = path.flux * weight
+        flux, aside = scaled(path.flux, path.aside, weight, lambda: si.bsdf().vanishes() & (bs.pdf > 0))
         eta = None if path.eta is None else path.eta * bs.eta
 
         # ------------------ Russian roulette ------------------
@@ -170,7 +175,8 @@ class ParticleTracer(PassIntegrator):
             position=ds.uv,
             splat=dr.select(proceed, splat, 0),
             shadow_ray=si.spawn_ray_to(ds.p),
-            path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1),
+            lit=proceed if dr.grad_enabled(splat) else None,
+            path=LightPath(si.spawn_ray(d), flux, path.unit, eta, path.depth + 1, aside),
             active=proceed & survives,
         )
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.geometry.passable import PassableSurfaces
-from djpt.kernels import if_stmt, wide
+from djpt.kernels import wide
 from djpt.media.differentials import own_stream
 from djpt.media.flight import FAR
 from djpt.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream, go_on_with
 from djpt.samplers.independent import IndependentStream
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32
+from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["light_through_null"]
+__all__ = ["Aim", "light_through_null", "passable_surfaces"]
 
 
 @dataclass
@@ -71,8 +71,9 @@ def light_through_null(
     lit = shines if lit is None else shines | lit
     if not scene.has_null:
         # What stands in the way needs no light in the medium.
-        free = ~scene.geometry.any_hit(ray, lit)
-        return dr.select(free, light * left_over(scene, sampler, aimed(ray, ray.o, ray.medium), lit & free), 0)
+        way = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
+        free = ~scene.geometry.any_hit(way, lit)
+        return dr.select(free, light * left_over(scene, sampler, way, lit & free), 0)
     differentiable = any(
         scene.lookup.attaches(leaf) for ensemble in scene.media.ensembles for leaf in ensemble.leaves()
     )
@@ -96,8 +97,7 @@ class Way:
 
     def __init__(self, scene: Scene, ray: Ray3f) -> None:
         self._scene, self._ray = scene, ray
-        null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
-        self._surfaces = PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+        self._surfaces = passable_surfaces(scene)
 
     def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
         """The end of the ray, whose `light` is the share that arrives; with its passage if `measured`.
@@ -105,20 +105,23 @@ class Way:
         Where not `lit`, the result means nothing.
         """
         ray, lanes = self._ray, dr.width(self._ray, lit, sampler)
-        free = ~self._surfaces.blocked(ray, lit) if self._surfaces.are_apart else Bool(True)
-        t, face, near = self._next(aimed(ray, ray.o, ray.medium))
+        way = aimed(ray, ray.o, ray.medium)
+        free = ~self._surfaces.blocked(way, lit) if self._surfaces.are_apart else Bool(True)
+        t, face, near = self._next(way)
         start = Shadow(
-            o=wide(ray.o, lanes),
-            medium=wide(ray.medium, lanes),
-            t=wide(t, lanes),
-            face=wide(face, lanes),
-            near=wide(near, lanes),
-            light=wide(dr.select(free, Color3f(1), 0), lanes),
-            passage=wide(begun(self._scene, ray), lanes) if measured else None,
+            o=ray.o,
+            medium=ray.medium,
+            t=t,
+            face=face,
+            near=near,
+            light=dr.select(free, Color3f(1), 0),
+            passage=begun(self._scene, ray) if measured else None,
             sampler=sampler,
-            active=(lit & free) & dr.full(Bool, True, lanes),
+            active=lit & free,
         )
-        (end,) = dr.while_loop((start,), lambda shadow: shadow.active, self._pass_medium, label="shadow")
+        # Most shadow rays end within their medium: the loop is for the others.
+        first = wide(self._pass_medium(start), lanes)
+        (end,) = dr.while_loop((first,), lambda shadow: shadow.active, self._go_on, label="shadow")
         return end
 
     def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any]:
@@ -126,24 +129,25 @@ class Way:
         hit = self._surfaces.closest(ray) if self._surfaces.are_apart else self._scene.closest_hit(ray)
         return hit.t, hit.face, hit.near
 
-    def _pass_medium(self, shadow: Shadow) -> tuple[Shadow]:
-        """Go on to the next surface, and through it."""
-        scene, segment = self._scene, aimed(self._ray, shadow.o, shadow.medium)
+    def _go_on(self, shadow: Shadow) -> tuple[Shadow]:
+        """Go through a surface, and on to the next one."""
+        return (self._pass_medium(self._pass_surface(shadow)),)
+
+    def _pass_medium(self, shadow: Shadow) -> Shadow:
+        """Go on to the next surface, where `active`; afterwards true where it is to be passed."""
+        scene, segment, active = self._scene, aimed(self._ray, shadow.o, shadow.medium), shadow.active
         hit, stopped = shadow.t < dr.inf, Bool(False)
         segment.maxt = dr.select(hit, shadow.t, segment.maxt)
         if not self._surfaces.are_apart:
             stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
         sampler = shadow.sampler
-        left = shadow.light * left_over(scene, sampler, segment, shadow.active & ~stopped)
-        light = dr.select(stopped, 0, left)
+        left = shadow.light * left_over(scene, sampler, segment, active & ~stopped)
+        light = dr.select(active, dr.select(stopped, 0, left), shadow.light)
         passage = shadow.passage
         if passage is not None:
-            passage = longer(scene, passage, segment, shadow.active & ~stopped)
-        goes_on = shadow.active & hit & (dr.max(light) > 0)
-        after = replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
-        # Most shadow rays end within their medium.
-        (after,) = if_stmt((after,), goes_on, lambda shadow: (self._pass_surface(shadow),), lambda shadow: (shadow,))
-        return (after,)
+            passage = longer(scene, passage, segment, active & ~stopped)
+        goes_on = active & hit & (dr.max(light) > 0)
+        return replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
 
     def _pass_surface(self, shadow: Shadow) -> Shadow:
         """Go through a surface, and find the next one."""
@@ -215,17 +219,51 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f
     return dr.replace_grad(arrives, attached)  # type: ignore[func-returns-value, return-value]
 
 
+def passable_surfaces(scene: Scene) -> PassableSurfaces:
+    """Queries of a scene that tell its null surfaces from all others."""
+    null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
+    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+
+
+@dataclass
+class Aim:
+    """What a shadow ray is aimed at."""
+
+    place: Point3f
+    """The light's place, or the direction to it."""
+    finite: Bool
+    """True if it is a place."""
+
+    @staticmethod
+    def of(ray: Ray3f) -> Aim:
+        """That of a shadow ray of light sampling."""
+        finite = ray.maxt < dr.inf
+        return Aim(Point3f(dr.select(finite, ray.o + ray.d, ray.d)), finite)
+
+    def ray_from(self, o: Point3f, medium: UInt32 | None) -> Ray3f:
+        """The way to the light from a point `o`, with a unit direction: see `aimed`."""
+        return toward(o, Vector3f(self.place - o), self.finite, Vector3f(self.place), medium)
+
+    def lies_ahead(self, ray: Ray3f, d: Vector3f) -> Bool:
+        """True unless the light lies on the surface that `ray` has just left, in the direction `d`."""
+        return ~self.finite | (dr.dot(self.place - ray.o, d) > 0)
+
+
 def aimed(ray: Ray3f, o: Point3f, medium: UInt32 | None) -> Ray3f:
     """The rest of a shadow ray from a point `o` on, with a unit direction.
 
     It is aimed again at the light: `o` was moved off a surface, and at a grazing angle the former direction would end
     behind the light.
     """
-    finite = ray.maxt < dr.inf
-    to_light = ray.o + ray.d - o
-    distance = dr.norm(to_light)
-    d = dr.select(finite, to_light * dr.rcp(distance), ray.d)
-    return Ray3f(o, d, maxt=dr.select(finite, distance * (1 - SHADOW_EPSILON), dr.inf), medium=medium)
+    return toward(o, ray.o + ray.d - o, ray.maxt < dr.inf, ray.d, medium)
+
+
+def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UInt32 | None) -> Ray3f:
+    """The ray from `o` to a light: over the vector `to_light` if that is `finite`, else in the direction `d`."""
+    squared = dr.squared_norm(to_light)
+    inverse = dr.rsqrt(squared)
+    maxt = dr.select(finite, squared * inverse * (1 - SHADOW_EPSILON), dr.inf)
+    return Ray3f(o, dr.select(finite, to_light * inverse, d), maxt=maxt, medium=medium)
 
 
 def left_over(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> Color3f:

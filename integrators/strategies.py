@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import drjit as dr
 
+from djpt.films.footprint import in_window
 from djpt.integrators.splatting import Sink
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
@@ -35,7 +36,7 @@ class Ledger:
     def __init__(self, sink: Sink, position: Point2f, by_strategy: bool) -> None:
         """`position`: the camera ray's in the crop window, which strategies with t > 1 light."""
         self._sink, self._position, self._by_strategy = sink, position, by_strategy
-        self.inside = (position.x >= 0) & (position.x < 1) & (position.y >= 0) & (position.y < 1)
+        self.inside = in_window(position)
         """Whether the camera ray's position is in the crop window."""
 
     def weighed(self, value: Color3f, weight: Float, s: UInt32, t: UInt32) -> Color3f:

@@ -149,10 +149,11 @@ MonteCarloIntegrator = UnidirectionalPath
 def roulette(sampler: SampleStream, throughput: Color3f, eta: Float | None, begins: Bool) -> tuple[Color3f, Bool]:
     """Russian roulette where it `begins`: survive with the probability min(largest throughput eta^2, 0.95).
 
-    Returns the throughput, divided by this probability, and where paths survive: nowhere if the throughput is 0.
+    Returns the throughput, divided by this probability, and where paths survive: nowhere if the throughput is 0. The
+    probability has no derivative.
     """
     largest = maximum(maximum(throughput.x, throughput.y), throughput.z)
     # Radiance that has been refracted is scaled by 1 / eta^2, which says nothing about its importance.
-    survival = minimum(largest if eta is None else largest * dr.square(eta), Float(0.95))
+    survival = dr.detach(minimum(largest if eta is None else largest * dr.square(eta), Float(0.95)))
     survives = ~begins | (sampler.next_1d() < survival)
     return dr.select(begins, throughput * dr.rcp(survival), throughput), (largest > 0) & survives

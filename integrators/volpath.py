@@ -53,7 +53,7 @@ class VolumetricPath(UnidirectionalPath):
 
     in_any_frame = True
 
-    schedules = ("flat", "wave")
+    schedules = ("flat", "media_machine", "wave")
     follows_media = True
     spectral_mis = False
     """Whether each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""
@@ -87,14 +87,24 @@ class VolumetricPath(UnidirectionalPath):
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
         assert isinstance(state, VolumetricPathState)
+        flight = Flight.none() if ray.medium is None else self.flight(scene, sampler, state, ray, si)
+        return self.arrive(scene, sampler, state, ray, si, flight)
+
+    def arrive(
+        self,
+        scene: Scene,
+        sampler: SampleStream,
+        state: VolumetricPathState,
+        ray: Ray3f,
+        si: SurfaceInteraction3f,
+        flight: Flight,
+    ) -> Vertex:
+        """Process the end of a `flight`: in a medium, or at the hit (or miss) `si` of `ray`."""
         assert state.covered is not None
         most = UNBOUNDED if self.max_depth < 0 else self.max_depth
         ctx = BSDFContext()
 
         # ----------------- Flight to the vertex ---------------
-        flight = Flight.none()
-        if ray.medium is not None:
-            flight = self.flight(scene, sampler, state, ray, si)
         flown = flight.value * dr.rcp(of_channel(flight.pdf, state.channel))
         samples_emitters = Bool(True) if ray.medium is None else scene.media.sample_emitters(ray.medium)
         inside, surface = flight.scattered, si.is_valid() & ~flight.scattered

@@ -101,6 +101,9 @@ def fresnel_conductor(cos_theta_i: Float, eta: Value, k: Value) -> Value:
     r_s = (s - 2 a cos i + cos^2 i) / (s + 2 a cos i + cos^2 i) and
     r_p = r_s (s cos^2 i - 2 a cos i sin^2 i + sin^4 i) / (s cos^2 i + 2 a cos i sin^2 i + sin^4 i)
     (K. D. Moeller, "Optics", 1988). For `cos_theta_i` >= 0, light from outside.
+
+    At k = 0 the slope by k is 0 where sin i < eta, and negative beyond, where reflection is total. Towards the critical
+    angle it grows like 1 / sqrt(sin^2 i - eta^2), whose mean over directions is finite.
     """
     cos_2 = dr.square(cos_theta_i)
     sin_2 = 1 - cos_2

@@ -87,6 +87,11 @@ class Principled(PrincipledBase):
     * `main_specular_sampling_rate`, `clearcoat_sampling_rate`, `diffuse_reflectance_sampling_rate`
       (>= 0, default 1): relative numbers of samples.
 
+    eta - 1 grows like sqrt(0.32 specular). So the angle by which light is refracted has an infinite slope by
+    `specular` at 0: with `spec_trans`, derivatives below 0.001 are those at 0.001. The reflectance, of second order in
+    eta - 1, has a slope at 0: 0.08 at normal incidence, more at grazing angles, where it takes many samples. At
+    exactly 0 there is no interface, and no metal either (as in Mitsuba): a jump that derivatives don't see.
+
     B. Burley 2012 and 2015, see `djpt.materials.principled_lobes`; as Mitsuba has it, without volumes. Lobes
     whose parameters are missing or 0 are left out of the kernel.
     """

@@ -32,7 +32,7 @@ from djpt.records import (
 from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["BSDFPtr", "EmitterPtr", "SensorPtr", "ShapePtr", "observer"]
+__all__ = ["BSDFPtr", "EmitterPtr", "SensorPtr", "ShapePtr", "at_fixed_direction", "observer"]
 
 
 class BSDFPtr(Pointer[BSDF]):
@@ -167,22 +167,26 @@ class BSDFPtr(Pointer[BSDF]):
         weight: Color3f,
         active: Bool | bool,
     ) -> Color3f:
-        """The weight with the derivative that it has if the sampled direction is kept: that of eval / detach(pdf).
-
-        What `sample` computes may have cancelled terms of value and density, and differentiates as if the
-        direction moved along. Where the value is 0, no ratio shows the density: that of the sample is taken. Delta
-        lobes, which `eval` doesn't know, keep the derivative of their weight.
-        """
+        """The weight, `at_fixed_direction` where values may be attached."""
         if isinstance(self.lookup, Detached):
             return weight
-        value = bsdf.eval(ctx, si, bs.wo, active)
-        if not dr.grad_enabled(weight, value):
-            return weight
-        fixed, plain = dr.detach(weight), dr.detach(value)
-        smooth = value * dr.select(dr.abs(plain) > LEAST, fixed * dr.rcp(plain), dr.rcp(bs.pdf))
-        smooth = dr.select(bs.pdf > 0, smooth, fixed)
-        change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, smooth)
-        return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
+        return at_fixed_direction(bs, weight, bsdf.eval(ctx, si, bs.wo, active))
+
+
+def at_fixed_direction(bs: BSDFSample3f, weight: Color3f, value: Color3f) -> Color3f:
+    """The weight of a sample with the derivative that it has if the direction is kept: that of value / detach(pdf).
+
+    What `BSDF.sample` computes may have cancelled terms of value and density, and differentiates as if the direction
+    moved along; `value` is that of the BSDF at the sampled direction. Where it is 0, no ratio shows the density: that
+    of the sample is taken. Delta lobes, which have no value, keep the derivative of their weight.
+    """
+    if not dr.grad_enabled(weight, value):
+        return weight
+    fixed, plain = dr.detach(weight), dr.detach(value)
+    smooth = value * dr.select(dr.abs(plain) > LEAST, fixed * dr.rcp(plain), dr.rcp(bs.pdf))
+    smooth = dr.select(bs.pdf > 0, smooth, fixed)
+    change = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), weight, smooth)
+    return dr.replace_grad(fixed, change)  # type: ignore[func-returns-value, return-value]
 
 
 LEAST = 1e-30

@@ -21,7 +21,7 @@ from djpt.emitters.sky.directions import SkyDirections
 from djpt.emitters.sky.disc import irradiances
 from djpt.emitters.sky.dome import SkyDome
 from djpt.emitters.sky.instant import Instant
-from djpt.emitters.sky.position import TimeAndPlace
+from djpt.emitters.sky.position import FARTHEST, TimeAndPlace
 from djpt.errors import ParameterError
 from djpt.kernels import as_vector
 from djpt.types import Float
@@ -48,6 +48,7 @@ class SunSky(Daylight):
 
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_share": HIDDEN}
     children = ("dome", "disc", "directions")
+    times_and_places = CLOCK
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -56,7 +57,7 @@ class SunSky(Daylight):
             defaults = asdict(TimeAndPlace())
             for key, default in defaults.items():
                 read = props.integer if isinstance(default, int) else props.float
-                setattr(self, key, read(key, default))
+                setattr(self, key, read(key, default, low=-FARTHEST, high=FARTHEST))
             self._ask_clock()
         else:
             if given := [key for key in CLOCK if key in props]:

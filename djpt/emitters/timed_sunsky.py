@@ -15,7 +15,7 @@ from djpt.emitters.sky.daylight import HIDDEN, Daylight
 from djpt.emitters.sky.directions import FITTED, SkyDirections
 from djpt.emitters.sky.dome import SkyDome, atmosphere
 from djpt.emitters.sky.instant import Instant
-from djpt.emitters.sky.position import TimeAndPlace, sun_direction
+from djpt.emitters.sky.position import FARTHEST, TimeAndPlace, sun_direction
 from djpt.emitters.sky.tables import entries_between, table
 from djpt.errors import ParameterError, SceneError
 from djpt.kernels import as_float, opaque
@@ -27,6 +27,7 @@ __all__ = ["TimedSunSky"]
 PLACE = {"latitude": 35.6894, "longitude": 139.6917, "timezone": 9.0}
 WINDOW = {"window_start_time": 7.0, "window_end_time": 19.0}
 DATES = tuple(f"{end}_{part}" for end in ("start", "end") for part in ("year", "month", "day"))
+FAR: dict[str, Any] = {"low": -FARTHEST, "high": FARTHEST}
 ELEVATIONS, LOWEST = 30, 2.0
 """The count of the sun's elevations in the tables, 3 degrees apart; the lowest."""
 INSTANTS = 64
@@ -50,16 +51,22 @@ class TimedSunSky(Daylight):
     * `latitude`, `longitude` (degrees, default Tokyo), `timezone` (hours, default 9);
     * `shutter_open`, `shutter_close` (default 0, 1), as the camera has them.
 
+    Images have derivatives by `albedo`.
+
     The sun is as bright as its elevation says. Mitsuba 3.9.1 looks it up 1.5 degrees lower, and its dates are multiples
     of six hours: its sun stands up to a quarter of a degree elsewhere.
     """
 
     in_time = True
+    times_and_places = (*PLACE, *DATES)
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **Daylight.values,
         **dict.fromkeys((*PLACE, *WINDOW, "first_day", "days", "shutter_open", "per_shutter"), HIDDEN),
     }
-    tables: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("controls", "suns", "densities"), HIDDEN)
+    tables: ClassVar[Mapping[str, ParamFlags]] = {
+        "controls": ParamFlags.Differentiable,
+        **dict.fromkeys(("suns", "densities"), HIDDEN),
+    }
 
     latitude: Any
     longitude: Any
@@ -76,7 +83,7 @@ class TimedSunSky(Daylight):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         for key, number in PLACE.items():
-            setattr(self, key, as_float(props.float(key, number)))
+            setattr(self, key, as_float(props.float(key, number, **FAR)))
         hours = {key: props.float(key, hour, low=0.0, high=24.0) for key, hour in WINDOW.items()}
         if hours["window_end_time"] < hours["window_start_time"]:
             problem = f"must not be less than 'window_start_time' ({hours['window_start_time']:g})"
@@ -84,11 +91,11 @@ class TimedSunSky(Daylight):
         for key, hour in hours.items():
             setattr(self, key, as_float(hour))
         self.start_year, self.start_month, self.start_day = (
-            props.integer(key, default) for key, default in zip(DATES, (2025, 1, 1), strict=False)
+            props.integer(key, default, **FAR) for key, default in zip(DATES, (2025, 1, 1), strict=False)
         )
-        self.end_year = props.integer("end_year", self.start_year + 1)
-        self.end_month = props.integer("end_month", self.start_month)
-        self.end_day = props.integer("end_day", self.start_day)
+        self.end_year = props.integer("end_year", self.start_year + 1, **FAR)
+        self.end_month = props.integer("end_month", self.start_month, **FAR)
+        self.end_day = props.integer("end_day", self.start_day, **FAR)
         opens, closes = props.float("shutter_open", 0.0), props.float("shutter_close", 1.0)
         if closes < opens:
             raise props.error("shutter_close", f"must not be less than 'shutter_open' ({opens:g})")
@@ -124,8 +131,10 @@ class TimedSunSky(Daylight):
         if after < first:
             raise ParameterError(f"the end must not be before the start, found {first - after:g} days less")
         self.first_day, self.days = as_float(first), as_float(max(after - first, 1.0))
+        controls = atmosphere(self.turbidity, self.albedo.eval(None))
+        dr.make_opaque(controls.numbers)
+        self.controls = TensorXf(controls.numbers, controls.shape)
         with dr.suspend_grad():
-            controls = atmosphere(self.turbidity, self.albedo.eval(None))
             irradiances = table("irradiance").at(self.turbidity - 1).numbers
             row = dr.arange(UInt32, ELEVATIONS)
             red, green, blue, of_sun, of_sky = (dr.gather(Float, irradiances, row * 5 + k) for k in range(5))
@@ -136,7 +145,6 @@ class TimedSunSky(Daylight):
             cell = dr.arange(UInt32, ELEVATIONS * 6)
             row, column = cell // 6, cell % 6
             densities = dr.gather(Float, fitted, row * FITTED + column, column < FITTED)
-            self.controls = TensorXf(opaque(controls.numbers), controls.shape)
             self.suns = TensorXf(opaque(dr.ravel(suns)), (ELEVATIONS, 1, 4))
             self.densities = TensorXf(opaque(densities), (ELEVATIONS, 1, 6))
             # Where the disc is at an instant and its colour are told to its copies.

@@ -6,35 +6,32 @@ contributions are scaled and rounded to 64-bit numbers: an image is the same, bi
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 
 from djpt.films.base import Film
-from djpt.kernels import as_float, while_loop
-from djpt.rfilters.base import is_wide
+from djpt.films.footprint import Footprint
+from djpt.kernels import as_float
 from djpt.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, UInt32
 
-__all__ = ["Splats"]
+__all__ = ["ChangeSplats", "Splats"]
 
 DIGITS = 32
 """Binary digits behind the point, in units of `unit`: as many are left before it, less one."""
 
-STEPS = 64
-"""Places on a pixel at which filters are looked at to find the share of them that lies inside of the film."""
 
-
-class Splats:
+class Splats(Footprint):
     """The sums of three channels per pixel of the crop window, as whole numbers; in one or more layers."""
 
     def __init__(self, film: Film, unit: float, layers: int = 1) -> None:
         """`unit`: a colour of usual size, which decides on the digits; a power of two."""
-        self._film = film
-        width, height = film.crop_size()
-        self._size = Point2f(as_float(width), as_float(height))
-        self._columns, self._rows = dr.opaque(UInt32, width), dr.opaque(UInt32, height)
+        super().__init__(film)
         self._scale = as_float(2.0**DIGITS / unit)
-        self._layers, self._pixels = layers, dr.opaque(UInt32, width * height)
+        self._layers, self._count = layers, film.crop_size().x * film.crop_size().y
+        self._pixels = dr.opaque(UInt32, self._count)
         # One number in four is only there to make a packet.
-        self.memory = dr.zeros(Int64, 4 * width * height * layers)
+        self.memory: Any = dr.zeros(Int64, 4 * self._count * layers)
         dr.eval(self.memory)
 
     def add(self, position: Point2f, color: Color3f, active: Bool, layer: UInt32 | int = 0) -> None:
@@ -42,59 +39,13 @@ class Splats:
 
         It is weighted with the film's filter, whose weights are made to sum up to 1.
         """
-        x, y = position.x * self._size.x, position.y * self._size.y
-        column, row = UInt32(x), UInt32(y)
-        color = color * self._scale
-        film = self._film
+
+        def add(pixel: UInt32, part: Color3f, inside: Bool) -> tuple[()]:
+            self._add(pixel, part, active & inside)
+            return ()
+
         first = UInt32(0) if self._layers == 1 else layer * self._pixels
-        if not film.filters:
-            self._add(first + row * self._columns + column, color, active)
-            return
-        if is_wide(film.taps):
-            self._add_widely(first, x, y, color, active)
-            return
-        reach, steps = film.taps // 2, range(film.taps)
-        # Before the first column and row the numbers wrap around to large ones.
-        column, row = column - reach, row - reach
-        in_x, in_y = self._weights(x), self._weights(y)
-        color = color * dr.rcp(sum(in_x[1:], in_x[0]) * sum(in_y[1:], in_y[0]))
-        for j, wy in zip(steps, in_y, strict=True):
-            for i, wx in zip(steps, in_x, strict=True):
-                inside = (column + i < self._columns) & (row + j < self._rows)
-                self._add(first + (row + j) * self._columns + (column + i), color * (wx * wy), active & inside)
-
-    def _weights(self, place: Float) -> list[Float]:
-        """The filter's weights at the pixels about a column or row, the farthest before it first."""
-        weight, reach = self._film.rfilter().eval, self._film.taps // 2
-        return [weight(place - dr.floor(place) + (reach - i - 0.5)) for i in range(self._film.taps)]
-
-    def _add_widely(self, first: UInt32, x: Float, y: Float, color: Color3f, active: Bool) -> None:
-        """Add a colour at a place in pixels by loops over the pixels in reach, too many to be unrolled.
-
-        `first` is the layer's first pixel.
-        """
-        weight, taps = self._film.rfilter().eval, dr.opaque(UInt32, self._film.taps)
-        reach = taps // 2
-        column, row, edge = UInt32(x) - reach, UInt32(y) - reach, Float(reach) - 0.5
-        left, top = x - dr.floor(x) + edge, y - dr.floor(y) + edge
-        lanes = dr.width(x, y)
-
-        def along(i: UInt32, in_x: Float, in_y: Float) -> tuple[UInt32, Float, Float]:
-            return i + 1, in_x + weight(left - Float(i)), in_y + weight(top - Float(i))
-
-        start = (dr.zeros(UInt32, lanes), dr.zeros(Float, lanes), dr.zeros(Float, lanes))
-        _, in_x, in_y = while_loop(start, lambda i, in_x, in_y: i < taps, along, label="wide splat weights")
-        color = color * dr.rcp(in_x * in_y)
-
-        def visit(n: UInt32) -> tuple[UInt32]:
-            j = n // taps
-            i = n - j * taps
-            inside = (column + i < self._columns) & (row + j < self._rows)
-            part = color * (weight(left - Float(i)) * weight(top - Float(j)))
-            self._add(first + (row + j) * self._columns + (column + i), part, active & inside)
-            return (n + 1,)
-
-        while_loop((dr.zeros(UInt32, lanes),), lambda n: n < taps * taps, visit, label="wide splat")
+        self.spread(position, color * self._scale, first, (), add)
 
     def _add(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
         whole = [Int64(dr.round(c)) for c in color]
@@ -106,20 +57,22 @@ class Splats:
         Pixels near the border are divided by the share of the filter that lies inside, so that the weights of what
         they receive sum up to 1; unless it is `continued` outside, by other samples that count there.
         """
-        pixels = dr.width(self.memory) // (4 * self._layers)
-        pixel = dr.arange(UInt32, pixels)
         inverse = Float64(1) / Float64(self._scale)
         if self._film.filters and not continued:
-            row = pixel // self._columns
-            inside = self._inside(pixel - row * self._columns, self._columns) * self._inside(row, self._rows)
-            inverse = inverse / Float64(inside)
-        entry = 4 * (pixel + dr.opaque(UInt32, layer * pixels))
-        return [Float(Float64(dr.gather(Int64, self.memory, entry + c)) * inverse) for c in range(3)]
+            inverse = inverse / Float64(self.shares_inside())
+        entry = 4 * (dr.arange(UInt32, self._count) + dr.opaque(UInt32, layer * self._count))
+        kind = type(self.memory)
+        return [Float(Float64(dr.gather(kind, self.memory, entry + c)) * inverse) for c in range(3)]
 
-    def _inside(self, place: UInt32, count: UInt32) -> Float:
-        """The share of the filter that lies within the `count` columns or rows, for the pixel at each `place`."""
-        weights = self._weights((dr.arange(Float, STEPS) + 0.5) / STEPS)
-        total, reach = sum(weights[1:], weights[0]), self._film.taps // 2
-        shares = [dr.mean(weight / total) for weight in weights]
-        # Light from `reach - i` pixels further on; before the first one numbers wrap around to large ones.
-        return sum((dr.select(place + reach - i < count, share, 0) for i, share in enumerate(shares)), Float(0))
+
+class ChangeSplats(Splats):
+    """Sums of changes, whose size nobody knows before: numbers in double precision, whose last bits may vary."""
+
+    def __init__(self, film: Film) -> None:
+        super().__init__(film, 2.0**DIGITS)
+        self.memory = dr.zeros(Float64, 4 * self._count)
+        dr.eval(self.memory)
+
+    def _add(self, pixel: UInt32, color: Color3f, active: Bool) -> None:
+        for c, change in enumerate(color):
+            dr.scatter_add(self.memory, Float64(change), 4 * pixel + c, active)

@@ -25,7 +25,7 @@ from djpt.integrators.base import PathState, Vertex
 from djpt.scene import Scene
 from djpt.types import Color3f
 
-__all__ = ["begun", "blank", "collected", "outgoing_radiance", "sets_aside"]
+__all__ = ["TINY", "begun", "blank", "collected", "outgoing_radiance", "sets_aside"]
 
 TINY = 1e-6
 """Smaller factors aren't divided by: rounding errors would be all that remains."""

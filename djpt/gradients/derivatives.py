@@ -95,8 +95,12 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     integrator = samples.integrator
     if not integrator.differentiable:
         raise RenderError(
-            f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path' or 'prb' can"
+            f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path', 'prb', 'bdpt' can"
         )
+    if integrator.starts_at_lights:
+        from djpt.gradients.splatted import light_derivative
+
+        return light_derivative(samples, parameters)
     if integrator.stepwise and not samples.sampler.has_streams:
         from djpt.gradients.wavefront import WavefrontDerivative
 

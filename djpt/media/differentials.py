@@ -6,10 +6,10 @@ and S what arrives to be scattered. A change of sigma_t changes it in two ways.
 * T(t) changes by -T(t) times the integral of the change up to t. Each flight takes that from one uniform point of the
   way that it has flown (`passed`), so there is no density to divide by.
 * More matter scatters more light. Where light was scattered, that is the light over sigma_t, which no path finds where
-  there is no matter. So both this estimate (`collided`) and another are taken, with the shares sigma_t / (sigma_t +
-  sigma_0) and sigma_0 / (sigma_t + sigma_0) of the derivative. The other one is the light that a point of the way would
-  scatter, the same point as before (`uniform_point`): a flight gets as far as there with the probability T. A path
-  that begins at the point finds that light: see `djpt.gradients.detours`.
+  there is no matter, and few where there is little. So both this estimate (`collided`) and another are taken, with the
+  shares sigma_t / (sigma_t + sigma_0) and sigma_0 / (sigma_t + sigma_0) of the derivative (`thin`). The other one is
+  the light that a point of the way would scatter, the same point as before (`uniform_point`): a flight gets as far as
+  there with the probability T. A path that begins at the point finds that light: see `djpt.gradients.detours`.
 
 M. Nimier-David, T. Mueller, A. Keller and W. Jakob, "Unbiased Inverse Volume Rendering with Differential Trackers",
 SIGGRAPH 2022, have found why the second estimate is needed; theirs takes the point among collisions.
@@ -36,9 +36,13 @@ if TYPE_CHECKING:
 __all__ = ["ScatteringPoint", "collided", "elsewhere", "own_stream", "passed", "uniform_point"]
 
 THIN = 0.1
-"""sigma_0 as a share of the majorant."""
+"""sigma_0 as a share of the majorant, in dense media."""
+FEW = 0.5
+"""sigma_0 times the way of a ray through the medium, in thin ones: collisions so rare would be noise."""
 LEAST = 1e-6
-"""The least sigma_0, for media without matter."""
+"""The least sigma_0, for media without matter and without end."""
+SHORT = 1e-9
+"""The least way that is divided by."""
 
 
 def own_stream(ray: Ray3f, t: Float) -> IndependentStream:
@@ -97,18 +101,24 @@ def collided(medium: Medium, ray: Ray3f, t: Float, u: Float, active: Bool) -> Co
     """
     mei = MediumInteraction3f.on(ray, t)
     sigma_t = medium.extinction_at(mei, u, active)
-    return with_change(sigma_t * dr.rcp(dr.detach(sigma_t) + thin(medium, mei)))
+    return with_change(sigma_t * dr.rcp(dr.detach(sigma_t) + thin(medium, ray, mei)))
 
 
-def elsewhere(medium: Medium, mei: MediumInteraction3f, u: Float, active: Bool) -> Color3f:
-    """The share of the derivative of sigma_t that is left for scattering points."""
-    sigma_0 = thin(medium, mei)
+def elsewhere(medium: Medium, ray: Ray3f, mei: MediumInteraction3f, u: Float, active: Bool) -> Color3f:
+    """The share of the derivative of sigma_t that is left for scattering points, at the point `mei` of a ray."""
+    sigma_0 = thin(medium, ray, mei)
     return sigma_0 * dr.rcp(dr.detach(medium.extinction_at(mei, u, active)) + sigma_0)
 
 
-def thin(medium: Medium, mei: MediumInteraction3f) -> Float:
-    """sigma_0, the extinction at which both estimates have equal shares."""
-    return maximum(dr.detach(dr.max(medium.get_majorant(mei))) * THIN, Float(LEAST))
+def thin(medium: Medium, ray: Ray3f, mei: MediumInteraction3f) -> Float:
+    """sigma_0, the extinction at which both estimates have equal shares.
+
+    A collision of which there is one in n flights counts n times, so what is rare on the whole way of the ray through
+    the medium's box is left to scattering points.
+    """
+    _, mint, maxt = medium.intersect_aabb(ray)
+    rare = FEW * dr.rcp(maximum(maxt - mint, Float(SHORT)))
+    return maximum(dr.detach(dr.max(medium.get_majorant(mei))) * THIN, maximum(rare, Float(LEAST)))
 
 
 def with_change(change: Color3f) -> Color3f:

@@ -138,14 +138,18 @@ class Media:
         numbers = self.at(Point3f(*(float(x) for x in p)), lookup, directions).numpy()
         return int(np.bincount(numbers).argmax())
 
-    def at(self, p: Point3f, lookup: Lookup, direction: Vector3f | None = None) -> UInt32:
+    def at(
+        self, p: Point3f, lookup: Lookup, direction: Vector3f | None = None, outside: UInt32 | None = None
+    ) -> UInt32:
         """The medium that each point lies in: the one on this side of the first boundary in an arbitrary direction.
 
-        Only closed shapes count as boundaries. Traces rays through the scene: only where paths begin.
+        It is `outside` (default: the vacuum) where there is none. Only closed shapes count as boundaries. Traces rays
+        through the scene: only where paths begin.
         """
         d = Vector3f(*DIRECTIONS[0]) if direction is None else direction
+        outside = UInt32(self.vacuum) if outside is None else outside
         if not self._closed:
-            return UInt32(self.vacuum)
+            return outside
 
         def step(walk: Walk) -> tuple[Walk]:
             ray = Ray3f(walk.o, walk.d)
@@ -159,7 +163,7 @@ class Media:
             on = dr.fma(walk.d, RAY_EPSILON * (1 + dr.max(dr.abs(there))), there)
             return (Walk(on, walk.d, dr.select(bounds, side, walk.medium), found & ~bounds),)
 
-        start = wide(Walk(Point3f(p), d, UInt32(self.vacuum), Bool(True)), dr.width(p, d))
+        start = wide(Walk(Point3f(p), d, outside, Bool(True)), dr.width(p, d))
         (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="medium")
         return end.medium
 

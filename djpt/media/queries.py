@@ -28,6 +28,8 @@ class MediaQueries:
     _sensors: list[Sensor]
     camera_medium: UInt32 | None
     """The number of the medium that camera rays start in; None if no media are followed."""
+    outer_medium: UInt32 | None = None
+    """The number of the medium outside of all bodies, if a sensor says that there is one."""
     media: Media
     """The media that are followed along rays: those that absorb without scattering, or all (see `with_media`)."""
     every_medium: Media
@@ -60,10 +62,12 @@ class MediaQueries:
         view.camera_medium = UInt32(view.media.vacuum)
         return view
 
-    def medium_of(self, sensor: Sensor) -> int:
-        """The number of the medium that a sensor's rays start in: the given one if it is followed, or what is there."""
-        given = self.media.number(sensor.get_medium())
-        return self.media.around(sensor.viewpoint(), self.lookup) if given == self.media.vacuum else given
+    def begin_in_media_of(self, sensor: Sensor) -> None:
+        """Note where the rays of a sensor start, and, if it stands outside of all bodies, that its medium is there."""
+        vacuum, given = self.media.vacuum, self.media.number(sensor.get_medium())
+        around = self.media.around(sensor.viewpoint(), self.lookup)
+        self.camera_medium = dr.opaque(UInt32, around if given == vacuum else given)
+        self.outer_medium = dr.opaque(UInt32, given) if given != vacuum and around == vacuum else None
 
     def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> MediumPtr:
         """The medium that a shape names for the side of `si` that a direction points to; none if it names none.
@@ -90,7 +94,7 @@ class MediaQueries:
 
     def medium_at(self, p: Point3f) -> UInt32 | None:
         """The medium that each point lies in, for rays that begin there; None in scenes without media."""
-        return self.media.at(p, self.lookup) if self.media else None
+        return self.media.at(p, self.lookup, outside=self.outer_medium) if self.media else None
 
     # ---- what is left of light ----------------------------------------------------------
 

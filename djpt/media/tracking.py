@@ -12,7 +12,7 @@ Both are linear in sigma_t at each collision, so an estimate with the right mean
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -28,7 +28,7 @@ from djpt.types import Bool, Color3f, Float
 if TYPE_CHECKING:
     from djpt.media.base import Medium
 
-__all__ = ["Majorants", "fly", "scattering_point", "span", "transmittance"]
+__all__ = ["Majorants", "Track", "fly", "landing", "scattering_point", "span", "step", "transmittance"]
 
 Majorants = Callable[[Float, "Bool | bool"], tuple[Float, Float]]
 """Gives the majorant at a point of a ray, and the distance where it ends to hold; it must lie beyond the point."""
@@ -76,22 +76,32 @@ def fly(
     """
     start, end = span(medium, ray, length, active)
     majorants, coloured = medium.majorants(ray), medium.has_spectral_extinction()
-    importance = dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
+    importance = importance_of(throughput)
 
-    def step(track: Track) -> tuple[Track]:
+    def fly_on(track: Track) -> tuple[Track]:
         t, meets, share, u = collision(medium, majorants, ray, end, track)
-        probability = dr.mean(importance * track.weight * share) if coloured else share.x
+        probability = scattered_share(coloured, importance, track.weight, share)
         real = meets & (track.stream.next_1d(meets) < probability)
-        weight = track.weight
-        if coloured:
-            weight = weight * dr.select(real, share * dr.rcp(probability), (1 - share) * dr.rcp(1 - probability))
-            weight = dr.select(meets, weight, track.weight)
+        weight = weight_after(coloured, track.weight, share, probability, meets, real)
         last = None if track.u is None else dr.select(meets, u, track.u)
         shown, shown_weight = place_shown(track, start, t) if track.shown else ((), ())
         return (Track(t, weight, real, track.stream, track.active & ~real & (t < end), last, shown, shown_weight),)
 
     places, u = coloured and medium.emits(), None if leaves is None else Float(0)
-    track = run(step, start, end, stream, active, "delta tracking", u, places)
+    track = run(fly_on, start, end, stream, active, "delta tracking", u, places)
+    return landing(medium, ray, start, track, stream, active, leaves)
+
+
+def landing(
+    medium: Medium,
+    ray: Ray3f,
+    start: Float,
+    track: Track,
+    stream: SampleStream,
+    active: Bool,
+    leaves: Medium | None = None,
+) -> Flight:
+    """The flight from `start` that has ended as its track says; for `leaves` see `fly`."""
     emitted = glow(medium, ray, start, track, stream, active, leaves) if medium.emits() else Color3f(0)
     weight = track.weight
     if leaves is not None:
@@ -101,6 +111,26 @@ def fly(
     albedo = (leaves or medium).albedo_at(MediumInteraction3f.on(ray, track.t), track.collided)
     value = dr.select(track.collided, weight * albedo, weight)
     return Flight(track.t, track.collided, value, Color3f(1), emitted)
+
+
+def importance_of(throughput: Color3f) -> Color3f:
+    """How much each channel of a path counts, with the mean 1."""
+    return dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
+
+
+def scattered_share(coloured: bool, importance: Color3f, weight: Color3f, share: Color3f) -> Float:
+    """The probability that a collision is real: `share` is sigma_t / majorant."""
+    return dr.mean(importance * weight * share) if coloured else share.x
+
+
+def weight_after(
+    coloured: bool, weight: Color3f, share: Color3f, probability: Float, meets: Bool, real: Bool
+) -> Color3f:
+    """The weight of a flight after a collision, if there was one."""
+    if not coloured:
+        return weight
+    after = weight * dr.select(real, share * dr.rcp(probability), (1 - share) * dr.rcp(1 - probability))
+    return dr.select(meets, after, weight)
 
 
 def place_shown(track: Track, start: Float, t: Float) -> tuple[tuple[Float, ...], tuple[Color3f, ...]]:
@@ -145,17 +175,60 @@ def transmittance(
     start, end = span(medium, ray, length, active)
     majorants = medium.majorants(ray)
 
-    def step(track: Track) -> tuple[Track]:
+    def pass_on(track: Track) -> tuple[Track]:
         t, meets, share, _ = collision(medium, majorants, ray, end, track)
-        left = dr.select(meets, track.weight * (1 - share), track.weight)
-        chance = dr.max(left) * (1 / KEPT)
-        little = meets & (chance * KEPT < LITTLE)
+        left, chance, little = thinned(track.weight, share, meets)
         survives = ~little | (track.stream.next_1d(little) < chance)
         left = dr.select(survives, dr.select(little, left * dr.rcp(chance), left), 0)
         return (Track(t, left, Bool(False), track.stream, track.active & survives & (t < end)),)
 
-    left = run(step, start, end, stream, active, "ratio tracking").weight
+    left = run(pass_on, start, end, stream, active, "ratio tracking").weight
     return left if leaves is None else left * passed(leaves, ray, start, end, active)
+
+
+def thinned(transmittance: Color3f, share: Color3f, meets: Bool) -> tuple[Color3f, Float, Bool]:
+    """What a collision leaves of a transmittance, the chance to survive that gives it, and where it is taken."""
+    left = dr.select(meets, transmittance * (1 - share), transmittance)
+    chance = dr.max(left) * (1 / KEPT)
+    return left, chance, meets & (chance * KEPT < LITTLE)
+
+
+def step(
+    medium: Medium,
+    majorants: Majorants,
+    ray: Ray3f,
+    start: Float,
+    end: Float,
+    estimates: Bool,
+    throughput: Color3f,
+    track: Track,
+) -> Track:
+    """The next step of a flight or, where `estimates`, of an estimate of a transmittance.
+
+    It does what a step of `fly` or `transmittance` does, with the same random numbers, but both at once: for loops in
+    which rays of both kinds are under way. Only where the track is `active` something happens.
+    """
+    coloured, moves = medium.has_spectral_extinction(), track.active
+    t, meets, share, _ = collision(medium, majorants, ray, end, track)
+    probability = scattered_share(coloured, importance_of(throughput), track.weight, share)
+    left, chance, little = thinned(track.weight, share, meets)
+    number = track.stream.next_1d(dr.select(estimates, little, meets))
+    survives = ~(estimates & little) | (number < chance)
+    real = meets & ~estimates & (number < probability)
+    left = dr.select(survives, dr.select(little, left * dr.rcp(chance), left), 0)
+    onward = weight_after(coloured, track.weight, share, probability, meets, real)
+    shown, shown_weight = track.shown, track.shown_weight
+    if coloured and medium.emits():
+        shown, shown_weight = place_shown(replace(track, active=moves & ~estimates), start, t)
+    return Track(
+        t=dr.select(moves, t, track.t),
+        weight=dr.select(estimates, left, onward),
+        collided=dr.select(moves, real, track.collided),
+        stream=track.stream,
+        active=moves & ~real & survives & (t < end),
+        shown=shown,
+        shown_weight=shown_weight,
+    )
 
 
 def scattering_point(
@@ -169,7 +242,7 @@ def scattering_point(
     coloured = medium.has_spectral_extinction()
     point = uniform_point(ray, *span(medium, ray, length if coloured else flown, active), active)
     mei = MediumInteraction3f.on(ray, point.t)
-    weight = medium.albedo_at(mei, active) * (elsewhere(medium, mei, point.u, active) * point.length)
+    weight = medium.albedo_at(mei, active) * (elsewhere(medium, ray, mei, point.u, active) * point.length)
     if coloured:
         weight = weight * transmittance(medium, ray, point.t, own_stream(ray, point.t), active & (point.length > 0))
     return point, weight
@@ -200,7 +273,7 @@ def collision(
 
 
 def run(
-    step: Callable[[Track], tuple[Track]],
+    advance: Callable[[Track], tuple[Track]],
     start: Float,
     end: Float,
     stream: SampleStream,
@@ -226,6 +299,6 @@ def run(
     )
     # What a tracker reads has no derivatives: see `djpt.media.differentials`.
     with dr.suspend_grad():
-        (track,) = dr.while_loop((first,), lambda track: track.active, step, label=label)
+        (track,) = dr.while_loop((first,), lambda track: track.active, advance, label=label)
     go_on_with(stream, track.stream)
     return track

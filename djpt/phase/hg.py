@@ -65,12 +65,12 @@ class HGPhaseFunction(PhaseFunction):
         # The inverse of the distribution function, with g divided out: it has no pole at g = 0.
         g, x = self.g, dr.fma(2, sample2.x, -1)
         square = dr.square(g)
-        scale = dr.rcp(dr.fma(g, x, 1))
+        inverse = dr.fma(g, x, 1)
         cosine = dr.fma(dr.fma(square, dr.fma(g, dr.fma(x, x, -1), 2 * x), g * dr.fma(x, x, 3)), 0.5, x)
-        forward = cosine * dr.square(scale)
+        forward = cosine * dr.square(dr.rcp(inverse))
         forward = dr.select(dr.abs(g) < TINY, -x, forward)
         # 1 + g^2 - 2 g cos is the square of (1 - g^2) / (1 + g x).
-        pdf = (1 / (4 * math.pi)) * dr.rcp(dr.square(1 - square) * scale * dr.square(scale))
+        pdf = (1 / (4 * math.pi)) * dr.rcp(dr.square(1 - square)) * (inverse * dr.square(inverse))
         return around(mi, -forward, sample2.y), Color3f(1), pdf
 
     def eval_pdf(
@@ -78,7 +78,8 @@ class HGPhaseFunction(PhaseFunction):
     ) -> tuple[Color3f, Float]:
         square = dr.square(self.g)
         base = dr.fma(2 * self.g, dr.dot(wo, mi.wi), 1 + square)
-        pdf = (1 / (4 * math.pi)) * (1 - square) * dr.rcp(base * dr.sqrt(base))
+        root = dr.rsqrt(base)
+        pdf = (1 / (4 * math.pi)) * (1 - square) * (root * dr.square(root))
         return Color3f(pdf), pdf
 
 

@@ -13,6 +13,7 @@ __all__ = ["choose"]
 
 SCHEDULES = {
     "machine": "Machine",
+    "media_machine": "MediaMachine",
     "flat": "Flat",
     "progressive": "Progressive",
     "splatting": "Splatting",
@@ -32,17 +33,14 @@ def choose(name: str, job: Job) -> Schedule:
     Raises:
         RenderError: There is none of that name, or it can't run the job's integrator on the job's scene.
     """
-    if name not in NAMES:
+    if not isinstance(name, str) or name not in NAMES:
         raise RenderError(f"unknown schedule '{name}'{near_miss(str(name), NAMES)}")
     if not job.sampler.has_streams:
         require_lanes(name, job)
         return schedule("wavefront")
     possible, has_tree = job.integrator.schedules, job.scene.geometry.triangles is not None
-    if name == "machine" and name not in possible and "flat" in possible:
-        raise RenderError(
-            f"the integrator '{type(job.integrator).__name__}' goes through media by loops of its own, "
-            "which the schedule 'machine' can't interrupt: use schedule='flat'"
-        )
+    if name == "machine" and "media_machine" in possible:
+        return schedule("media_machine")
     if name in ("flat", "machine") and name not in possible:
         raise RenderError(
             f"the integrator '{type(job.integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"
@@ -51,9 +49,17 @@ def choose(name: str, job: Job) -> Schedule:
         raise RenderError("the schedule 'machine' walks a BVH, and the scene has no meshes: use schedule='flat'")
     if name in possible:
         return schedule(name)
-    # A search that is one call leaves no lane waiting for another: lanes needn't be state machines.
-    stepwise = job.scene.geometry.stepwise
-    return schedule(next(n for n in SCHEDULES if n in possible and (stepwise or n != "machine")))
+    return schedule(next(n for n in SCHEDULES if n in possible and pays(n, job)))
+
+
+def pays(name: str, job: Job) -> bool:
+    """Whether a schedule that can run a job is worth while: state machines are if lanes would wait for each other.
+
+    A search that is one call leaves no lane waiting for another, nor does a flight with a closed form.
+    """
+    if name == "machine":
+        return job.scene.geometry.stepwise
+    return name != "media_machine" or any(medium.is_tracked for medium in job.scene.media.plugins)
 
 
 def require_lanes(name: str, job: Job) -> None:

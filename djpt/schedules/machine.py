@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from djpt.gradients.leaves import Numbering
     from djpt.gradients.modes import Mode
 
-__all__ = ["Machine"]
+__all__ = ["Machine", "aligned_frame", "store"]
 
 
 class Machine(Schedule):

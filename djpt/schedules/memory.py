@@ -56,7 +56,7 @@ def needed_memory(job: Job, attached: bool = False, in_bands: bool = False) -> i
     most, numbers = WORKING
     images = 0 if in_bands else 1 + IMAGES_OF_DERIVATIVES * attached
     # Plain AD holds the samples, and what they were computed from.
-    samples = SAMPLE_OF_PLAIN_AD * job.samples if attached and not job.integrator.stepwise else 0
+    samples = SAMPLE_OF_PLAIN_AD * job.samples if attached and not job.integrator.replays else 0
     # A band has at least one row.
     return 4 * channels * (images * pixels + samples + numbers * max(width, min(pixels, most))) + RESERVE
 

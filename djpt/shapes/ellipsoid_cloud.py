@@ -28,6 +28,7 @@ WIDTH = 10
 PARTS = {"ellipsoid": (0, WIDTH), "center": (0, 3), "scale": (3, 3), "quaternion": (6, 4)}
 """Attributes that are parts of these numbers: the first one, and how many."""
 SOURCES = ("filename", "data", "centers")
+FULL = "scales must be positive, and quaternions not 0"
 LEAST_RESPONSE = 0.01
 """The share of its opacity at which a Gaussian's support ends, with `extent_adaptive_clamping`."""
 
@@ -67,7 +68,8 @@ class Cloud(Shape):
             setattr(self, name, own_floats(table.astype(np.float32).ravel()))
         if self.extent_adaptive_clamping and "opacities" not in self.channels:
             raise props.error("extent_adaptive_clamping", "needs the attribute 'opacities'")
-        self._check()
+        if not self._have_volume():
+            raise props.error(given[0], f"gives flat ellipsoids: {FULL}")
 
     def _from_file(self, props: Properties) -> tuple[NDArray[np.float64], dict[str, Table]]:
         path: Path = MeshFile.find(props)
@@ -97,14 +99,16 @@ class Cloud(Shape):
             size = dr.width(values)
             if size != width * self.count:
                 raise ParameterError(f"{self.id()}.{name}: must be {width * self.count} numbers, found {size}")
-        axes = self._half_axes()
-        if not (np.abs(np.linalg.det(axes)) > 0).all():
-            raise ParameterError(f"{self.id()}.data: scales must be positive, and quaternions not 0")
+        if not self._have_volume():
+            raise ParameterError(f"{self.id()}.data: {FULL}")
 
     # ---- on the host -----------------------------------------------------------------
 
     def _table(self) -> NDArray[np.float64]:
         return np.array(dr.detach(self.numbers), np.float64).reshape(-1, WIDTH)
+
+    def _have_volume(self) -> bool:
+        return bool((np.abs(np.linalg.det(self._half_axes())) > 0).all())
 
     def _half_axes(self) -> NDArray[np.float64]:
         """The maps from the unit ball to the ellipsoids about the origin, (N, 3, 3)."""

@@ -48,7 +48,9 @@ class BlackBody(TabulatedSpectrum):
         wavelengths = np.linspace(*self._limits, STEPS)
         metres = wavelengths * 1e-9
         # A factor exp(-x) above and below, so that low temperatures don't overflow.
-        x = PLANCK * SPEED_OF_LIGHT / (BOLTZMANN * self.temperature) / metres
+        # The temperature comes last: its product with the constant of Boltzmann may vanish.
+        with np.errstate(over="ignore"):
+            x = PLANCK * SPEED_OF_LIGHT / BOLTZMANN / metres / self.temperature
         power = 2e-9 * PLANCK * SPEED_OF_LIGHT**2 / metres**5 * np.exp(-x) / -np.expm1(-x)
         return pairs_of(wavelengths, power)
 

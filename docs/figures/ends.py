@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import djpt
-from djpt.images.sheets import captioned_rows
+from djpt.images.sheets import Tile, captioned_rows, captioned_sheet, shown
 from djpt.validation.ladder.pyramid import pyramid
 from places import IMAGES
 
-__all__ = ["strategies"]
+__all__ = ["fog_caustic", "strategies"]
 
 
 def strategies() -> None:
@@ -16,3 +18,22 @@ def strategies() -> None:
     half = len(rows) // 2
     for name, part in (("strategies", rows[:half]), ("strategies_alone", rows[half:])):
         djpt.write(IMAGES / f"{name}.png", captioned_rows(part))
+
+
+def fog_caustic() -> None:
+    """The box with the glass ball, in fog: what `volpath` and `bdpt` find in about the same time."""
+    scene = djpt.load_dict(foggy_ball())
+    tiles = []
+    for kind, spp in (("volpath", 1400), ("bdpt", 256)):
+        integrator = djpt.load_dict({"type": kind, "max_depth": 8})
+        tiles.append(Tile(kind, f"{spp} samples", shown(djpt.render(scene, integrator=integrator, spp=spp))))
+    djpt.write(IMAGES / "fog_caustic.png", captioned_sheet(tiles))
+
+
+def foggy_ball() -> dict[str, Any]:
+    """The box with a small lamp and a glass ball, full of fog that scatters forward; the ball itself is clear."""
+    scene = djpt.scenes.glass_ball()
+    scene["sensor"]["film"].update(width=220, height=220)
+    fog = {"type": "homogeneous", "sigma_t": 0.4, "albedo": 0.95, "phase": {"type": "hg", "g": 0.5}, "id": "fog"}
+    scene["sensor"]["medium"] = scene["ball"]["exterior"] = {"type": "ref", "id": "fog"}
+    return {"fog": fog, **scene}

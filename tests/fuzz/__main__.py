@@ -6,12 +6,12 @@ import argparse
 import random
 import sys
 import time
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from tests.fuzz.families import FAMILIES, WEIGHTS
 from tests.fuzz.pool import Pool
-from tests.fuzz.rounds import attack
+from tests.fuzz.rounds import Tally, attack
 
 ROUND = 50
 """Cases of one round, all of one family."""
@@ -25,7 +25,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="equal seeds give equal cases (default: 0)")
     parser.add_argument("--family", choices=list(FAMILIES), action="append", help="only these (default: all)")
     parser.add_argument("--out", type=Path, default=Path("build/fuzz"), help="for findings (default: build/fuzz)")
-    parser.add_argument("--seconds", type=float, default=20, help="a case that takes longer hangs (default: 20)")
+    parser.add_argument("--seconds", type=float, default=20, help="of processor time, then a case hangs (default: 20)")
     parser.add_argument("--memory", type=float, default=6, help="GiB that a process can address (default: 6)")
     chosen = parser.parse_args()
     most = chosen.cases or (1000 if chosen.minutes is None else sys.maxsize)
@@ -34,23 +34,34 @@ def main() -> int:
     weights = [WEIGHTS[family] for family in families]
     rng = random.Random(chosen.seed)
     known: set[tuple[str, ...]] = set()
-    ran: Counter[str] = Counter()
-    with Pool(chosen.seconds, int(chosen.memory * 2**30)) as pool:
-        while sum(ran.values()) < most and time.monotonic() < end:
+    tally: Tally = Tally()
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    with Pool(chosen.seconds, memory=int(chosen.memory * 2**30)) as pool:
+        while tally.total() < most and time.monotonic() < end:
             family, seed = rng.choices(families, weights)[0], rng.randrange(2**32)
-            before = pool.counts.total()
-            finding = attack(pool, family, seed, min(ROUND, most - sum(ran.values())), known)
-            ran[family] += max(1, pool.counts.total() - before)
+            finding = attack(pool, family, seed, min(ROUND, most - tally.total()), known, tally)
             if finding is not None:
                 folder = chosen.out / f"{len(known):03}-{family}-{finding.verdict.outcome.replace(' ', '-')}"
                 finding.case.save(folder)
                 (folder / "finding.txt").write_text(str(finding), encoding="utf-8", errors="backslashreplace")
                 print(f"{folder}: {finding}\n", flush=True)
             elif sys.stderr.isatty():
-                print(f"\r{sum(ran.values())} cases, {len(known)} findings", end="", file=sys.stderr, flush=True)
-        print(f"{sum(ran.values())} cases ({', '.join(f'{n} {name}' for name, n in sorted(ran.items()))})")
-        print(f"{', '.join(f'{n} {name}' for name, n in sorted(pool.counts.items()))}; {len(known)} kinds of findings")
+                print(f"\r{tally.total()} cases, {len(known)} findings", end="", file=sys.stderr, flush=True)
+            (chosen.out / "counts.txt").write_text("\n".join(rows(tally)) + "\n", encoding="utf-8")
+    print(*rows(tally), f"{len(known)} kinds of findings", sep="\n")
     return 1 if known else 0
+
+
+def rows(tally: Tally) -> Iterator[str]:
+    """The numbers of cases: one line for each family, and the sums."""
+    for family in FAMILIES:
+        counts = {outcome: n for (name, outcome), n in sorted(tally.items()) if name == family}
+        if counts:
+            yield f"{family}: {sum(counts.values())} cases: {', '.join(f'{n} {name}' for name, n in counts.items())}"
+    outcomes = Tally()
+    for (_, outcome), n in tally.items():
+        outcomes["", outcome] += n
+    yield f"all: {tally.total()} cases: {', '.join(f'{n} {name}' for (_, name), n in sorted(outcomes.items()))}"
 
 
 if __name__ == "__main__":

@@ -22,6 +22,9 @@ WORDS = (
 )  # fmt: skip
 """Words to put in the place of words of texts."""
 
+MOST_BYTES = 1 << 22
+"""What repeated lines may take: a few accidents in a row would make gigabytes of a picture, which is one line."""
+
 Damage = Callable[[bytes, int, int], bytes]
 
 
@@ -66,7 +69,8 @@ def line(data: bytes, at: int, n: int) -> bytes:
     if not lines:
         return data
     i = at % len(lines)
-    return b"".join(lines[:i] + lines[i : i + 1] * (n % 3 * 100) + lines[i + 1 :])
+    copies = min(n % 3 * 100, MOST_BYTES // len(lines[i]))
+    return b"".join(lines[:i] + lines[i : i + 1] * copies + lines[i + 1 :])
 
 
 def dusty(data: bytes, at: int, n: int) -> bytes:

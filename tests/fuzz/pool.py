@@ -9,8 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
-from collections import Counter
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -27,15 +25,14 @@ class Pool:
     """One worker process; cases are run one after the other.
 
     Args:
-        seconds: a case that takes longer hangs. The first one of a process has 30 more, to import djpt.
+        seconds: a case that takes more processor time hangs.
+        wall: a case that takes so many seconds hangs, too: it waits for something. Many, since a busy machine is slow.
         memory: the bytes that the process can address.
         cases: after so many a fresh process goes on.
     """
 
-    def __init__(self, seconds: float = 20, memory: int = 6 << 30, cases: int = 2000) -> None:
-        self.seconds, self.memory, self.cases = seconds, memory, cases
-        self.counts: Counter[str] = Counter()
-        """How many cases had which outcome."""
+    def __init__(self, seconds: float = 20, wall: float = 300, memory: int = 6 << 30, cases: int = 2000) -> None:
+        self.seconds, self.wall, self.memory, self.cases = seconds, wall, memory, cases
         self._process: subprocess.Popen[bytes] | None = None
         self._ran = 0
         self._folder = tempfile.TemporaryDirectory(prefix="djpt-fuzz-")
@@ -53,29 +50,32 @@ class Pool:
             self.stop()
             self._start()
         assert self._process is not None and self._process.stdin is not None and self._process.stdout is not None
-        patience = self.seconds + (30 if self._ran == 0 else 0)
         self._ran += 1
         try:
             pickle.dump(case, self._process.stdin)
             self._process.stdin.flush()
-            verdict = Verdict(*receive(self._process.stdout, patience))
+            verdict = Verdict(*receive(self._process.stdout, self.wall))
         except TimeoutError:
-            verdict = Verdict("hung", text=f"{patience:g} seconds")
+            verdict = Verdict("hung", "by the clock", text=f"{self.wall:g} seconds")
             self.stop()
         except (EOFError, BrokenPipeError):
-            code = self._process.wait()
-            name = signal.Signals(-code).name if code < 0 else f"exit status {code}"
-            verdict = Verdict("died", name, text=self._log.read_text(errors="replace")[-2000:])
+            verdict = self._end(self._process.wait())
             self.stop()
-        self.counts[verdict.outcome] += 1
         return verdict
+
+    def _end(self, code: int) -> Verdict:
+        """Why the process has ended."""
+        if code == -signal.SIGXCPU:
+            return Verdict("hung", text=f"{self.seconds:g} seconds of processor time")
+        name = signal.Signals(-code).name if code < 0 else f"exit status {code}"
+        return Verdict("died", name, text=self._log.read_text(errors="replace")[-2000:])
 
     def _start(self) -> None:
         self._log = Path(self._folder.name) / "log.txt"
         environment = {**os.environ, "DRJIT_CACHE_DIR": self._folder.name, "PYTHONPATH": str(ROOT)}
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "tests.fuzz.worker", str(self.memory)],
+                [sys.executable, "-m", "tests.fuzz.worker", str(self.memory), str(self.seconds)],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment, cwd=ROOT,
             )  # fmt: skip
         self._ran = 0
@@ -90,8 +90,7 @@ class Pool:
 
 def receive(stream: IO[bytes], seconds: float) -> Any:
     """The next pickled object; raises `TimeoutError` or `EOFError`."""
-    end = time.monotonic() + seconds
-    ready, _, _ = select.select([stream], [], [], max(0.0, end - time.monotonic()))
+    ready, _, _ = select.select([stream], [], [], seconds)
     if not ready:
         raise TimeoutError
     try:

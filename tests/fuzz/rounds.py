@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from dataclasses import dataclass
 
 import hypothesis
@@ -14,7 +15,10 @@ from tests.fuzz.families import FAMILIES
 from tests.fuzz.pool import Pool
 from tests.fuzz.worker import Verdict
 
-__all__ = ["Finding", "attack"]
+__all__ = ["Finding", "Tally", "attack"]
+
+Tally = Counter[tuple[str, str]]
+"""Numbers of cases by family and outcome."""
 
 
 @dataclass
@@ -34,11 +38,11 @@ class Found(Exception):
 
 
 def attack(
-    pool: Pool, family: str, seed: int, cases: int, known: set[tuple[str, ...]], shrink: bool = True
+    pool: Pool, family: str, seed: int, cases: int, known: set[tuple[str, ...]], tally: Tally | None = None
 ) -> Finding | None:
     """Run cases of a family until one shows a mistake that isn't `known`; then make this one smaller.
 
-    Equal seeds give equal cases. What is found is added to `known`.
+    Equal seeds give equal cases. What is found is added to `known`, and to `tally` all that was run until then.
     """
     latest: list[Finding] = []
 
@@ -47,7 +51,7 @@ def attack(
         max_examples=cases,
         database=None,
         deadline=None,
-        phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
+        phases=(Phase.generate, Phase.shrink),
         suppress_health_check=list(HealthCheck),
         report_multiple_bugs=False,
         print_blob=False,
@@ -55,6 +59,8 @@ def attack(
     @hypothesis.given(FAMILIES[family])
     def check(case: Case) -> None:
         verdict = pool.run(case)
+        if tally is not None and not latest:
+            tally[family, verdict.outcome] += 1
         if not verdict.is_finding or verdict.signature in known:
             return
         if latest and latest[0].verdict.signature != verdict.signature:

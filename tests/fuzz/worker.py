@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import resource
@@ -10,6 +11,7 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,6 +25,9 @@ GOOD = ("fine", "refused")
 
 MOST_GROWTH = 2 << 30
 """Bytes that the process may grow by in one case."""
+
+MOST_WRITTEN = 1 << 28
+"""The bytes of the largest file that a program can write."""
 
 
 @dataclass
@@ -50,13 +55,15 @@ class Verdict:
         return self.outcome, self.error, self.place
 
 
-def main(memory: int) -> None:
-    """Answer cases from the standard input, pickled, with verdicts at the standard output, until the input ends."""
+def main(memory: int, seconds: float) -> None:
+    """Answer cases from the standard input, pickled, with verdicts at the standard output, until the input ends.
+
+    A case that takes more than `seconds` of processor time, in all threads, ends the process by SIGXCPU.
+    """
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a case prints
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 28, 1 << 28))
     warnings.simplefilter("ignore")
     sys.setrecursionlimit(1000)
     import djpt  # noqa: F401 isort: skip
@@ -69,10 +76,29 @@ def main(memory: int) -> None:
             case: Case = pickle.load(sys.stdin.buffer)
             with tempfile.TemporaryDirectory(prefix="djpt-fuzz-") as folder:
                 os.chdir(folder)
+                limit_time(seconds)
                 try:
                     answer(answers, tried(case))
                 finally:
                     os.chdir(home)
+
+
+def limit_time(seconds: float) -> None:
+    """Let the process use so much more processor time: the clock of a busy machine says nothing about a case."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(used.ru_utime + used.ru_stime + seconds), hard))
+
+
+@contextlib.contextmanager
+def small_files() -> Iterator[None]:
+    """Bound what is written to a file within a ``with`` block. Files of cases and answers aren't bounded."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_WRITTEN, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def answer(answers: BinaryIO, verdict: Verdict) -> None:
@@ -89,7 +115,8 @@ def tried(case: Case) -> Verdict:
         Path(name).write_bytes(content)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     try:
-        found = run(case)
+        with small_files():
+            found = run(case)
     except djpt.DjptError as error:
         text = str(error)
         named = not is_loading(error) or any(name in text for name in case.names)
@@ -126,4 +153,4 @@ def place_of(error: BaseException) -> str:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), float(sys.argv[2]))

@@ -126,12 +126,18 @@ def test_a_filled_mesh_is_the_mesh_of_its_arrays() -> None:
 
 def test_meshes_of_nothing() -> None:
     assert djpt.Mesh("none", 0, 0).face_count() == djpt.Mesh(djpt.Properties()).vertex_count() == 0
-    with pytest.raises(SceneError, match="none: the counts can't be negative"):
-        djpt.Mesh("none", -1, 0)
     mesh = filled(djpt, normals=False, texcoords=False)
     for call in (mesh.vertex_normal, mesh.vertex_texcoord):
         with pytest.raises(ParameterError, match="the mesh has no"):
             call(0)
+
+
+@pytest.mark.parametrize("wrong", [-1, 2**32, 2**70, float("nan"), 1.0, "3", None, True], ids=str)
+def test_counts_that_are_none(wrong: Any) -> None:
+    with pytest.raises(SceneError, match=r"^none: 'face_count' must"):
+        djpt.Mesh("none", 0, wrong)
+    with pytest.raises(SceneError, match=r"^none: 'vertex_count' must"):
+        djpt.Mesh("none", vertex_count=wrong, face_count=0)
 
 
 def test_two_meshes_become_one(tmp_path: Path) -> None:

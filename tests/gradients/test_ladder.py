@@ -92,7 +92,7 @@ def test_a_users_path_tracer_agrees_with_path_replay() -> None:
         assert ours[name] == pytest.approx(theirs[name], rel=1e-3)
 
 
-@pytest.mark.parametrize("integrator", ["whitted", "distributed", "ptracer", "path"])
+@pytest.mark.parametrize("integrator", ["whitted", "distributed", "path"])
 def test_what_has_no_derivative_says_so(integrator: str) -> None:
     scene = djpt.load_dict(box(8))
     params = djpt.traverse(scene)

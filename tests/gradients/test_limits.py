@@ -14,7 +14,7 @@ import pytest
 import djpt
 from djpt.description import registry
 from tests.kit import emitters, materials
-from tests.kit.limits import Limits
+from tests.kit.limits import STEPS, ZEROS, Limits
 from tests.kit.lit_floor import floor_scene
 from tests.kit.material_ball import ball
 from tests.kit.materials import bitmap, checks, rgb, texels
@@ -31,37 +31,30 @@ WITHOUT = {
     "isotropic": "has no parameters",
     "rayleigh": "has no parameters",
     "directionalarea": "paths never meet it: only light tracing sees it, which has no derivatives",
-    "heterogeneous": "has no derivatives: its extinction is sampled",
     "blackbody": "has no derivatives",
     "regular": "has no derivatives",
     "irregular": "has no derivatives",
-    "mesh_attribute": "its values are those of a mesh",
     "measured": "has no derivatives",
-    "timed_sunsky": "a sunsky for each of its times",
-    "glass": "has no derivatives",
-    "sggx": "an ellipsoid of facets whose numbers are all the same is singular",
 }
 """Plugins that aren't taken to the ends of ranges, and why."""
 
 EXCLUDED = {
-    "alpha": "the smallest roughness of a material is more than 0: the derivative below it is 0",
-    "roughness": "as alpha",
-    "alpha.data": "as alpha",
-    "specular": "light is refracted by ever thinner lobes as the interface vanishes, and noise grows beyond all bounds",
-    "k.value": "at the critical angle of a metal without absorption the slope is infinite",
-    "sun_direction": "isn't a number",
-    "scale_tilt": "isn't in a range from 0",
-    "delta.value": "an angle",
-    "theta.value": "an angle",
-    "cutoff_angle": "an angle, whose effect at 0 has no slope",
-    "beam_width": "an angle",
-    "nested_texture.data": "a map of one height or one normal has no slope in the direction of all its texels",
-    "normalmap.data": "as the map of heights",
-    "values": "all values of a table at once don't change its shape",
+    ("principled", "specular"): "the slope is infinite where light is refracted: see `test_vanishing_interfaces`",
+    ("sggx", "S.data"): "a matrix of six equal numbers is singular",
 }
-"""The ends of the keys of parameters that aren't tested, and why."""
+"""The ends of the keys of parameters of plugins that aren't tested, and why."""
 
-COLOURED = {"dielectric": "dielectric-tinted", "thindielectric": "thindielectric-tinted"}
+SMOOTHEST, CRITICAL = (1e-5,), (0.005, 1e-4)
+STEPS_OF = {
+    # Rougher than the smoothest surface that counts nothing is flat: below, all are the same.
+    "alpha": SMOOTHEST, "alpha.value": SMOOTHEST, "alpha.data": SMOOTHEST, "roughness": SMOOTHEST,
+    "roughness.value": SMOOTHEST,
+    # Near the critical angle of a metal whose eta is less than 1 reflection stops being total like sqrt(k).
+    "k.value": CRITICAL,
+}  # fmt: skip
+"""Steps from 0 for parameters whose effect there changes within less than `STEPS`, by the ends of their keys."""
+
+COLOURED = {"dielectric": "dielectric-tinted", "thindielectric": "thindielectric-tinted", "glass": "dielectric-tinted"}
 """Sets of parameters with colours, where the first set of a plugin has none."""
 
 Scene = Callable[[], tuple[dict[str, Any], str]]
@@ -84,6 +77,14 @@ TEXTURES: dict[str, Callable[[], Any]] = {
 }
 
 
+def painted() -> djpt.Mesh:
+    """A triangle with a colour for each corner."""
+    texture = {"type": "mesh_attribute", "name": "vertex_color"}
+    colours = {"vertex_color": [[0.2, 0.5, 0.9], [0.7, 0.4, 0.1], [1.0, 0.8, 0.6]]}
+    bsdf = {"type": "diffuse", "reflectance": texture}
+    return djpt.Mesh("ball", [[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]], None, None, {"bsdf": bsdf}, colours)
+
+
 def in_fog(medium: dict[str, Any]) -> tuple[dict[str, Any], str]:
     """A medium in a ball under the sky and a lamp."""
     lamp = {"type": "sphere", "center": [-2, 3, 2.5], "radius": 0.5, "emitter": {"type": "area", "radiance": 8.0}}
@@ -94,17 +95,22 @@ def scene_of(kind: str, plugin: str) -> tuple[dict[str, Any], str]:
     """A scene with the plugin, and what the keys of its parameters begin with."""
     if kind == "bsdf":
         name = COLOURED.get(plugin) or next(name for name in materials.NAMES if materials.plugin_of(name) == plugin)
-        return ball(materials.bsdf(name), size=8), "ball.bsdf"
+        return ball(materials.bsdf(name) | {"type": plugin}, size=8), "ball.bsdf"
     if kind == "emitter":
-        entry = emitters.entry(next(name for name in emitters.NAMES if emitters.plugin_of(name) == plugin))
+        known = (emitters.entry(name) for name in emitters.NAMES if emitters.plugin_of(name) == plugin)
+        entry = next(known, {"type": plugin})
         integrator = {"type": "path", "max_depth": 4}
         prefix = "light.emitter" if "emitter" in entry else "light"
         return floor_scene({"light": entry}, size=8, integrator=integrator), prefix
+    if plugin == "mesh_attribute":
+        return ball({}, size=8) | {"ball": painted()}, "ball.bsdf"
     if kind == "texture":
         return ball({"type": "diffuse", "reflectance": TEXTURES[plugin]()}, size=8), "ball.bsdf"
     if kind == "phase":
         name = next(name for name in PHASES if PHASES[name]["type"] == plugin)
         return in_fog(fog(1.0, 0.8, phase=described(name)))
+    if plugin == "heterogeneous":
+        return in_fog({"type": plugin, "sigma_t": grid(), "albedo": rgb(0.5, 0.7, 0.9), "scale": 2.0})
     albedo = {"constvolume": 0.7, "gridvolume": grid(), "homogeneous": rgb(0.5, 0.7, 0.9)}[plugin]
     return in_fog(fog(rgb(0.5, 1.0, 2.0) if kind == "medium" else 1.0, albedo))
 
@@ -119,9 +125,12 @@ CASES = [
 
 @pytest.mark.parametrize(("kind", "plugin"), CASES)
 def test_ends_of_ranges(kind: str, plugin: str) -> None:
-    limits = Limits(*scene_of(kind, plugin))
-    keys = [key for key in limits.keys if not key.endswith(tuple(EXCLUDED))]
-    verdicts = [verdict for key in keys for verdict in limits.verdicts(key)]
+    limits = Limits(*scene_of(kind, plugin), spp=4096 if plugin == "heterogeneous" else 512)
+    verdicts = []
+    for key in limits.keys:
+        if not any(key.endswith(end) for name, end in EXCLUDED if name == plugin):
+            steps = next((steps for end, steps in STEPS_OF.items() if key.endswith(f".{end}")), STEPS)
+            verdicts += limits.verdicts(key, steps=steps)
     print(plugin, *(text for _, text in verdicts), sep="\n  ")
     assert verdicts
     assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
@@ -135,7 +144,37 @@ def test_wrong_derivatives_fail() -> None:
 
 
 def test_excluded_plugins_exist() -> None:
-    assert set(WITHOUT) <= {name for kind in KINDS for name in registry.registered(kind)}
+    assert set(WITHOUT) | {name for name, _ in EXCLUDED} <= {
+        name for kind in KINDS for name in registry.registered(kind)
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("roughness", [0.5, 1.0])
+def test_vanishing_interfaces(roughness: float) -> None:
+    """Without refraction the slope by `specular` is finite at 0.
+
+    Of the reflectance it is at most 0.08 / cos^4, since eta - 1 is about sqrt(0.32 specular). So directions along a
+    surface count most, and where their reflectance nears 1 the slope falls: differences come close to it like the
+    fourth root of the step. Rough surfaces have fewer such directions.
+    """
+    limits = Limits(ball({"type": "principled", "roughness": roughness}, size=8), "ball.bsdf.specular", spp=2048)
+    (key,) = limits.keys
+    verdicts = limits.verdicts(key, steps=(1e-4, 1e-5, 1e-6))
+    assert all(good for good, _ in verdicts), "\n".join(text for good, text in verdicts if not good)
+    assert not any(good for good, _ in limits.verdicts(key, scale=2.0, steps=(1e-4, 1e-5)))
+
+
+@pytest.mark.slow
+def test_refraction_at_vanishing_interfaces() -> None:
+    """Below a `specular` of 0.001 derivatives of refracted light are those at 0.001."""
+    material = {"type": "principled", "spec_trans": 0.6, "roughness": 0.5}
+    limits = Limits(ball(material, size=8), "ball.bsdf.specular")
+    (key,) = limits.keys
+    expected, error = limits.reverse(key, 1e-3)
+    assert np.isfinite(expected) and error > 0
+    for at in (*ZEROS, 1e-4):
+        assert limits.reverse(key, at)[0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_lights_that_are_black() -> None:

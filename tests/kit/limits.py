@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -10,13 +11,13 @@ import numpy as np
 import djpt
 from djpt.errors import DjptError
 
-__all__ = ["ZEROS", "Limits"]
+__all__ = ["STEPS", "ZEROS", "Limits"]
 
 ZEROS = (0.0, 1e-30, 1e-10, 1e-6)
 """The values at which derivatives must be those at 0."""
 
 STEPS = (0.04, 0.005)
-"""The second one is tried where the slope changes fast."""
+"""Steps of differences: the next one is tried where the slope changes fast."""
 SEEDS = 4
 
 
@@ -82,14 +83,14 @@ class Limits:
             dr.disable_grad(self.params[key])
         return estimate(np.array(found))
 
-    def verdicts(self, key: str, scale: float = 1.0) -> list[tuple[bool, str]]:
+    def verdicts(self, key: str, scale: float = 1.0, steps: Sequence[float] = STEPS) -> list[tuple[bool, str]]:
         """For each end of the range whether the derivatives agree; those by AD are multiplied by `scale`."""
         result = []
         for ends, inward in ((ZEROS, 1), ((1.0,), -1)):
             if not self.accepts(key, ends[0]) or (inward < 0 and self.accepts(key, 1.01)):
                 continue
             derivatives = [self.reverse(key, at) for at in ends]
-            for step in STEPS:
+            for step in steps if inward > 0 else STEPS:
                 slope = self.difference(key, ends[0], inward * step)
                 found = [
                     agree(f"{key} at {at:g}", scale * d, noise, *slope)

@@ -228,3 +228,13 @@ def test_colours_of_the_sky() -> None:
     above, about = radiance(emitter, [-0.3, 0, 1], [1, 0, 0.2]).T
     assert above[2] > 1.5 * above[0] and about[0] > about[2] and about.sum() > 5 * above.sum()
     assert isinstance(emitter.dome.A, Color3f)
+
+
+@pytest.mark.parametrize("plugin", ["sunsky", "timed_sunsky"])
+@pytest.mark.parametrize("key", ["timezone", "longitude"])
+def test_times_and_places_have_bounds(plugin: str, key: str) -> None:
+    with pytest.raises(djpt.SceneError, match=rf"^{plugin}: '{key}' must lie in \[-1e\+06, 1e\+06\]"):
+        djpt.load_dict({"type": plugin, key: 3.4e38})
+    params = djpt.traverse(djpt.load_dict({"type": plugin}))
+    with pytest.raises(djpt.ParameterError, match=f"{key}: must lie in"):
+        params[key] = -1e10

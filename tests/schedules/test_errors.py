@@ -120,7 +120,7 @@ def test_a_bsdf_is_no_integrator(scene: Any) -> None:
         djpt.render(scene, integrator=djpt.load_dict({"type": "diffuse"}), spp=1)
 
 
-@pytest.mark.parametrize("schedule", ["flatt", "", "machines", 3, None], ids=repr)
+@pytest.mark.parametrize("schedule", ["flatt", "", "machines", 3, None, djpt.Float(1), np.array(["flat"] * 2)], ids=str)
 def test_unknown_schedule(scene: Any, schedule: Any) -> None:
     with pytest.raises(RenderError, match="unknown schedule"):
         djpt.render(scene, spp=1, schedule=schedule)

@@ -149,6 +149,12 @@ def test_black_bodies_are_plancks(kelvin: float) -> None:
     np.testing.assert_allclose(answers(djpt, ours.radiance, ("eval",))[0], np.array(theirs).ravel(), rtol=1e-5)
 
 
+@pytest.mark.parametrize("kelvin", [5e-324, 1e-300, 1e-30, 1.0])
+def test_cold_bodies_are_black(kelvin: float) -> None:
+    body = djpt.load_dict({"type": "blackbody", "temperature": kelvin})
+    assert not np.array(body.eval(None)).any()
+
+
 def test_edits_change_the_colour() -> None:
     lamp = {"type": "constant", "radiance": {"type": "blackbody", "temperature": 3000.0}}
     light, hotter = djpt.load_dict(lamp), djpt.load_dict({**lamp, "radiance": {**lamp["radiance"], "temperature": 6e3}})

@@ -20,6 +20,7 @@ from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.emitters.sky.disc import WAVELENGTHS, SunDisc
 from djpt.emitters.sky.instant import LUMINANCE, Instant
+from djpt.emitters.sky.position import FARTHEST
 from djpt.errors import ParameterError
 from djpt.frame import Frame3f
 from djpt.kernels import as_float, as_vector
@@ -61,6 +62,8 @@ class Daylight(OrientedEmitter):
         **dict.fromkeys(("center", "radius", "sky_scale", "sun_scale"), HIDDEN),
     }
     children: ClassVar[tuple[str, ...]] = ("disc",)
+    times_and_places: ClassVar[tuple[str, ...]] = ()
+    """The parameters that are dates, times and angles: numbers up to `FARTHEST`."""
 
     irradiance: Any
     """On the host: the luminance of the light that a horizontal square metre gets."""
@@ -92,6 +95,8 @@ class Daylight(OrientedEmitter):
                 non_negative(value)
             elif name == "turbidity" and not 1 <= as_number(value) <= 10:
                 raise ParameterError(f"must {within(1, 10)}, found {as_number(value):g}")
+            elif name in self.times_and_places and not abs(as_number(value)) <= FARTHEST:
+                raise ParameterError(f"must {within(-FARTHEST, FARTHEST)}, found {as_number(value):g}")
         return super().check_parameter(name, value)
 
     # ---- on the host -------------------------------------------------------------------

@@ -10,7 +10,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TimeAndPlace", "sun_direction"]
+__all__ = ["FARTHEST", "TimeAndPlace", "sun_direction"]
+
+FARTHEST = 1_000_000
+"""The largest number of a date, a time or an angle: of larger ones trigonometry and calendars are noise."""
 
 EPOCH = 2451545.0
 """The Julian date of noon, universal time, on 1 January 2000."""

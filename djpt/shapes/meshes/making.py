@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import describe
+from djpt.description.numeric import as_integer, describe
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.shapes.meshes.data import MeshData
@@ -57,12 +57,25 @@ def of_zeros(
 ) -> tuple[MeshData, Properties, Any]:
     """The data of a mesh of zeros, its properties, and `props` as given."""
     own = properties(name, props)
-    if min(vertex_count, face_count) < 0:
-        raise SceneError(f"{own.node}: the counts can't be negative, found {vertex_count} and {face_count}")
-    data = MeshData(np.zeros((vertex_count, 3), np.float32), np.zeros((face_count, 3), np.uint32))
-    data.normals = np.zeros((vertex_count, 3), np.float32) if has_vertex_normals else None
-    data.texcoords = np.zeros((vertex_count, 2), np.float32) if has_vertex_texcoords else None
+    vertices, faces = count(own.node, "vertex_count", vertex_count), count(own.node, "face_count", face_count)
+    try:
+        data = MeshData(np.zeros((vertices, 3), np.float32), np.zeros((faces, 3), np.uint32))
+        data.normals = np.zeros((vertices, 3), np.float32) if has_vertex_normals else None
+        data.texcoords = np.zeros((vertices, 2), np.float32) if has_vertex_texcoords else None
+    except MemoryError:
+        raise SceneError(f"{own.node}: not enough memory for {vertices} vertices and {faces} faces") from None
     return data, own, props
+
+
+def count(node: str, name: str, value: Any) -> int:
+    """A number of vertices or faces; raise `SceneError` unless indices of 32 bits can count them."""
+    try:
+        found = as_integer(value)
+    except SceneError as error:
+        raise SceneError(f"{node}: '{name}' {error}") from None
+    if not 0 <= found < 2**32:
+        raise SceneError(f"{node}: '{name}' must lie in [0, 2^32), found {describe(value)}")
+    return found
 
 
 def properties(name: str, props: Properties | Mapping[str, Any] | None) -> Properties:

@@ -1,0 +1,140 @@
+"""The pixels that light at a place of the film goes to, and the way back: what is read from all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+
+from djpt.films.base import Film
+from djpt.kernels import as_float, while_loop
+from djpt.rfilters.base import is_wide
+from djpt.types import Array4f, Bool, Color3f, Float, Point2f, UInt32
+
+__all__ = ["Footprint", "SpreadReader", "in_window"]
+
+STEPS = 64
+"""Places on a pixel at which filters are looked at to find the share of them that lies inside of the film."""
+
+Visit = Callable[..., tuple[Any, ...]]
+"""``visit(pixel, color, inside, *state)``: takes a pixel's part of a colour where it is `inside` of the crop window,
+and returns the new state, a tuple."""
+
+
+def in_window(position: Point2f) -> Bool:
+    """Whether a position is in the crop window, [0, 1)^2."""
+    return (position.x >= 0) & (position.x < 1) & (position.y >= 0) & (position.y < 1)
+
+
+class Footprint:
+    """The pixels of a film's crop window that receive light at a place, by its filter, whose weights sum up to 1."""
+
+    def __init__(self, film: Film) -> None:
+        self._film = film
+        width, height = film.crop_size()
+        self._size = Point2f(as_float(width), as_float(height))
+        self._columns, self._rows = dr.opaque(UInt32, width), dr.opaque(UInt32, height)
+
+    def spread(
+        self, position: Point2f, color: Color3f, first: UInt32, state: tuple[Any, ...], visit: Visit
+    ) -> tuple[Any, ...]:
+        """Visit the pixels about a position in [0, 1)^2 with their parts of a colour; they are numbered from `first`.
+
+        Returns the state after the last visit: a tuple of arrays that visits change.
+        """
+        x, y = position.x * self._size.x, position.y * self._size.y
+        column, row = UInt32(x), UInt32(y)
+        film = self._film
+        if not film.filters:
+            return visit(first + row * self._columns + column, color, Bool(True), *state)
+        if is_wide(film.taps):
+            return self._spread_widely(first, x, y, color, state, visit)
+        reach, steps = film.taps // 2, range(film.taps)
+        # Before the first column and row the numbers wrap around to large ones.
+        column, row = column - reach, row - reach
+        in_x, in_y = self._weights(x), self._weights(y)
+        color = color * dr.rcp(sum(in_x[1:], in_x[0]) * sum(in_y[1:], in_y[0]))
+        for j, wy in zip(steps, in_y, strict=True):
+            for i, wx in zip(steps, in_x, strict=True):
+                inside = (column + i < self._columns) & (row + j < self._rows)
+                pixel = first + (row + j) * self._columns + (column + i)
+                state = visit(pixel, color * (wx * wy), inside, *state)
+        return state
+
+    def _weights(self, place: Float) -> list[Float]:
+        """The filter's weights at the pixels about a column or row, the farthest before it first."""
+        weight, reach = self._film.rfilter().eval, self._film.taps // 2
+        return [weight(place - dr.floor(place) + (reach - i - 0.5)) for i in range(self._film.taps)]
+
+    def _spread_widely(
+        self, first: UInt32, x: Float, y: Float, color: Color3f, state: tuple[Any, ...], visit: Visit
+    ) -> tuple[Any, ...]:
+        """`spread` at a place in pixels by loops over the pixels in reach, too many to be unrolled."""
+        weight, taps = self._film.rfilter().eval, dr.opaque(UInt32, self._film.taps)
+        reach = taps // 2
+        column, row, edge = UInt32(x) - reach, UInt32(y) - reach, Float(reach) - 0.5
+        left, top = x - dr.floor(x) + edge, y - dr.floor(y) + edge
+        lanes = dr.width(x, y)
+
+        def along(i: UInt32, in_x: Float, in_y: Float) -> tuple[UInt32, Float, Float]:
+            return i + 1, in_x + weight(left - Float(i)), in_y + weight(top - Float(i))
+
+        start = (dr.zeros(UInt32, lanes), dr.zeros(Float, lanes), dr.zeros(Float, lanes))
+        _, in_x, in_y = while_loop(start, lambda i, in_x, in_y: i < taps, along, label="wide splat weights")
+        color = color * dr.rcp(in_x * in_y)
+
+        def step(n: UInt32, *state: Any) -> tuple[Any, ...]:
+            j = n // taps
+            i = n - j * taps
+            inside = (column + i < self._columns) & (row + j < self._rows)
+            part = color * (weight(left - Float(i)) * weight(top - Float(j)))
+            return n + 1, *visit(first + (row + j) * self._columns + (column + i), part, inside, *state)
+
+        visits = taps * taps
+        found: tuple[Any, ...] = while_loop(
+            (dr.zeros(UInt32, lanes), *state), lambda n, *_: n < visits, step, label="wide splat"
+        )
+        return found[1:]
+
+    def shares_inside(self) -> Float:
+        """The share of the filter that lies within the crop window, for each of its pixels, row by row."""
+        width, height = self._film.crop_size()
+        pixel = dr.arange(UInt32, width * height)
+        row = pixel // self._columns
+        return self._inside(pixel - row * self._columns, self._columns) * self._inside(row, self._rows)
+
+    def _inside(self, place: UInt32, count: UInt32) -> Float:
+        """The share of the filter that lies within the `count` columns or rows, for the pixel at each `place`."""
+        weights = self._weights((dr.arange(Float, STEPS) + 0.5) / STEPS)
+        total, reach = sum(weights[1:], weights[0]), self._film.taps // 2
+        shares = [dr.mean(weight / total) for weight in weights]
+        # Light from `reach - i` pixels further on; before the first one numbers wrap around to large ones.
+        return sum((dr.select(place + reach - i < count, share, 0) for i, share in enumerate(shares)), Float(0))
+
+
+class SpreadReader(Footprint):
+    """The transpose of `Footprint.spread`: what the pixels about a place hold, times their weights there.
+
+    Of the derivatives of a loss by the pixels it makes the derivative by light at the place.
+    """
+
+    _memory: Any
+    """Four numbers per pixel, the last without a meaning."""
+
+    def hold(self, pixels: Color3f) -> None:
+        """Set what the pixels of the crop window hold, row by row."""
+        self._memory = dr.ravel(Array4f(*pixels, Float(0)))
+        dr.eval(self._memory)
+
+    def at(self, position: Point2f, active: Bool) -> Color3f:
+        """The weighted sum about a position in [0, 1)^2; 0 where it isn't `active`, whatever the position."""
+
+        def read(pixel: UInt32, share: Color3f, inside: Bool, found: Color3f) -> tuple[Color3f]:
+            texel = dr.gather(Array4f, self._memory, pixel, active & inside)
+            part = share * Color3f(texel.x, texel.y, texel.z)
+            return (found + dr.select(active & inside, part, 0),)
+
+        start = dr.zeros(Color3f, dr.width(position))
+        (found,) = self.spread(position, Color3f(1), UInt32(0), (start,), read)
+        return found

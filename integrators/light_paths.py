@@ -1,0 +1,118 @@
+"""Paths that leave lights: how they begin, and the vertices that they leave for other paths to join."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.dispatch.pointers import EmitterPtr
+from djpt.frame import Frame3f
+from djpt.integrators.places import Matter, Place
+from djpt.kernels import maximum
+from djpt.records import RAY_EPSILON, EmissionSample, Ray3f, SurfaceInteraction3f
+from djpt.records.record import Record
+from djpt.samplers.base import SampleStream
+from djpt.types import Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.scene import Scene
+
+__all__ = ["Departure", "LightVertex", "departure", "vertices"]
+
+
+@dataclass
+class Departure:
+    """A ray that leaves an emitter."""
+
+    o: Point3f
+    """Where it begins, off the surface."""
+    emitter: EmitterPtr
+    inverse: Float
+    """1 / the probability of choosing the emitter."""
+    sample: EmissionSample
+
+    def ray(self, scene: Scene) -> Ray3f:
+        """The ray, in its medium."""
+        return Ray3f(self.o, self.sample.ray.d, medium=scene.medium_at(self.o))
+
+
+def departure(scene: Scene, sampler: SampleStream) -> Departure:
+    """Choose an emitter, and sample a ray that leaves it."""
+    index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, sampler.next_1d())
+    emitter = scene.emitter_ptr(index)
+    es = emitter.sample_emission(sampler.next_2d(), sampler.next_2d())
+    # Off the surface, along the ray, whichever side that is.
+    a = dr.abs(es.ray.o)
+    largest = maximum(maximum(a.x, a.y), a.z)
+    o = dr.fma(es.ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), es.ray.o)
+    return Departure(o, emitter, inverse, es)
+
+
+class LightVertex(Record):
+    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there.
+
+    What nobody reads costs nothing: LLVM leaves it out.
+    """
+
+    p: Point3f
+    n: Normal3f
+    sh_frame: Frame3f
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    prim_uv: Point2f
+    wi: Vector3f
+    face: UInt32
+    shape_index: UInt32
+    flux: Color3f
+    vcm: Float
+    vc: Float
+    depth: UInt32
+
+    @staticmethod
+    def at(place: Place, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
+        """The vertex where a light path of `depth` edges has arrived with a flux.
+
+        For `vcm` and `vc` see `djpt.integrators.both_ends.End`.
+        """
+        kept: dict[str, Any] = {name: getattr(place.si, name) for name in SURFACE}
+        kind, matter = LightVertex, place.matter
+        if matter is not None:
+            kind = VertexInMatter
+            kept.update(medium=dr.select(matter.inside, matter.medium, NOWHERE), back=matter.wi)
+        vertex: LightVertex = kind.holding(**kept, flux=flux, vcm=vcm, vc=vc, depth=depth)
+        return vertex
+
+    def place(self, scene: Scene) -> Place:
+        """The place of the vertex."""
+        kept = {name: getattr(self, name) for name in SURFACE}
+        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=(), home={scene: ()})
+        return Place(si, None)
+
+
+class VertexInMatter(LightVertex):
+    """A vertex of a light path that may be a place in a medium."""
+
+    medium: UInt32
+    """The number of the medium; `NOWHERE` on surfaces."""
+    back: Vector3f
+    """The direction back along the ray, in world space."""
+
+    def place(self, scene: Scene) -> Place:
+        plain = super().place(scene)
+        inside = self.medium != NOWHERE
+        return Place(plain.si, Matter(inside, dr.select(inside, self.medium, 0), self.back))
+
+
+NOWHERE = 0xFFFFFFFF
+"""The number of no medium."""
+
+SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
+"""The fields of a surface point that BSDFs look at."""
+
+
+def vertices(scene: Scene, size: int) -> Any:
+    """Local memory for some vertices of a light path."""
+    return dr.alloc_local(VertexInMatter if scene.media.scatter else LightVertex, size)
