@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -25,6 +25,9 @@ from djpt.rendering import check_count, check_seed, find_sensor, render
 from djpt.scene import Scene
 
 __all__ = ["Optimization", "Progressed", "optimize"]
+
+SAVED = 10
+"""Iterations from one writing of the checkpoint to the next."""
 
 OPTIMIZERS = {"adam": drjit.opt.Adam, "sgd": drjit.opt.SGD, "rmsprop": drjit.opt.RMSProp}
 
@@ -54,12 +57,12 @@ class Optimization:
 
     values: dict[str, Any]
     average: dict[str, npt.NDArray[np.float64]]
-    losses: list[float] = field(default_factory=list)
-    seconds: float = 0.0
+    losses: list[float]
+    seconds: float
 
     @property
     def iterations(self) -> int:
-        """How many there were, those of an earlier run included."""
+        """The number of steps, those of an earlier run included."""
         return len(self.losses)
 
 
@@ -119,60 +122,103 @@ def optimize(
     """
     names = [keys] if isinstance(keys, str) else list(keys)
     numbers = list(range(len(targets)) if views is None else views)
-    iterations, spp, seed = check_count("iterations", iterations), check_count("spp", spp), check_seed("seed", seed)
-    pictures = pictures_of(scene, numbers, targets)
-    judge, params = loss_of(loss), traverse(scene)
+    iterations, seed = check_count("iterations", iterations), check_seed("seed", seed)
     if optimizer not in OPTIMIZERS:
         raise RenderError(f"unknown optimizer '{optimizer}'{near_miss(optimizer, OPTIMIZERS)}")
-    chosen = {name: prior_of(prior) for name, (prior, _) in (priors or {}).items()}
+    params, rate_at = traverse(scene), rate if callable(rate) else lambda i: rate
     variables = {name: variable(params, name, bounds, keeping, (coarse or {}).get(name, 0)) for name in names}
-    rate_at = rate if callable(rate) else lambda i: rate
-    step = OPTIMIZERS[optimizer](lr=rate_at(0), params={name: v.start for name, v in variables.items()})
-    count = check_count("batch", batch) or len(numbers)
-    found, first, sums = Optimization({}, {}), 0, dict.fromkeys(names, 0.0)
+    search = Search(
+        scene=scene,
+        params=params,
+        variables=variables,
+        optimizer=OPTIMIZERS[optimizer](lr=rate_at(0), params={name: v.start for name, v in variables.items()}),
+        pictures=pictures_of(scene, numbers, targets),
+        count=check_count("batch", batch) or len(numbers),
+        loss=loss_of(loss),
+        priors=[(name, prior_of(prior), weight) for name, (prior, weight) in (priors or {}).items()],
+        demodulate=demodulate,
+        spp=check_count("spp", spp),
+        seed=seed,
+    )
+    first, losses, sums = 0, list[float](), dict.fromkeys(names, np.zeros(()))
     if checkpoint is not None and os.path.exists(checkpoint):
-        first, found.losses, sums = load_state(checkpoint, step, variables)
-    start = time.perf_counter()
-    last = max(1, iterations // 4)
+        first, losses, sums = load_state(checkpoint, search.optimizer, variables)
+    start, last = time.perf_counter(), max(1, iterations // 4)
     with watched(progress, "optimising", "iterations") as shown:
         for i in range(first, iterations):
             if refines(i, iterations, coarse):
-                for name, v in variables.items():
-                    if v.is_coarse(step[name]):
-                        step[name] = v.refined(step[name])
-            step.set_learning_rate(rate_at(i))
-            total = 0.0
-            for view in order(numbers, i, count, seed):
-                # Anew for each view: a derivative frees what led to it.
-                params.update({name: v.parameter(step[name]) for name, v in variables.items()})
-                image = render(scene, params, sensor=view, spp=spp, seed=round_seed(seed, 4096 * (i + 1) + view))
-                value = judge(*compared(image, pictures[view], demodulate)) / count
-                dr.backward(value)
-                total += float(np.array(value).ravel()[0])
-            for name, prior in chosen.items():
-                value = (priors or {})[name][1] * prior(variables[name].parameter(step[name]))
-                dr.backward(value)
-                total += float(np.array(value).ravel()[0])
-            step.step()
-            for name, v in variables.items():
-                step[name] = v.projected(step[name])
-            found.losses.append(total)
-            found.values = {name: dr.detach(v.parameter(step[name])) for name, v in variables.items()}
+                search.refine()
+            losses.append(search.descend(i, rate_at(i)))
+            values = search.values()
             if i >= iterations - last:
-                sums = {name: sums[name] + np.array(value, np.float64) for name, value in found.values.items()}
+                sums = {name: sums[name] + np.array(value, np.float64) for name, value in values.items()}
             if shown:
                 shown(i + 1, iterations)
-            if checkpoint is not None and (i % 10 == 9 or i + 1 == iterations):
-                save_state(checkpoint, i + 1, found.losses, sums, step, variables)
-            done = Progressed(i, total, found.values, time.perf_counter() - start)
+            if checkpoint is not None and (i % SAVED == SAVED - 1 or i + 1 == iterations):
+                save_state(checkpoint, i + 1, losses, sums, search.optimizer, variables)
+            done = Progressed(i, losses[-1], values, time.perf_counter() - start)
             if callback is not None and callback(done):
                 break
-    params.update({name: dr.detach(v.parameter(step[name])) for name, v in variables.items()})
-    found.values = {name: params[name] for name in names}
-    counted = max(0, len(found.losses) - (iterations - last))
-    found.average = {n: s / counted if counted else np.array(found.values[n], np.float64) for n, s in sums.items()}
-    found.seconds = time.perf_counter() - start
-    return found
+    params.update(search.values())
+    values = {name: params[name] for name in names}
+    counted = len(losses) - (iterations - last)
+    means = {name: sums[name] / counted if counted > 0 else np.array(values[name], np.float64) for name in names}
+    return Optimization(values, means, losses, time.perf_counter() - start)
+
+
+@dataclass
+class Search:
+    """An optimisation under way."""
+
+    scene: Scene
+    params: SceneParameters
+    variables: Mapping[str, Variable]
+    optimizer: Any
+    pictures: Mapping[int, npt.NDArray[np.float32]]
+    """The targets by view."""
+    count: int
+    """Views of an iteration."""
+    loss: Loss
+    priors: Sequence[tuple[str, Prior, float]]
+    demodulate: bool
+    spp: int
+    seed: int
+
+    def descend(self, iteration: int, rate: float) -> float:
+        """Take a step; returns the loss before it."""
+        self.optimizer.set_learning_rate(rate)
+        total = 0.0
+        for view in order(list(self.pictures), iteration, self.count, self.seed):
+            # Anew for each view: a derivative frees what led to it.
+            self.params.update({name: self._parameter(name) for name in self.variables})
+            number = round_seed(self.seed, 4096 * (iteration + 1) + view)
+            image = render(self.scene, self.params, sensor=view, spp=self.spp, seed=number)
+            total += differentiated(self.loss(*compared(image, self.pictures[view], self.demodulate)) / self.count)
+        for name, prior, weight in self.priors:
+            total += differentiated(weight * prior(self._parameter(name)))
+        self.optimizer.step()
+        for name, v in self.variables.items():
+            self.optimizer[name] = v.projected(self.optimizer[name])
+        return total
+
+    def refine(self) -> None:
+        """Give coarse textures more texels."""
+        for name, v in self.variables.items():
+            if v.is_coarse(self.optimizer[name]):
+                self.optimizer[name] = v.refined(self.optimizer[name])
+
+    def values(self) -> dict[str, Any]:
+        """The parameters as they are now."""
+        return {name: dr.detach(self._parameter(name)) for name in self.variables}
+
+    def _parameter(self, name: str) -> Any:
+        return self.variables[name].parameter(self.optimizer[name])
+
+
+def differentiated(value: Any) -> float:
+    """A number on Dr.Jit's side, whose derivatives are added to those of the variables."""
+    dr.backward(value)
+    return float(np.array(dr.detach(value)).ravel()[0])
 
 
 def variable(
