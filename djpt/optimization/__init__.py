@@ -1,0 +1,6 @@
+"""Parameters of scenes from pictures: `optimize`, a thin layer over `drjit.opt`, and how sure its results are."""
+
+from djpt.optimization.confidence import Confidence, confidence
+from djpt.optimization.loop import Optimization, Progressed, optimize
+
+__all__ = ["Confidence", "Optimization", "Progressed", "confidence", "optimize"]

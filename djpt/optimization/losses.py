@@ -1,0 +1,59 @@
+"""Losses: how far an image is from the picture that it should be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+
+from djpt.errors import RenderError, near_miss
+
+__all__ = ["LOSSES", "Loss", "loss_of"]
+
+Loss = Callable[[Any, Any], Any]
+"""Called with an image and its target, (H, W, C) each; gives one number on Dr.Jit's side."""
+
+DARK = 1e-2
+"""What keeps dark pixels from dominating relative losses."""
+
+
+def absolute(image: Any, target: Any) -> Any:
+    """L1: mean |a - b|; outliers count little."""
+    return dr.mean(dr.abs(image - target), axis=None)
+
+
+def squared(image: Any, target: Any) -> Any:
+    """L2: mean (a - b)^2.
+
+    Its derivative is unbiased, though the loss itself contains the variance of the pixels: images and derivatives are
+    estimated from different samples, so that the derivative 2 (a - b) da has the right mean.
+    """
+    return dr.mean(dr.square(image - target), axis=None)
+
+
+def relative(image: Any, target: Any) -> Any:
+    """Relative L2: mean (a - b)^2 / (b^2 + 0.01), of which all pixels have a like share; unbiased as L2 is."""
+    return dr.mean(dr.square(image - target) / (dr.square(target) + DARK), axis=None)
+
+
+def logarithmic(image: Any, target: Any) -> Any:
+    """L2 of logarithms: mean log((a + 0.01) / (b + 0.01))^2; noise biases it, so take samples enough."""
+    return dr.mean(dr.square(dr.log((dr.maximum(image, 0) + DARK) / (target + DARK))), axis=None)
+
+
+LOSSES: dict[str, Loss] = {"l1": absolute, "l2": squared, "relative": relative, "log": logarithmic}
+"""The losses by name."""
+
+
+def loss_of(loss: str | Loss) -> Loss:
+    """A loss by its name, or the function itself.
+
+    Raises:
+        RenderError: The name is unknown.
+    """
+    if callable(loss):
+        return loss
+    if loss not in LOSSES:
+        raise RenderError(f"unknown loss '{loss}'{near_miss(str(loss), LOSSES)}")
+    return LOSSES[loss]
