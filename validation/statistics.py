@@ -45,6 +45,7 @@ __all__ = [
     "noise_ratio",
     "pixel_test",
     "sidak",
+    "z_map",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -133,6 +134,22 @@ class Batches:
         self._squares = self._squares + deviation * (pixels - self._mean)
         self._blocks.append(_block_means(pixels, self.block))
 
+    @classmethod
+    def restored(cls, mean: Any, variance: Any, blocks: Any, block: int = BLOCK) -> Batches:
+        """The batches of which these are the `mean`, `pixels().variance` and `averages`."""
+        found = cls(block)
+        found.count = len(blocks)
+        found._mean = np.asarray(mean, np.float64)
+        found._squares = np.asarray(variance, np.float64) * (found.count - 1)
+        found._blocks = [np.asarray(each, np.float64) for each in blocks]
+        found._need_two()
+        return found
+
+    @property
+    def averages(self) -> Array:
+        """The block averages of each batch, (count, rows, columns, C)."""
+        return np.stack(self._blocks)
+
     @property
     def mean(self) -> Array:
         """The mean image (H, W, C)."""
@@ -216,9 +233,23 @@ def mean_test(
     significance: float = 1e-3,
     equal_variance: bool = True,
     independent_pixels: bool = False,
+    critical: float | None = None,
 ) -> TestResult:
-    """Test whether any channel's mean differs: one test per channel; see `Batches.blocks` for `independent_pixels`."""
-    return _test("image mean", a.image(independent_pixels), b.image(independent_pixels), significance, equal_variance)
+    """Test whether any channel's mean differs: one test per channel; see `Batches.blocks` for `independent_pixels`.
+
+    `critical`: the largest |z| that passes, in place of the one that follows from `significance`.
+    """
+    first, second = a.image(independent_pixels), b.image(independent_pixels)
+    return _test("image mean", first, second, significance, equal_variance, critical)
+
+
+def z_map(a: Batches, b: Batches, equal_variance: bool = True) -> Array:
+    """The deviate of each pixel's worst channel, (H, W): positive where `a` is brighter; see `pixel_test`."""
+    first, second = a.pixels(), b.pixels()
+    size = _deviates(first, second, equal_variance, 0.5)[0]
+    worst = size.argmax(axis=2)[..., None]
+    signed = np.copysign(size, first.mean - second.mean)
+    return np.asarray(np.take_along_axis(signed, worst, axis=2)[..., 0])
 
 
 def noise_ratio(a: Batches, b: Batches) -> float:
@@ -244,8 +275,42 @@ def sidak(significance: float, count: int) -> float:
     return -math.expm1(math.log1p(-significance) / count)
 
 
-def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance: bool) -> TestResult:
-    """Run two-sample t-tests of all averages.
+def _test(
+    name: str,
+    a: Moments,
+    b: Moments,
+    significance: float,
+    equal_variance: bool,
+    critical: float | None = None,
+) -> TestResult:
+    """Run the tests of a family; `critical` replaces the limit by Sidak."""
+    if a.mean.shape != b.mean.shape:
+        raise ComparisonError(f"images of different shapes: {a.mean.shape} and {b.mean.shape}")
+    if not 0 < significance < 1:
+        raise ComparisonError(f"the significance must lie between 0 and 1, found {significance}")
+    normal = _scipy().stats.norm
+
+    difference = a.mean - b.mean
+    single = sidak(significance, difference.size) if critical is None else 2 * float(normal.sf(critical))
+    size, seen = _deviates(a, b, equal_variance, single)
+    worst = int(np.argmax(size))
+    limit = float(normal.isf(single / 2))
+    p = min(2 * float(normal.sf(size.flat[worst])), 1 - 1e-16)
+    scale = float(np.mean(np.abs(b.mean)))
+    return TestResult(
+        name=name,
+        count=difference.size,
+        z=math.copysign(size.flat[worst], difference.flat[worst]),
+        critical=limit,
+        p_value=-math.expm1(difference.size * math.log1p(-p)),
+        rejected=int(np.count_nonzero(size > limit)),
+        where=tuple(int(i) for i in np.unravel_index(worst, difference.shape)),
+        detectable=seen / scale if scale else math.inf,
+    )
+
+
+def _deviates(a: Moments, b: Moments, equal_variance: bool, single: float) -> tuple[Array, float]:
+    """The |z| of two-sample t-tests of all averages, and the difference that a test at level `single` detects.
 
     `equal_variance`: both renderers use the same estimator with the same samples per batch, so one variance is
     estimated from both (Student): exact for normal noise, and conservative for skewed noise (fireflies) as long
@@ -254,15 +319,9 @@ def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance
     Then Welch's test, which estimates two variances, must reject as well. Without `equal_variance` Welch's test
     alone decides.
     """
-    if a.mean.shape != b.mean.shape:
-        raise ComparisonError(f"images of different shapes: {a.mean.shape} and {b.mean.shape}")
-    if not 0 < significance < 1:
-        raise ComparisonError(f"the significance must lie between 0 and 1, found {significance}")
     normal, student = _scipy().stats.norm, _scipy().stats.t
-
     difference = a.mean - b.mean
     rounding = RESOLUTION * np.maximum(np.abs(a.mean), np.abs(b.mean))
-    single = sidak(significance, difference.size)
     variances = [_student(a, b)] if equal_variance else []
     if not equal_variance or a.count != b.count:
         variances.append(_welch(a, b))
@@ -275,21 +334,7 @@ def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance
         # A normal deviate is never larger than the t with the same p; this also replaces the infinity of p = 0.
         size = np.minimum(size, np.minimum(normal.isf(student.sf(t, dof)), t))
         seen = max(seen, float(np.median(student.isf(single / 2, dof) * error)))
-
-    worst = int(np.argmax(size))
-    critical = float(normal.isf(single / 2))
-    p = min(2 * float(normal.sf(size.flat[worst])), 1 - 1e-16)
-    scale = float(np.mean(np.abs(b.mean)))
-    return TestResult(
-        name=name,
-        count=difference.size,
-        z=math.copysign(size.flat[worst], difference.flat[worst]),
-        critical=critical,
-        p_value=-math.expm1(difference.size * math.log1p(-p)),
-        rejected=int(np.count_nonzero(size > critical)),
-        where=tuple(int(i) for i in np.unravel_index(worst, difference.shape)),
-        detectable=seen / scale if scale else math.inf,
-    )
+    return size, seen
 
 
 def _student(a: Moments, b: Moments) -> tuple[Array, Array]:
