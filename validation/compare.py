@@ -70,7 +70,7 @@ def compare(
         same_seed: Limit for the share of pixels that agree at equal seeds, 0 to 1; None: reported only.
         reference_spp: Samples per pixel of the second side (default `spp`): more of them lower the noise in `rmse`.
         seed: Changes all seeds.
-        significance: False-alarm probability of each of the three families of tests.
+        significance: False-alarm probability of each of the four families of tests.
         tests: Whether the tests decide, or only the thresholds do.
         batches: Independent renders that `spp` is split into.
         same_seed_spp: Samples per pixel of the same-seed pair; 0 leaves it out.

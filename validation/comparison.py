@@ -36,7 +36,8 @@ class Comparison:
     * `noise_rmse`: the RMSE that noise alone is expected to cause: the root of the sum of both mean variances.
     * `noise_ratio`: standard deviation of our pixels / the reference's at equal spp, geometric mean over pixels.
       It and `noise_rmse` are NaN for images whose noise isn't known.
-    * `tests`: the families of `djpt.validation.statistics`: image mean, blocks, pixels; none without noise.
+    * `tests`: the families of `djpt.validation.statistics`: image mean, weighted mean, blocks, pixels;
+      none without noise.
     * `z_map`: the deviate of each pixel's worst channel, (H, W), or None without noise.
     * `same_seed`: agreement of one pair of renders with the same seed at `same_seed_spp`, or None.
     * `seconds`, `reference_seconds`: median time of one batch, without the first one, which compiles.

@@ -12,13 +12,14 @@ import numpy.typing as npt
 
 from djpt.display.progress import Progress
 from djpt.validation import metrics
+from djpt.validation.batches import Batches
 from djpt.validation.bridge import Renderer
 from djpt.validation.comparison import Comparison
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.references import Reference
 from djpt.validation.same_seed import Agreement, agreement
 from djpt.validation.sides import Side
-from djpt.validation.statistics import Batches, block_test, mean_test, noise_ratio, pixel_test, z_map
+from djpt.validation.statistics import block_test, mean_test, noise_ratio, pixel_test, weighted_test, z_map
 
 __all__ = ["OUR_SEEDS", "THEIR_SEEDS", "Rendering", "compared", "plan"]
 
@@ -205,6 +206,7 @@ def statistics(
     return {
         "tests": (
             mean_test(a, b, independent_pixels=independent_pixels, critical=critical, **options),
+            weighted_test(a, b, independent_pixels=independent_pixels, **options),
             block_test(a, b, independent_pixels=independent_pixels, **options),
             pixel_test(a, b, **options),
         ),

@@ -1,7 +1,7 @@
 """Stored references: images with their noise and where they come from, in one small EXR file.
 
 A file has the mean image, the variance of a batch's pixels in the layer ``variance``, and in its metadata the number
-of batches, their samples and seeds, their block averages and what was rendered. That is what the tests of
+of batches, their samples and seeds, their averages over cells and what was rendered. That is what the tests of
 `djpt.validation.statistics` need, so an image of today is tested against one of last year as if both had been
 rendered now.
 """
@@ -22,8 +22,8 @@ import numpy as np
 from djpt.errors import FileError
 from djpt.images.exr import usual_names
 from djpt.images.image import read_metadata, read_pixels, write
+from djpt.validation.batches import CELL, Batches
 from djpt.validation.provenance import machine, versions
-from djpt.validation.statistics import BLOCK, Batches
 
 __all__ = ["Reference", "is_reference", "read_reference", "write_reference"]
 
@@ -58,7 +58,7 @@ def write_reference(path: str | os.PathLike[str], reference: Reference) -> None:
     batches = reference.batches
     moments = batches.pixels()
     names = usual_names(moments.mean.shape[2])
-    averages = np.asarray(batches.averages, "<f8")
+    cells = np.asarray(batches.cells, "<f4")
     facts = {
         **reference.facts,
         "versions": versions(),
@@ -74,8 +74,8 @@ def write_reference(path: str | os.PathLike[str], reference: Reference) -> None:
             f"{FORM}.batch_spp": reference.batch_spp,
             f"{FORM}.seeds": json.dumps(list(reference.seeds)),
             f"{FORM}.independent": json.dumps(reference.independent_pixels),
-            f"{FORM}.shape": json.dumps(averages.shape),
-            f"{FORM}.averages": base64.b64encode(zlib.compress(averages.tobytes(), 9)).decode("ascii"),
+            f"{FORM}.shape": json.dumps(cells.shape),
+            f"{FORM}.cells": base64.b64encode(zlib.compress(cells.tobytes(), 9)).decode("ascii"),
             f"{FORM}.facts": json.dumps(facts),
         },
     )
@@ -94,15 +94,15 @@ def read_reference(path: str | os.PathLike[str]) -> Reference:
         raise FileError(f"'{path}' is {stated}, not a reference of form {VERSION}: write it anew by write_reference")
     try:
         shape = tuple(json.loads(found[f"{FORM}.shape"]))
-        data = zlib.decompress(base64.b64decode(found[f"{FORM}.averages"]))
-        averages = np.frombuffer(data, "<f8").reshape(shape)
+        data = zlib.decompress(base64.b64decode(found[f"{FORM}.cells"]))
+        cells = np.frombuffer(data, "<f4").reshape(shape)
         pixels = read_pixels(path)
         channels = pixels.shape[2] // 2
-        expected = (-(-pixels.shape[0] // BLOCK), -(-pixels.shape[1] // BLOCK), channels)
-        if averages.shape[1:] != expected or pixels.shape[2] != 2 * channels:
-            raise ValueError(f"block averages of shape {averages.shape[1:]}, {expected} expected")
+        expected = (-(-pixels.shape[0] // CELL), -(-pixels.shape[1] // CELL), channels)
+        if cells.shape[1:] != expected or pixels.shape[2] != 2 * channels:
+            raise ValueError(f"cells of shape {cells.shape[1:]}, {expected} expected")
         return Reference(
-            Batches.restored(pixels[..., :channels], pixels[..., channels:], averages),
+            Batches.restored(pixels[..., :channels], pixels[..., channels:], cells),
             int(found[f"{FORM}.batch_spp"]),
             tuple(json.loads(found[f"{FORM}.seeds"])),
             json.loads(found[f"{FORM}.independent"]),

@@ -38,7 +38,7 @@ EPILOG = (
 @click.option("--z", type=float, help="Fail if the bias of a channel's mean is above this, in standard errors.")
 @click.option("--same-seed", type=float, help="Fail if a smaller share of pixels agrees at equal seeds, 0 to 1.")
 @click.option("--tests/--no-tests", default=True, help="Test whether noise explains the difference.")
-@click.option("--significance", type=float, default=1e-3, help="False alarms of each of the three families of tests.")
+@click.option("--significance", type=float, default=1e-3, help="False alarms of each of the four families of tests.")
 @click.option("--integrator-b", help="Integrator of B; without B the same scene in djpt.")
 @click.option("--schedule", default="auto", help="djpt's schedule: auto, flat, machine or wave.")
 @click.option("--schedule-b", help="djpt's schedule for B; without B the same scene in djpt.")
