@@ -69,8 +69,7 @@ class Shown:
             self.facts |= {"batches": self.batches.count, "samples per pixel": self.spp}
             self.image: npt.NDArray[Any] = self.batches.mean
         else:
-            assert side.image is not None
-            self.image = side.image
+            self.image = stored(side)
 
 
 def compared(
@@ -154,9 +153,9 @@ def rendered(
 ) -> tuple[Rendering | None, Rendering | None]:
     """The renderings that are to be done: of both sides, one or none."""
     batch_spp, count, reference_count = plan(spp, reference_spp, batches)
-    stored = a.reference or b.reference
-    if stored is not None:  # batches of the same spp as the reference's
-        batch_spp = stored.batch_spp
+    reference = a.reference or b.reference
+    if reference is not None:  # batches of the same spp as its own
+        batch_spp = reference.batch_spp
         count, reference_count = (max(2, n // batch_spp) for n in (spp, reference_spp or spp))
     return (
         Rendering(a.renderer, batch_spp, count, seed, OUR_SEEDS) if a.renderer else None,
@@ -172,22 +171,30 @@ def same_seed(a: Side, b: Side, seed: int, spp: int, wanted: bool) -> Agreement 
     """
     if a.renderer and b.renderer:
         return agreement(a.renderer(spp, seed), (b.paired or b.renderer)(spp, seed)) if spp else None
-    if a.image is not None and b.image is not None:
-        return agreement(a.image, b.image)
+    if not (a.renderer or b.renderer):
+        return agreement(stored(a), stored(b))
     if not wanted:
         return None
-    for renderer, stored in ((a.renderer, b.reference), (b.renderer, a.reference)):
-        if renderer and stored:
-            again = repeated(renderer, stored)
-            return agreement(*((again, stored.batches.mean) if stored is b.reference else (stored.batches.mean, again)))
+    if a.renderer and b.reference:
+        return agreement(repeated(a.renderer, b.reference), b.reference.batches.mean)
+    if b.renderer and a.reference:
+        return agreement(a.reference.batches.mean, repeated(b.renderer, a.reference))
     raise ComparisonError(f"compare: 'same_seed' can't be found for {a.title} and {b.title}, whose seeds may differ")
 
 
-def repeated(renderer: Renderer, stored: Reference) -> npt.NDArray[np.float64]:
+def stored(side: Side) -> npt.NDArray[Any]:
+    """The image of a side that doesn't render."""
+    if side.reference is not None:
+        return side.reference.batches.mean
+    assert side.image is not None
+    return side.image
+
+
+def repeated(renderer: Renderer, reference: Reference) -> npt.NDArray[np.float64]:
     """The mean image of the batches of a reference, rendered again."""
     batches = Batches()
-    for seed in stored.seeds:
-        batches.add(renderer(stored.batch_spp, seed))
+    for seed in reference.seeds:
+        batches.add(renderer(reference.batch_spp, seed))
     return batches.mean
 
 
