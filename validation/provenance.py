@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-import djpt
 from djpt.backends import variant
+from djpt.version import __version__
 
 __all__ = ["machine", "readable", "versions"]
 
@@ -24,7 +24,7 @@ PACKAGES = ("drjit", "mitsuba", "numpy", "scipy", "flip-evaluator")
 
 def versions() -> dict[str, str]:
     """The versions of djpt, Python and the packages that matter, where they are installed, and djpt's variant."""
-    found = {"djpt": djpt.__version__, "Python": platform.python_version()}
+    found = {"djpt": __version__, "Python": platform.python_version()}
     for name in PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
