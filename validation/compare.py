@@ -94,6 +94,8 @@ def compare(
     """
     asked = checked_limits({**(limits or {}), **given(rmse=rmse, same_seed=same_seed)})
     film = {"width": width, "height": height, "rfilter": rfilter}
+    if parameters and not is_scene_file(against):
+        described(scene, parameters)  # raises unless it is a file: parameters of no scene are a mistake
     title, first = found(scene, parameters)
     a = side_of(first, schedule, **film, integrator=integrator)
     other = integrator if integrator_b is None else integrator_b
@@ -169,6 +171,8 @@ def store_reference(
         ComparisonError: `scene` is an image, whose noise can't be found.
         FileError: The file can't be written.
     """
+    if parameters:
+        described(scene, parameters)  # raises unless it is a file
     side = side_of(found(scene, parameters)[1], schedule, **changes)
     if side.renderer is None:
         raise ComparisonError("a reference is rendered, in batches that show its noise; an image has none to show")
@@ -230,11 +234,15 @@ def compare_renderers(
 def found(value: Any, parameters: Mapping[str, str] | None) -> tuple[str, Any]:
     """The name of a side, and its description if it is a scene to be described; otherwise the side as it is."""
     if is_described(value):
-        is_file = isinstance(value, os.PathLike) or (isinstance(value, str) and value.lower().endswith(".xml"))
-        return described(value, parameters if is_file else None)
+        return described(value, parameters if is_scene_file(value) else None)
     if isinstance(value, (str, os.PathLike)):
         return os.path.basename(os.fspath(value)), value
     return getattr(value, "__name__", "comparison"), value
+
+
+def is_scene_file(value: Any) -> bool:
+    """Whether a side is an XML file, which may have parameters."""
+    return isinstance(value, (str, os.PathLike)) and os.fspath(value).lower().endswith(".xml")
 
 
 def given(**limits: float | None) -> dict[str, float]:
