@@ -6,9 +6,21 @@ if __name__ != "djpt.validation":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.validation instead")
 
 from djpt.validation.bridge import mitsuba_renderer, render_in_mitsuba, to_mitsuba
-from djpt.validation.compare import Comparison, assert_matches, compare, compare_renderers
+from djpt.validation.compare import assert_matches, compare, compare_renderers, store_reference
+from djpt.validation.comparison import Comparison
 from djpt.validation.gradcheck import GradientCheck, check_gradient
-from djpt.validation.metrics import ComparisonError, mean_bias, relative_bias, relative_rmse, rmse
+from djpt.validation.metrics import (
+    ComparisonError,
+    mae,
+    mean_bias,
+    psnr,
+    relative_bias,
+    relative_mse,
+    relative_rmse,
+    rmse,
+)
+from djpt.validation.perceptual import flip, hdr_flip, ssim
+from djpt.validation.references import Reference, read_reference, write_reference
 from djpt.validation.same_seed import Agreement, agreement
 from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, pixel_test
 
@@ -18,6 +30,7 @@ __all__ = [
     "Comparison",
     "ComparisonError",
     "GradientCheck",
+    "Reference",
     "TestResult",
     "agreement",
     "assert_matches",
@@ -25,13 +38,22 @@ __all__ = [
     "check_gradient",
     "compare",
     "compare_renderers",
+    "flip",
+    "hdr_flip",
+    "mae",
     "mean_bias",
     "mean_test",
     "mitsuba_renderer",
     "pixel_test",
+    "psnr",
+    "read_reference",
     "relative_bias",
+    "relative_mse",
     "relative_rmse",
     "render_in_mitsuba",
     "rmse",
+    "ssim",
+    "store_reference",
     "to_mitsuba",
+    "write_reference",
 ]

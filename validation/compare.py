@@ -1,235 +1,192 @@
-"""The comparison of djpt's image with Mitsuba's: numbers, tests, a verdict and a picture.
+"""The comparison of two images, renderers or scenes: numbers, tests, a verdict, a picture and a page.
 
     result = djpt.validation.compare(djpt.cornell_box(), spp=256, rmse=0.05)
     print(result)
     assert result.passed
 
-Both renderers render the same scene in batches with independent seeds. Batches have equal spp on both sides:
-developing a filtered image divides two sums, which biases images of few samples a little. Only at equal spp
-are both biased alike.
+A scene is compared with Mitsuba's image of it, or with anything else: `against`. Renderers render in batches with
+independent seeds. Batches have equal spp on both sides: developing a filtered image divides two sums, which biases
+images of few samples a little. Only at equal spp are both biased alike.
 """
 
 from __future__ import annotations
 
-import base64
-import html
-import math
 import os
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from djpt.description.overrides import described, override, rfilter_name
+from djpt.description.overrides import described, override
 from djpt.display.progress import Progress, watched
-from djpt.validation import metrics
-from djpt.validation.bridge import Renderer, mitsuba_renderer
+from djpt.validation.bridge import Renderer
+from djpt.validation.comparison import Comparison
+from djpt.validation.measures import checked_limits
+from djpt.validation.measuring import THEIR_SEEDS, Rendering, compared, plan
 from djpt.validation.metrics import ComparisonError
-from djpt.validation.same_seed import Agreement, agreement
-from djpt.validation.statistics import Batches, TestResult, block_test, mean_test, noise_ratio, pixel_test
+from djpt.validation.references import Reference, write_reference
+from djpt.validation.sides import Side, djpt_renderer, is_described, mitsuba_side, side_of, told_apart
 
-__all__ = ["Comparison", "assert_matches", "compare", "compare_renderers", "djpt_renderer"]
-
-_OUR_SEEDS, _THEIR_SEEDS = 0, 1
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The result of `compare`. `print()` shows a table; `write_picture(path)` draws a picture.
-
-    * `image`, `reference`: djpt's and Mitsuba's mean image, (H, W, C) float32, linear.
-    * `spp`, `reference_spp`, `batch_spp`: samples per pixel in all, and of one batch.
-    * `rmse`, `relative_rmse`, `bias` (mean of djpt - Mitsuba), `relative_bias`: see `djpt.validation.metrics`.
-    * `noise_rmse`: the RMSE that noise alone is expected to cause: sqrt(mean(var djpt + var Mitsuba)).
-    * `noise_ratio`: standard deviation of djpt's pixels / Mitsuba's at equal spp, geometric mean over pixels.
-    * `tests`: the families of `djpt.validation.statistics`: pixels, blocks, image mean.
-    * `same_seed`: agreement of one pair of renders with the same seed at `same_seed_spp`, or None.
-    * `seconds`, `reference_seconds`: median time of one batch, without the first one, which compiles.
-    * `limits`: the thresholds that were given.
-    """
-
-    name: str
-    image: npt.NDArray[np.float32]
-    reference: npt.NDArray[np.float32]
-    spp: int
-    reference_spp: int
-    batch_spp: int
-    rmse: float
-    noise_rmse: float
-    relative_rmse: float
-    bias: float
-    relative_bias: float
-    noise_ratio: float
-    tests: tuple[TestResult, ...]
-    same_seed: Agreement | None
-    same_seed_spp: int
-    seconds: float
-    reference_seconds: float
-    limits: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def failures(self) -> list[str]:
-        """One line for each check that failed; empty if all passed."""
-        found = [str(test) for test in self.tests if not test.passed]
-        if "rmse" in self.limits and not self.rmse <= self.limits["rmse"]:
-            found.append(f"RMSE {self.rmse:.4g} above {self.limits['rmse']:g} (noise alone: {self.noise_rmse:.4g})")
-        if "same_seed" in self.limits and self.same_seed and not self.same_seed.share >= self.limits["same_seed"]:
-            found.append(f"same seed: {self.same_seed}, at least {self.limits['same_seed']:.4%} expected")
-        return found
-
-    @property
-    def passed(self) -> bool:
-        """Whether all tests and all given thresholds hold."""
-        return not self.failures
-
-    @property
-    def speed(self) -> float:
-        """Mitsuba's time / djpt's for one batch: an estimate, which `benchmarks/` measures more precisely."""
-        return self.reference_seconds / self.seconds if self.seconds > 0 else math.inf
-
-    def write_picture(self, path: str | os.PathLike[str]) -> None:
-        """Write djpt | Mitsuba | difference side by side, as png or jpg."""
-        from djpt.validation.report import write_picture
-
-        write_picture(self, path)
-
-    def _repr_html_(self) -> str:
-        """The picture and the table, for notebooks."""
-        png = base64.b64encode(self._repr_png_()).decode()
-        return f'<img src="data:image/png;base64,{png}"><pre>{html.escape(str(self))}</pre>'
-
-    def _repr_png_(self) -> bytes:
-        """djpt | Mitsuba | difference as a PNG, for notebooks."""
-        from djpt.images.image import Image
-        from djpt.validation.report import picture
-
-        return Image(picture(self))._repr_png_()
-
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """The rows of the table: (what, value, limit, verdict)."""
-        limits = self.limits
-
-        def verdict(name: str, good: bool) -> str:
-            return "" if name not in limits else "ok" if good else "FAILED"
-
-        limit = f"at most {limits['rmse']:g}" if "rmse" in limits else ""
-        rows = [
-            ("RMSE", f"{self.rmse:.5g}", limit, verdict("rmse", self.rmse <= limits.get("rmse", math.inf))),
-            ("  expected from noise", f"{self.noise_rmse:.5g}", "", ""),
-            ("relative RMSE", f"{self.relative_rmse:.5g}", "", ""),
-            ("mean bias", f"{self.bias:+.3g} ({self.relative_bias:+.3%})", "", ""),
-            ("noise, ours / Mitsuba", f"{self.noise_ratio:.3f}", "", ""),
-        ]
-        for test in self.tests:
-            limit = f"{test.critical:.2f}, sees {test.detectable:.2g} of the mean"
-            rows.append((f"worst z, {test.name}", f"{test.z:+.2f}", limit, "ok" if test.passed else "FAILED"))
-        if self.same_seed:
-            share = self.same_seed.share
-            limit = f"at least {limits['same_seed']:.2%}" if "same_seed" in limits else ""
-            text = f"{share:.3%} within {self.same_seed.tolerance:g}"
-            name = f"same seed, {self.same_seed_spp} spp"
-            rows.append((name, text, limit, verdict("same_seed", share >= limits.get("same_seed", 0))))
-        text = f"{self.seconds:.3g} s / {self.reference_seconds:.3g} s"
-        rows.append((f"time of {self.batch_spp} spp, ours / Mitsuba", text, f"{self.speed:.3g} x", ""))
-        return rows
-
-    def __str__(self) -> str:
-        height, width, _ = self.image.shape
-        title = f"{self.name}, {width} x {height}: djpt at {self.spp} spp, Mitsuba at {self.reference_spp} spp"
-        rows = self.rows()
-        widths = [max(len(row[i]) for row in rows) for i in range(3)]
-        lines = ["  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[3]]) for row in rows]
-        return "\n".join([title, *(f"  {line}".rstrip() for line in lines), "passed" if self.passed else "FAILED"])
+__all__ = ["Comparison", "assert_matches", "compare", "compare_renderers", "djpt_renderer", "store_reference"]
 
 
 def compare(
-    scene: Mapping[str, Any] | str,
+    scene: Any,
     spp: int = 64,
     rmse: float | None = None,
     *,
+    against: Any = None,
+    limits: Mapping[str, float | None] | None = None,
     same_seed: float | None = None,
     reference_spp: int | None = None,
     seed: int = 0,
     significance: float = 1e-3,
+    tests: bool = True,
     batches: int = 8,
     same_seed_spp: int = 16,
     width: int | None = None,
     height: int | None = None,
     rfilter: str | Mapping[str, Any] | None = None,
     integrator: str | Mapping[str, Any] | None = None,
+    integrator_b: str | Mapping[str, Any] | None = None,
     mitsuba_integrator: str | Mapping[str, Any] | None = None,
     schedule: str = "auto",
+    schedule_b: str | None = None,
+    parameters: Mapping[str, str] | None = None,
+    name: str | None = None,
     progress: Progress | bool | None = None,
 ) -> Comparison:
-    """Render `scene` in djpt and in Mitsuba and compare the images.
+    """Compare two images, or two renderers' images.
 
     Args:
-        scene: A dict of Mitsuba's schema or the name of a built-in scene.
-        spp: Samples per pixel of djpt's image, in all batches together; rounded down to full batches. At least 4.
+        scene: The first side: a scene (a dict of Mitsuba's schema, the name of a built-in scene, an XML file) that
+            djpt renders, a scene loaded by djpt or Mitsuba, an image file, an array (H, W, C), a `Reference`, or a
+            function that gives an array: see `djpt.validation.sides.as_renderer`.
+        spp: Samples per pixel of a side that renders, in all batches together; rounded down to full batches. At
+            least 4.
         rmse: Limit for the RMSE, which includes the noise of both images; None: no limit.
+        against: The second side, as `scene`. None: Mitsuba's image of the scene, or djpt's if `integrator_b` or
+            `schedule_b` is given.
+        limits: Thresholds by the names of `djpt.validation.measures.LIMITS`, such as ``{"flip": 0.05, "z": 4}``.
+            `z` replaces the limit of the test of the image mean.
         same_seed: Limit for the share of pixels that agree at equal seeds, 0 to 1; None: reported only.
-        reference_spp: Samples per pixel of Mitsuba's image (default `spp`): more of them lower the noise in `rmse`.
+        reference_spp: Samples per pixel of the second side (default `spp`): more of them lower the noise in `rmse`.
         seed: Changes all seeds.
-        significance: False-alarm probability of each of the three families of tests.
+        significance: False-alarm probability of each of the four families of tests.
+        tests: Whether the tests decide, or only the thresholds do.
         batches: Independent renders that `spp` is split into.
         same_seed_spp: Samples per pixel of the same-seed pair; 0 leaves it out.
-        width: Pixels, instead of the scene's; see `djpt.description.overrides.override`.
-        height: Pixels, instead of the scene's.
-        rfilter: Reconstruction filter, instead of the scene's. With `box` the tests are more sensitive.
-        integrator: Integrator, instead of the scene's, in both renderers.
-        mitsuba_integrator: Integrator in Mitsuba, instead of `integrator`: compares two estimators of one image.
+        width: Pixels, instead of the scenes'; see `djpt.description.overrides.override`.
+        height: Pixels, instead of the scenes'.
+        rfilter: Reconstruction filter, instead of the scenes'. With `box` the tests are more sensitive.
+        integrator: Integrator, instead of the scenes', on both sides.
+        integrator_b: Integrator of the second side, instead of `integrator`: compares two estimators of one image.
+        mitsuba_integrator: Integrator in Mitsuba, instead of `integrator`.
         schedule: djpt's schedule.
+        schedule_b: djpt's schedule on the second side, instead of `schedule`.
+        parameters: Values for the ``$name`` of scene files.
+        name: What the comparison is called; the scene's name by default.
         progress: Called with (renders done, renders in all); True shows a bar.
 
     Raises:
         ComparisonError: The images can't be compared.
         SceneError: The scene is wrong.
-        BackendError: Mitsuba isn't installed.
+        FileError: A file can't be read.
+        BackendError: Mitsuba or another package isn't installed.
     """
-    name, description = described(scene)
-    description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
-    theirs = override(description, integrator=mitsuba_integrator)
+    asked = checked_limits({**(limits or {}), **given(rmse=rmse, same_seed=same_seed)})
+    film = {"width": width, "height": height, "rfilter": rfilter}
+    if parameters and not is_scene_file(against):
+        described(scene, parameters)  # raises unless it is a file: parameters of no scene are a mistake
+    title, first = found(scene, parameters)
+    a = side_of(first, schedule, **film, integrator=integrator)
+    other = integrator if integrator_b is None else integrator_b
+    other_schedule = schedule if schedule_b is None else schedule_b
+    if against is not None:
+        _, second = found(against, parameters)
+        b = side_of(second, other_schedule, **film, integrator=other if is_described(second) else integrator_b)
+    elif a.description is None:
+        raise ComparisonError(
+            "compare: only a described scene can be compared with Mitsuba; give something to compare with: `against`"
+        )
+    elif (integrator_b is not None or schedule_b is not None) and mitsuba_integrator is None:
+        b = side_of(first, other_schedule, **film, integrator=other)
+    else:
+        b = mitsuba_side(override(a.description, integrator=mitsuba_integrator))
+    same_estimator = integrator_b is None and mitsuba_integrator is None and a.description is not None
     with watched(progress, "comparing", "renders") as shown:
-        return compare_renderers(
-            djpt_renderer(description, schedule),
-            mitsuba_renderer(theirs),
-            paired=mitsuba_renderer(theirs, optimize=False),
-            name=name,
+        return compared(
+            *told_apart(a, b),
+            name=name or title,
             spp=spp,
-            rmse=rmse,
-            same_seed=same_seed,
             reference_spp=reference_spp,
             seed=seed,
             significance=significance,
+            tests=tests,
             batches=batches,
             same_seed_spp=same_seed_spp,
-            same_estimator=mitsuba_integrator is None,
-            independent_pixels=rfilter_name(description) == "box",
+            same_estimator=same_estimator and (b.description is not None or b.reference is not None),
+            independent_pixels=a.independent_pixels and b.independent_pixels,
+            limits=asked,
             progress=shown,
         )
 
 
-def assert_matches(scene: Mapping[str, Any] | str, spp: int = 64, rmse: float | None = None, **options: Any) -> None:
-    """Call `compare` with the same arguments; raise `ComparisonError` with its table unless everything passes."""
+def assert_matches(scene: Any, spp: int = 64, rmse: float | None = None, **options: Any) -> None:
+    """Call `compare` with the same arguments; raise `ComparisonError` with its table unless everything passes.
+
+    Also without anything that could fail: two images whose noise isn't known need a threshold.
+    """
     result = compare(scene, spp, rmse, **options)
+    if not result.checks:
+        raise ComparisonError("nothing is asserted: images whose noise isn't known need a threshold, such as rmse=0.01")
     if not result.passed:
         raise ComparisonError("\n".join(["the images differ:", *result.failures, "", str(result)]))
 
 
-def djpt_renderer(scene: Mapping[str, Any], schedule: str = "auto") -> Renderer:
-    """Load `scene` into djpt once, to be rendered many times."""
-    from djpt.description.loader import load_dict
-    from djpt.rendering import render
+def store_reference(
+    path: str | os.PathLike[str],
+    scene: Any,
+    spp: int = 256,
+    *,
+    batches: int = 8,
+    seed: int = 0,
+    schedule: str = "auto",
+    parameters: Mapping[str, str] | None = None,
+    progress: Progress | bool | None = None,
+    **changes: Any,
+) -> Reference:
+    """Render `scene`, anything that renders and `compare` takes, and store the image with its noise at `path`, an exr.
 
-    loaded = load_dict(scene)
+    Args:
+        path: The file.
+        scene: What renders.
+        spp: Samples per pixel, in all batches together.
+        batches: Independent renders that `spp` is split into.
+        seed: Changes all seeds.
+        schedule: djpt's schedule.
+        parameters: Values for the ``$name`` of scene files.
+        progress: Called with (renders done, renders in all); True shows a bar.
+        changes: `width`, `height`, `rfilter`, `integrator` in place of a described scene's.
 
-    def renderer(spp: int, seed: int) -> npt.NDArray[np.float32]:
-        return np.array(render(loaded, spp=spp, seed=seed, schedule=schedule), np.float32)
-
-    return renderer
+    Raises:
+        ComparisonError: `scene` is an image, whose noise can't be found.
+        FileError: The file can't be written.
+    """
+    if parameters:
+        described(scene, parameters)  # raises unless it is a file
+    side = side_of(found(scene, parameters)[1], schedule, **changes)
+    if side.renderer is None:
+        raise ComparisonError("a reference is rendered, in batches that show its noise; an image has none to show")
+    batch_spp, count, _ = plan(spp, None, batches)
+    rendering = Rendering(side.renderer, batch_spp, count, seed, THEIR_SEEDS)
+    with watched(progress, "rendering", "renders") as shown:
+        for k in range(count):
+            rendering.render(k)
+            if shown:
+                shown(k + 1, count)
+    seeds = tuple(int(each) for each in rendering.seeds)
+    reference = Reference(rendering.batches, batch_spp, seeds, side.independent_pixels, side.facts)
+    write_reference(path, reference)
+    return reference
 
 
 def compare_renderers(
@@ -241,6 +198,7 @@ def compare_renderers(
     spp: int = 64,
     rmse: float | None = None,
     same_seed: float | None = None,
+    limits: Mapping[str, float | None] | None = None,
     reference_spp: int | None = None,
     seed: int = 0,
     significance: float = 1e-3,
@@ -255,83 +213,38 @@ def compare_renderers(
     `paired`: renders the reference of the same-seed pair in place of `theirs`. `same_estimator`: both
     have the same variance. `independent_pixels`: pixels share no samples (box filter).
     """
-    batch_spp, count, reference_count = _plan(spp, reference_spp, batches)
-    limits = {key: value for key, value in (("rmse", rmse), ("same_seed", same_seed)) if value is not None}
-    sides = (
-        _Side(ours, batch_spp, count, seed, _OUR_SEEDS),
-        _Side(theirs, batch_spp, reference_count, seed, _THEIR_SEEDS),
-    )
-    done, total = 0, count + reference_count + (2 if same_seed_spp else 0)
-    # In turn, so that other load on the machine slows both.
-    for k in range(max(count, reference_count)):
-        for side in sides:
-            if k < side.count:
-                side.render(k)
-                done += 1
-                if progress:
-                    progress(done, total)
-    pair = None
-    if same_seed_spp:
-        pair = agreement(ours(same_seed_spp, seed), (paired or theirs)(same_seed_spp, seed))
-        if progress:
-            progress(total, total)
-
-    a, b = sides[0].batches, sides[1].batches
-    options: dict[str, Any] = {"significance": significance, "equal_variance": same_estimator}
-    noise = a.variance_of_mean().mean(), b.variance_of_mean().mean()
-    return Comparison(
+    return compared(
+        Side("djpt", ours),
+        Side("Mitsuba", theirs, paired),
         name=name,
-        image=a.mean.astype(np.float32),
-        reference=b.mean.astype(np.float32),
-        spp=batch_spp * count,
-        reference_spp=batch_spp * reference_count,
-        batch_spp=batch_spp,
-        rmse=metrics.rmse(a.mean, b.mean),
-        noise_rmse=float(np.sqrt(sum(noise))),
-        relative_rmse=metrics.relative_rmse(a.mean, b.mean),
-        bias=metrics.mean_bias(a.mean, b.mean),
-        relative_bias=metrics.relative_bias(a.mean, b.mean),
-        noise_ratio=noise_ratio(a, b),
-        tests=(
-            mean_test(a, b, independent_pixels=independent_pixels, **options),
-            block_test(a, b, independent_pixels=independent_pixels, **options),
-            pixel_test(a, b, **options),
-        ),
-        same_seed=pair,
+        spp=spp,
+        reference_spp=reference_spp,
+        seed=seed,
+        significance=significance,
+        tests=True,
+        batches=batches,
         same_seed_spp=same_seed_spp,
-        seconds=sides[0].seconds,
-        reference_seconds=sides[1].seconds,
-        limits=limits,
+        same_estimator=same_estimator,
+        independent_pixels=independent_pixels,
+        limits=checked_limits({**(limits or {}), **given(rmse=rmse, same_seed=same_seed)}),
+        progress=progress,
     )
 
 
-class _Side:
-    """One of the two renderers, with its batches, times and seeds."""
-
-    def __init__(self, renderer: Renderer, spp: int, count: int, seed: int, stream: int) -> None:
-        self.renderer, self.spp, self.count = renderer, spp, count
-        # With seeds that both sides share their noise would be correlated, and the tests too lenient.
-        self.seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
-        self.batches = Batches()
-        self.times: list[float] = []
-
-    def render(self, k: int) -> None:
-        start = time.perf_counter()
-        image = self.renderer(self.spp, int(self.seeds[k]))
-        self.times.append(time.perf_counter() - start)
-        self.batches.add(image)
-
-    @property
-    def seconds(self) -> float:
-        """The median time of a batch, without the first one, which compiles kernels."""
-        return float(np.median(self.times[1:] or self.times))
+def found(value: Any, parameters: Mapping[str, str] | None) -> tuple[str, Any]:
+    """The name of a side, and its description if it is a scene to be described; otherwise the side as it is."""
+    if is_described(value):
+        return described(value, parameters if is_scene_file(value) else None)
+    if isinstance(value, (str, os.PathLike)):
+        return os.path.basename(os.fspath(value)), value
+    return getattr(value, "__name__", "comparison"), value
 
 
-def _plan(spp: int, reference_spp: int | None, batches: int) -> tuple[int, int, int]:
-    """The samples of a batch, djpt's number of batches, the reference's number of batches."""
-    reference_spp = spp if reference_spp is None else reference_spp
-    for name, value, low in (("spp", spp, 4), ("reference_spp", reference_spp, 4), ("batches", batches, 2)):
-        if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < low:
-            raise ComparisonError(f"compare: '{name}' must be an integer of at least {low}, found {value!r}")
-    batch_spp = max(1, min(spp, reference_spp) // batches)
-    return batch_spp, spp // batch_spp, reference_spp // batch_spp
+def is_scene_file(value: Any) -> bool:
+    """Whether a side is an XML file, which may have parameters."""
+    return isinstance(value, (str, os.PathLike)) and os.fspath(value).lower().endswith(".xml")
+
+
+def given(**limits: float | None) -> dict[str, float]:
+    """The limits that aren't None."""
+    return {name: limit for name, limit in limits.items() if limit is not None}

@@ -14,7 +14,17 @@ import numpy.typing as npt
 
 from djpt.errors import DjptError
 
-__all__ = ["ComparisonError", "mean_bias", "pair", "relative_bias", "relative_rmse", "rmse"]
+__all__ = [
+    "ComparisonError",
+    "mae",
+    "mean_bias",
+    "pair",
+    "psnr",
+    "relative_bias",
+    "relative_mse",
+    "relative_rmse",
+    "rmse",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -27,6 +37,23 @@ def rmse(image: Any, reference: Any) -> float:
     """The root mean square error sqrt(mean((a - b)^2)) over pixels and channels."""
     a, b = pair(image, reference)
     return float(np.sqrt(np.mean(np.square(a - b))))
+
+
+def mae(image: Any, reference: Any) -> float:
+    """The mean absolute error mean(|a - b|) over pixels and channels."""
+    a, b = pair(image, reference)
+    return float(np.mean(np.abs(a - b)))
+
+
+def psnr(image: Any, reference: Any, peak: float = 1.0) -> float:
+    """The peak signal-to-noise ratio 20 log10(peak / rmse) in decibels; infinite for equal images."""
+    error = rmse(image, reference)
+    return 20 * math.log10(peak / error) if error > 0 else math.inf
+
+
+def relative_mse(image: Any, reference: Any, epsilon: float = 1e-2) -> float:
+    """The relMSE mean((a - b)^2 / (b^2 + epsilon)), the square of `relative_rmse`."""
+    return relative_rmse(image, reference, epsilon) ** 2
 
 
 def relative_rmse(image: Any, reference: Any, epsilon: float = 1e-2) -> float:

@@ -1,4 +1,4 @@
-"""The picture of a comparison: djpt | Mitsuba | difference."""
+"""The picture of a comparison: image | reference | difference."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from djpt.images.image import write
 from djpt.images.sheets import DARK, Tile, captioned_sheet, shown
 
 if TYPE_CHECKING:
-    from djpt.validation.compare import Comparison
+    from djpt.validation.comparison import Comparison
 
 __all__ = ["difference_picture", "picture", "write_picture"]
 
@@ -42,12 +42,16 @@ def picture(result: Comparison) -> Bytes:
     difference = np.abs(np.mean(result.image.astype(np.float64) - result.reference, axis=2))
     scale = max(float(np.quantile(difference, 0.99)), 1e-6)
     ours, theirs = shown(result.image), shown(result.reference)
+    first, second = (
+        f"{title}, {spp} spp" if spp else title
+        for title, spp in zip(result.titles, (result.spp, result.reference_spp), strict=True)
+    )
     tiles = [
-        Tile(f"djpt, {result.spp} spp", f"mean {np.mean(result.image):.5g}", ours),
-        Tile(f"Mitsuba, {result.reference_spp} spp", f"mean {np.mean(result.reference):.5g}", theirs),
+        Tile(first, f"mean {np.mean(result.image):.5g}", ours),
+        Tile(second, f"mean {np.mean(result.reference):.5g}", theirs),
         Tile(
             f"difference, RMSE {result.rmse:.3g}",
-            f"red: djpt brighter; full scale {scale:.2g}",
+            f"red: {result.titles[0]} brighter; full scale {scale:.2g}",
             difference_picture(result.image, result.reference, scale),
         ),
     ]

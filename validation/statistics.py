@@ -6,12 +6,14 @@ any data from the renderer but images. If both means estimate the same number, t
 
     t = (mean_a - mean_b) / sqrt(variance_a + variance_b)
 
-follows Student's distribution. Three families of tests look at three scales:
+follows Student's distribution. Four families of tests look at three scales:
 
 * **pixels**, each channel by itself: detects a defect of a few pixels;
 * **blocks** of 32 x 32 pixels: detects a defect of an object or of a shadow;
 * **image mean** per channel: detects a missing factor, and a uniform bias that is smaller than the least one that
-  the pixel test detects by about the square root of the number of pixels.
+  the pixel test detects by about the square root of the number of pixels;
+* **weighted mean** per channel, in which noisy cells of 8 x 8 pixels have little weight: detects a bias of the
+  whole image where the noise of a few bright places hides it from the image mean.
 
 A family of n tests alarms falsely with probability `significance` altogether: each single test uses Sidak's level
 ``1 - (1 - significance)^(1/n)`` (Z. Sidak 1967, *Rectangular confidence regions for the means of multivariate
@@ -32,38 +34,26 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import BackendError
+from djpt.validation.batches import Batches, Moments, block_sizes
 from djpt.validation.metrics import ComparisonError
 
 __all__ = [
-    "BLOCK",
     "RESOLUTION",
     "Batches",
-    "Moments",
     "TestResult",
     "block_test",
     "mean_test",
     "noise_ratio",
     "pixel_test",
     "sidak",
+    "weighted_test",
+    "z_map",
 ]
 
 Array = npt.NDArray[np.float64]
 
-BLOCK = 32
-"""Side of a block in pixels. Blocks at the right and lower border may be smaller."""
-
 RESOLUTION = 1e-5
 """Relative differences up to this count as rounding: Mitsuba's own renders differ by 7e-6 (order of atomics)."""
-
-
-@dataclass(frozen=True)
-class Moments:
-    """Mean, variance and degrees of freedom of some averages; all arrays have the shape of the averages."""
-
-    mean: Array
-    variance: Array  # of one batch's average, unbiased
-    dof: Array  # degrees of freedom of `variance`
-    count: int  # number of batches that were averaged
 
 
 @dataclass(frozen=True)
@@ -101,91 +91,6 @@ class TestResult:
         return f"{self.name}: {verdict}, worst z {self.z:+.2f} ({beyond}) at {self.where}, sees {self.detectable:.2%}"
 
 
-class Batches:
-    """The mean and the variance of independent renders of one scene, accumulated by `add`.
-
-    Memory: two float64 images, and per batch one number for each block and channel.
-    """
-
-    def __init__(self, block: int = BLOCK) -> None:
-        self.block = block
-        self.count = 0
-        self._mean: Array = np.zeros(0)
-        self._squares: Array = np.zeros(0)  # sum of squared deviations from the mean
-        self._blocks: list[Array] = []
-
-    def add(self, image: Any) -> None:
-        """Add a render (H, W, C) with a seed of its own. Raises `ComparisonError` for NaN and for other shapes."""
-        pixels = np.asarray(image, np.float64)
-        if pixels.ndim != 3 or pixels.size == 0:
-            raise ComparisonError(f"a batch has shape (H, W, C), found {pixels.shape}")
-        if self.count == 0:
-            self._mean, self._squares = np.zeros_like(pixels), np.zeros_like(pixels)
-        if pixels.shape != self._mean.shape:
-            raise ComparisonError(f"batches of different shapes: {self._mean.shape} and {pixels.shape}")
-        bad = np.count_nonzero(~np.isfinite(pixels))
-        if bad:
-            raise ComparisonError(f"batch {self.count} has {bad} values that are NaN or infinite")
-        # Welford's update: stable where sums of squares are not.
-        self.count += 1
-        deviation = pixels - self._mean
-        self._mean = self._mean + deviation / self.count
-        self._squares = self._squares + deviation * (pixels - self._mean)
-        self._blocks.append(_block_means(pixels, self.block))
-
-    @property
-    def mean(self) -> Array:
-        """The mean image (H, W, C)."""
-        return self._mean
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(H, W, C)."""
-        return self._mean.shape
-
-    def variance_of_mean(self) -> Array:
-        """The variance of `mean` per pixel (H, W, C)."""
-        return self.pixels().variance / self.count
-
-    def pixels(self) -> Moments:
-        """Moments of the single pixels, (H, W, C)."""
-        self._need_two()
-        dof = self.count - 1
-        return Moments(self._mean, self._squares / dof, np.full(self._mean.shape, float(dof)), self.count)
-
-    def blocks(self, independent_pixels: bool = False) -> Moments:
-        """Moments of the block averages, (rows, columns, C).
-
-        The variance is that of the batches' block averages, right for any filter, with count - 1 degrees
-        of freedom. `independent_pixels` (true under the box filter) adds up the pixels' variances
-        instead, which leaves thousands of degrees of freedom (Satterthwaite 1946, *An approximate distribution
-        of estimates of variance components*) and so a sharper test from few batches.
-        """
-        self._need_two()
-        if not independent_pixels:
-            stack = np.stack(self._blocks)
-            dof = np.full(stack.shape[1:], self.count - 1.0)
-            return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, self.count)
-        pixels = self.pixels()
-        size = _block_sizes(pixels.mean.shape, self.block)
-        return _pooled(pixels, lambda values: _block_means(values, self.block) * size, size)
-
-    def image(self, independent_pixels: bool = False) -> Moments:
-        """Moments of the whole image's average per channel, (C,); see `blocks`."""
-        self._need_two()
-        height, width, channels = self._mean.shape
-        if independent_pixels:
-            return _pooled(self.pixels(), lambda values: values.sum(axis=(0, 1)), np.float64(height * width))
-        weight = _block_sizes(self._mean.shape, self.block) / (height * width)
-        stack = np.stack([(blocks * weight).sum(axis=(0, 1)) for blocks in self._blocks])
-        dof = np.full(channels, self.count - 1.0)
-        return Moments(stack.mean(axis=0), stack.var(axis=0, ddof=1), dof, self.count)
-
-    def _need_two(self) -> None:
-        if self.count < 2:
-            raise ComparisonError(f"a variance needs at least 2 batches, found {self.count}")
-
-
 def pixel_test(a: Batches, b: Batches, significance: float = 1e-3, equal_variance: bool = True) -> TestResult:
     """Test whether any pixel of `a` differs from `b`'s by more than noise: one test per pixel and channel."""
     return _test("pixels", a.pixels(), b.pixels(), significance, equal_variance)
@@ -216,9 +121,51 @@ def mean_test(
     significance: float = 1e-3,
     equal_variance: bool = True,
     independent_pixels: bool = False,
+    critical: float | None = None,
 ) -> TestResult:
-    """Test whether any channel's mean differs: one test per channel; see `Batches.blocks` for `independent_pixels`."""
-    return _test("image mean", a.image(independent_pixels), b.image(independent_pixels), significance, equal_variance)
+    """Test whether any channel's mean differs: one test per channel; see `Batches.blocks` for `independent_pixels`.
+
+    `critical`: the largest |z| that passes, in place of the one that follows from `significance`.
+    """
+    first, second = a.image(independent_pixels), b.image(independent_pixels)
+    return _test("image mean", first, second, significance, equal_variance, critical)
+
+
+def weighted_test(
+    a: Batches,
+    b: Batches,
+    significance: float = 1e-3,
+    equal_variance: bool = True,
+    independent_pixels: bool = False,
+) -> TestResult:
+    """Test whether any channel's mean differs in which noisy cells have little weight: one test per channel.
+
+    A bias in proportion to the brightness M of cells of variance V is seen best with the weights M / V (least
+    squares). The median variance is added to V, so that what is free of noise, such as a background, doesn't hide
+    the rest. Both sides share the weights, which follow from both alike, so equal renderers differ by them in
+    neither direction.
+    """
+    if a.shape != b.shape:
+        raise ComparisonError(f"images of different shapes: {a.shape} and {b.shape}")
+    first, second = a.noise(), b.noise()
+    brightness = np.abs(first.mean + second.mean) / 2
+    variance = first.variance / a.count + second.variance / b.count
+    noisy = [values[values > 0] for values in np.moveaxis(variance, 2, 0)]
+    variance = variance + [np.median(values) if values.size else 1.0 for values in noisy]
+    weights = brightness / variance
+    weights = np.where(weights.sum(axis=(0, 1)) > 0, weights, 1.0) * block_sizes(a.shape, a.cell)
+    weights = weights / weights.sum(axis=(0, 1))
+    first, second = (each.weighted(weights, independent_pixels) for each in (a, b))
+    return _test("weighted mean", first, second, significance, equal_variance)
+
+
+def z_map(a: Batches, b: Batches, equal_variance: bool = True) -> Array:
+    """The deviate of each pixel's worst channel, (H, W): positive where `a` is brighter; see `pixel_test`."""
+    first, second = a.pixels(), b.pixels()
+    size = _deviates(first, second, equal_variance, 0.5)[0]
+    worst = size.argmax(axis=2)[..., None]
+    signed = np.copysign(size, first.mean - second.mean)
+    return np.asarray(np.take_along_axis(signed, worst, axis=2)[..., 0])
 
 
 def noise_ratio(a: Batches, b: Batches) -> float:
@@ -244,8 +191,42 @@ def sidak(significance: float, count: int) -> float:
     return -math.expm1(math.log1p(-significance) / count)
 
 
-def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance: bool) -> TestResult:
-    """Run two-sample t-tests of all averages.
+def _test(
+    name: str,
+    a: Moments,
+    b: Moments,
+    significance: float,
+    equal_variance: bool,
+    critical: float | None = None,
+) -> TestResult:
+    """Run the tests of a family; `critical` replaces the limit by Sidak."""
+    if a.mean.shape != b.mean.shape:
+        raise ComparisonError(f"images of different shapes: {a.mean.shape} and {b.mean.shape}")
+    if not 0 < significance < 1:
+        raise ComparisonError(f"the significance must lie between 0 and 1, found {significance}")
+    normal = _scipy().stats.norm
+
+    difference = a.mean - b.mean
+    single = sidak(significance, difference.size) if critical is None else 2 * float(normal.sf(critical))
+    size, seen = _deviates(a, b, equal_variance, single)
+    worst = int(np.argmax(size))
+    limit = float(normal.isf(single / 2))
+    p = min(2 * float(normal.sf(size.flat[worst])), 1 - 1e-16)
+    scale = float(np.mean(np.abs(b.mean)))
+    return TestResult(
+        name=name,
+        count=difference.size,
+        z=math.copysign(size.flat[worst], difference.flat[worst]),
+        critical=limit,
+        p_value=-math.expm1(difference.size * math.log1p(-p)),
+        rejected=int(np.count_nonzero(size > limit)),
+        where=tuple(int(i) for i in np.unravel_index(worst, difference.shape)),
+        detectable=seen / scale if scale else math.inf,
+    )
+
+
+def _deviates(a: Moments, b: Moments, equal_variance: bool, single: float) -> tuple[Array, float]:
+    """The |z| of two-sample t-tests of all averages, and the difference that a test at level `single` detects.
 
     `equal_variance`: both renderers use the same estimator with the same samples per batch, so one variance is
     estimated from both (Student): exact for normal noise, and conservative for skewed noise (fireflies) as long
@@ -254,15 +235,9 @@ def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance
     Then Welch's test, which estimates two variances, must reject as well. Without `equal_variance` Welch's test
     alone decides.
     """
-    if a.mean.shape != b.mean.shape:
-        raise ComparisonError(f"images of different shapes: {a.mean.shape} and {b.mean.shape}")
-    if not 0 < significance < 1:
-        raise ComparisonError(f"the significance must lie between 0 and 1, found {significance}")
     normal, student = _scipy().stats.norm, _scipy().stats.t
-
     difference = a.mean - b.mean
     rounding = RESOLUTION * np.maximum(np.abs(a.mean), np.abs(b.mean))
-    single = sidak(significance, difference.size)
     variances = [_student(a, b)] if equal_variance else []
     if not equal_variance or a.count != b.count:
         variances.append(_welch(a, b))
@@ -275,21 +250,7 @@ def _test(name: str, a: Moments, b: Moments, significance: float, equal_variance
         # A normal deviate is never larger than the t with the same p; this also replaces the infinity of p = 0.
         size = np.minimum(size, np.minimum(normal.isf(student.sf(t, dof)), t))
         seen = max(seen, float(np.median(student.isf(single / 2, dof) * error)))
-
-    worst = int(np.argmax(size))
-    critical = float(normal.isf(single / 2))
-    p = min(2 * float(normal.sf(size.flat[worst])), 1 - 1e-16)
-    scale = float(np.mean(np.abs(b.mean)))
-    return TestResult(
-        name=name,
-        count=difference.size,
-        z=math.copysign(size.flat[worst], difference.flat[worst]),
-        critical=critical,
-        p_value=-math.expm1(difference.size * math.log1p(-p)),
-        rejected=int(np.count_nonzero(size > critical)),
-        where=tuple(int(i) for i in np.unravel_index(worst, difference.shape)),
-        detectable=seen / scale if scale else math.inf,
-    )
+    return size, seen
 
 
 def _student(a: Moments, b: Moments) -> tuple[Array, Array]:
@@ -303,28 +264,6 @@ def _welch(a: Moments, b: Moments) -> tuple[Array, Array]:
     va, vb = a.variance / a.count, b.variance / b.count
     spread = va**2 / a.dof + vb**2 / b.dof
     return va + vb, np.where(spread > 0, (va + vb) ** 2 / np.where(spread > 0, spread, 1), a.dof + b.dof)
-
-
-def _pooled(pixels: Moments, add_up: Any, size: Any) -> Moments:
-    """The moments of averages of independent pixels: `add_up` sums an array (H, W, C) over groups of `size` pixels."""
-    total = add_up(pixels.variance)
-    squares = add_up(pixels.variance**2 / pixels.dof)
-    one = add_up(pixels.dof)  # where there is no noise any number of degrees of freedom will do
-    dof = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1), one)
-    return Moments(add_up(pixels.mean) / size, total / size**2, dof, pixels.count)
-
-
-def _block_means(image: Array, block: int) -> Array:
-    """The averages over blocks, (rows, columns, C)."""
-    sums = np.add.reduceat(image, np.arange(0, image.shape[0], block), axis=0)
-    sums = np.add.reduceat(sums, np.arange(0, image.shape[1], block), axis=1)
-    return np.asarray(sums / _block_sizes(image.shape, block))
-
-
-def _block_sizes(shape: tuple[int, ...], block: int) -> Array:
-    """The number of pixels of each block, (rows, columns, 1)."""
-    rows, columns = (np.diff(np.append(np.arange(0, n, block), n)).astype(np.float64) for n in shape[:2])
-    return np.asarray(rows[:, None, None] * columns[None, :, None])
 
 
 def _scipy() -> Any:

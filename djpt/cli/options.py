@@ -12,6 +12,7 @@ from click.shell_completion import CompletionItem
 __all__ = [
     "SCENE",
     "columns",
+    "complete_scene",
     "define",
     "denoiser",
     "exposure",

@@ -14,7 +14,7 @@ from djpt.description.document import Document
 from djpt.errors import SceneError, near_miss
 from djpt.files import require_regular
 
-__all__ = ["described", "override", "rfilter_name"]
+__all__ = ["described", "integrator_name", "override", "rfilter_name"]
 
 SENSORS = frozenset(
     {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
@@ -27,7 +27,7 @@ METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
 INTEGRATORS = frozenset(
     {"path", "direct", "depth", "aov", "moment", "ptracer", "stokes", "volpath", "volpathmis"}
     | {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective", "volprim_rf_basic"}
-    | {"raycast", "whitted", "distributed", "path_naive", "path_nee"},
+    | {"raycast", "whitted", "distributed", "path_naive", "path_nee", "bdpt"},
 )
 
 KEPT: dict[str, tuple[str, ...]] = {
@@ -125,6 +125,14 @@ def rfilter_name(scene: Mapping[str, Any]) -> str:
             nodes = [node for node in film.values() if isinstance(node, Mapping)] if isinstance(film, Mapping) else []
             return str(nodes[0].get("type")) if nodes else "gaussian"
     return "gaussian"
+
+
+def integrator_name(scene: Mapping[str, Any]) -> str:
+    """The type of the scene's integrator; the default is `path`."""
+    for key, node in scene.items():
+        if isinstance(node, Mapping) and (key == "integrator" or node.get("type") in INTEGRATORS):
+            return str(node.get("type"))
+    return "path"
 
 
 def _film_key(sensor: Mapping[str, Any]) -> str:

@@ -49,7 +49,7 @@ def test_wheel_and_source_archive(tmp_path: Path) -> None:
     modules = contents(zipfile.ZipFile(wheel).namelist())
     here = {str(p.relative_to(ROOT)) for p in (ROOT / "djpt").rglob("*.py")}
     here |= {f"djpt/{p.relative_to(ROOT)}" for name in ROOT_FOLDERS for p in (ROOT / name).rglob("*.py")}
-    assert modules == here | {"djpt/py.typed"}
+    assert modules == here | {"djpt/py.typed", "pytest_djpt.py"}
 
     # A wheel that is built from the source archive has the same contents.
     with tarfile.open(archive) as tar:
