@@ -41,7 +41,11 @@ def commands() -> list[str]:
     return [line for line in lines if line.startswith("djpt ")]
 
 
-SMALLER = {"gallery": ["--size", "32", "--spp", "4"]}
+SMALLER = {
+    "gallery": ["--size", "32", "--spp", "4"],
+    "gradcheck": ["--width", "16", "--spp", "16", "--seeds", "4", "--most-seeds", "4"],
+    "turntable": ["--width", "16", "--spp", "1", "--frames", "2"],
+}
 """Options that spare what takes minutes: the pictures of 30 materials are for people to look at."""
 
 
