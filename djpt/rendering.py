@@ -232,6 +232,9 @@ def prepare_to_record(scene: Scene) -> None:
     for sensor in scene.sensors():
         prepare_sums(sensor.film(), integrator)
         sensor.film().reserve(channel_names(scene, sensor))
+        rendered, its_sensor = carried(scene, sensor) if integrator.fits_any_frame() else (scene, sensor)
+        for view in (rendered, rendered.with_media()):
+            view.seen_by(its_sensor)
     for shape in scene.shapes():
         shape.make_parameters()
     found = twin(scene)

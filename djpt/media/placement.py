@@ -74,6 +74,7 @@ class Media:
 
     def prepare(self) -> None:
         """Build the tables that kernels read, after the scene was compiled or edited."""
+        self._around: dict[tuple[float, ...], int] = {}
         self._inside_of_face = self._geometry.per_face(self._inside)
         self._outside_of_face = self._geometry.per_face(self._outside)
         self._bounds = Members(self._closed, len(self._inside))
@@ -130,12 +131,19 @@ class Media:
     def around(self, p: np.ndarray | None, lookup: Lookup) -> int:
         """The medium that a point (3,) lies in, computed at once; None stands for a point outside of all bodies.
 
-        A ray may slip through an edge: the majority of three decides.
+        A ray may slip through an edge: the majority of three decides. Answers are kept, so that frozen functions need
+        no kernel for what was asked before.
         """
         if p is None:
             return self.vacuum
+        key = tuple(float(x) for x in p)
+        if key not in self._around:
+            self._around[key] = self._majority(key, lookup)
+        return self._around[key]
+
+    def _majority(self, p: tuple[float, ...], lookup: Lookup) -> int:
         directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
-        numbers = self.at(Point3f(*(float(x) for x in p)), lookup, directions).numpy()
+        numbers = self.at(Point3f(*p), lookup, directions).numpy()
         return int(np.bincount(numbers).argmax())
 
     def at(

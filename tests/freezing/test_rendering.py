@@ -33,6 +33,21 @@ def with_mesh(scene: dict[str, Any]) -> None:
     scene["tetrahedron"] = mesh
 
 
+def with_fog(scene: dict[str, Any]) -> None:
+    """Fill the room, and where the camera stands, with fog that has a denser part."""
+    density = {"type": "gridvolume", "data": np.linspace(0.2, 2, 8, dtype=np.float32).reshape(2, 2, 2)}
+    smoke = {"type": "heterogeneous", "albedo": 0.8, "sigma_t": density}
+    scene["fog"] = {"type": "homogeneous", "albedo": 0.9, "sigma_t": 0.2}
+    scene["sensor"]["medium"] = {"type": "ref", "id": "fog"}
+    scene["smoke"] = {
+        "type": "cube",
+        "to_world": djpt.ScalarTransform4f().scale(0.4),
+        "bsdf": {"type": "null"},
+        "interior": smoke,
+        "exterior": {"type": "ref", "id": "fog"},
+    }
+
+
 SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "sums in registers": lambda: box(8),
     "sums by calls": lambda: box(8, "gaussian"),
@@ -41,6 +56,7 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "several channels": lambda: box(8, "gaussian", AREAS),
     "light paths": lambda: box(8, "gaussian", {"type": "ptracer"}),
     "both ends": lambda: box(8, "gaussian", {"type": "bdpt"}),
+    "fog": lambda: box(8, "gaussian", {"type": "volpath", "max_depth": 4}, with_fog),
 }
 
 
@@ -90,14 +106,15 @@ def reverse(scene: djpt.Scene, target: TensorXf, seed: UInt32) -> Any:
     return loss
 
 
-INTEGRATORS: dict[str, dict[str, Any]] = {"replay": {"type": "path"}, "plain AD": {"type": "direct"}}
+FOGGY: dict[str, Any] = {"type": "prbvolpath", "max_depth": 4}
+INTEGRATORS: dict[str, dict[str, Any]] = {"replay": {"type": "path"}, "plain AD": {"type": "direct"}, "fog": FOGGY}
 
 
 @pytest.mark.parametrize("name", INTEGRATORS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_an_optimisation_by_frozen_steps_gives_the_same_values(name: str, rfilter: str) -> None:
     def run(step: Callable[..., Any]) -> list[list[float]]:
-        scene = djpt.load_dict(box(8, rfilter, INTEGRATORS[name]))
+        scene = djpt.load_dict(box(8, rfilter, INTEGRATORS[name], with_fog if name == "fog" else None))
         target, params, found = djpt.render(scene, spp=16), djpt.traverse(scene), []
         optimizer = Adam(lr=0.02, params={RED: Color3f(0.4, 0.3, 0.6)})
         for k in range(5):
