@@ -40,8 +40,8 @@ render: $(READY)
 gallery: $(READY)
 	$(PY) -m djpt gallery -o gallery.png
 
-test: $(READY)
-	$(PY) -m pytest -q $(SIDE_BY_SIDE)
+test: $(READY)  # kernels that compile in half the time, see tests/kit/quick_kernels.py
+	DJPT_TEST_QUICK=1 $(PY) -m pytest -q $(SIDE_BY_SIDE)
 
 test-narrow: $(READY)
 	DJPT_TEST_LANES=8 $(PY) -m pytest -q -m 'narrow and not slow'

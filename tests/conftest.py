@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Generator
 from typing import Any
 
 import pytest
 
-import djpt  # noqa: F401 isort: skip
-import drjit as dr
-
 pytest.register_assert_rewrite("tests.kit")
+
+from tests.kit.quick_kernels import keep_apart, skip_passes, without_notes  # noqa: E402
+
+keep_apart()
+
+import djpt  # noqa: F401, E402 isort: skip
+import drjit as dr  # noqa: E402
 
 from tests.kit.lanes import lanes_from_environment  # noqa: E402
 
+skip_passes()
 lanes_from_environment()
 
 # Processes that run tests side by side (`pytest -n`) share the processors. With a single thread Mitsuba waits for ever
@@ -37,6 +43,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if cases[test] % sparse.args[0]:
                 item.add_marker(pytest.mark.slow)
             cases[test] += 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Leave out what LLVM says of quick kernels."""
+    report = yield
+    report.sections = [(title, without_notes(text)) for title, text in report.sections]
+    return report
 
 
 @pytest.fixture(scope="module")
