@@ -5,7 +5,8 @@ VENV ?= .venv
 PYTHON ?= python3
 PY := $(VENV)/bin/python
 # Tests run in as many processes as there are processors, up to four; the tests of a file stay together.
-SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
+# They come in the order that tests/conftest.py gives them.
+SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 READY := $(VENV)/.djpt-ready
 
 .PHONY: help setup render gallery test test-narrow lint format check check-cuda bench bench-cuda docs clean

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -29,9 +30,21 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     dr.set_thread_count(max(2, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
 
 
+TESTS = Path(__file__).parent
+LONGEST = (
+    *("docs/test_pages", "gradients/test_images", "materials/test_sampling", "gradients/test_machine"),
+    *("integrators/test_agreement", "docs/test_readme", "commands/test_ladder_page", "schedules/test_invariants"),
+    *("lights/test_sampling", "lights/test_emission", "integrators/test_bdpt", "geometry/test_scale"),
+    *("integrators/test_light_tracing", "integrators/test_guided", "gradients/test_materials", "docs/test_examples"),
+    *("integrators/test_same_seed", "validation/test_statistics", "validation/test_compare", "geometry/test_instances"),
+    *("integrators/test_ladder", "cameras/test_same_seed", "lights/test_textured", "scenes/test_rewritings"),
+)
+"""The files that take longest. Processes side by side begin with them, and so end together."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark all but every n-th case of sparse tests as slow.
+    """Mark all but every n-th case of sparse tests as slow, and begin with the longest files if several run at once.
 
     An n without common factors with the numbers of values of each parameter meets each value.
     """
@@ -43,6 +56,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if cases[test] % sparse.args[0]:
                 item.add_marker(pytest.mark.slow)
             cases[test] += 1
+    if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+        ranks = {TESTS / f"{name}.py": rank for rank, name in enumerate(LONGEST)}
+        items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
 
 
 @pytest.hookimpl(wrapper=True)
