@@ -93,6 +93,7 @@ def reverse(scene: djpt.Scene, target: TensorXf, seed: UInt32) -> Any:
 INTEGRATORS: dict[str, dict[str, Any]] = {"replay": {"type": "path"}, "plain AD": {"type": "direct"}}
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", INTEGRATORS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_an_optimisation_by_frozen_steps_gives_the_same_values(name: str, rfilter: str) -> None:
