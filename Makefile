@@ -5,7 +5,8 @@ VENV ?= .venv
 PYTHON ?= python3
 PY := $(VENV)/bin/python
 # Tests run in as many processes as there are processors, up to four; the tests of a file stay together.
-SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile
+# They come in the order that tests/conftest.py gives them.
+SIDE_BY_SIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 READY := $(VENV)/.djpt-ready
 
 .PHONY: help setup render gallery test test-narrow lint format check check-cuda bench bench-cuda docs clean
@@ -40,8 +41,8 @@ render: $(READY)
 gallery: $(READY)
 	$(PY) -m djpt gallery -o gallery.png
 
-test: $(READY)
-	$(PY) -m pytest -q $(SIDE_BY_SIDE)
+test: $(READY)  # kernels that compile in half the time, see tests/kit/quick_kernels.py
+	DJPT_TEST_QUICK=1 $(PY) -m pytest -q $(SIDE_BY_SIDE)
 
 test-narrow: $(READY)
 	DJPT_TEST_LANES=8 $(PY) -m pytest -q -m 'narrow and not slow'

@@ -27,7 +27,7 @@ from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
 from djpt.materials import BSDF
-from djpt.media.queries import MediaQueries
+from djpt.media.visibility import VisibilityQueries
 from djpt.records import (
     BSDFFlags,
     DirectionSample3f,
@@ -43,7 +43,7 @@ from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
 from djpt.silhouettes.scene import SceneSilhouettes
 from djpt.textures.uses import check_textures, reads_uv
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Scene"]
 
@@ -52,7 +52,7 @@ WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", 
 """Mitsuba's settings for ray queries of its own, which descriptions may hold."""
 
 
-class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin):
+class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     The queries take per-lane rays and points. A scene reads its plugins' values through a
@@ -304,32 +304,6 @@ class Scene(RayQuestions, LightQuestions, MediaQueries, SceneSilhouettes, Plugin
     def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
         """True where a point is within an odd number of closed surfaces; open shapes don't count."""
         return is_inside(self.geometry, p, active)
-
-    def light_through(self, ray: Ray3f, light: Color3f | None = None, lit: Bool | None = None) -> Color3f:
-        """The part of `light` (default 1) that arrives along the segment of a `shadow_ray`.
-
-        It is 0 behind a surface, else the share that media leave. Faster than `ray_test`: shapes that can't shadow
-        anything are left out. Only where there is light surfaces are looked for, and where `lit`: black light may have
-        derivatives.
-        """
-        left = self.left_by_media(ray, Color3f(1) if light is None else light)
-        shines = dr.max(left) > 0
-        return dr.select(self.geometry.blocked(ray, shines if lit is None else shines | lit), 0, left)
-
-    def light_between(
-        self, ray: Ray3f, light: Color3f, through_lights: Bool | bool = False, lit: Bool | None = None
-    ) -> Color3f:
-        """The part of `light` that arrives along the segment of a ray between any two points.
-
-        Unlike `light_through` it leaves out no shape, because the walls around a scene and a single lamp can hide a
-        surface from a camera or from another surface. Where `through_lights` is true shapes that emit hide nothing.
-        """
-        shines = dr.max(light) > 0
-        if through_lights is not False:
-            free = ~self.closest_hit(ray, through_lights=Bool(through_lights)).is_valid()
-        else:
-            free = ~self.geometry.any_hit(ray, shines if lit is None else shines | lit)
-        return dr.select(free, self.left_by_media(ray, light), 0)
 
     def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
         """The ray from `si` to the emitter sample `ds`."""

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections import Counter
+from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-import djpt  # noqa: F401 isort: skip
-import drjit as dr
-
 pytest.register_assert_rewrite("tests.kit")
+
+from tests.kit.quick_kernels import keep_apart, skip_passes, without_notes  # noqa: E402
+
+keep_apart()
+
+import djpt  # noqa: F401, E402 isort: skip
+import drjit as dr  # noqa: E402
 
 from tests.kit.lanes import lanes_from_environment  # noqa: E402
 
+skip_passes()
 lanes_from_environment()
 
 # Processes that run tests side by side (`pytest -n`) share the processors. With a single thread Mitsuba waits for ever
@@ -23,9 +31,26 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     dr.set_thread_count(max(2, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))
 
 
+# Shells start what runs in the background without the signal that some tests send.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+TESTS = Path(__file__).parent
+LONGEST = (
+    *("docs/test_pages", "gradients/test_images", "materials/test_sampling", "gradients/test_machine"),
+    *("integrators/test_agreement", "docs/test_readme", "commands/test_ladder_page", "schedules/test_invariants"),
+    *("lights/test_sampling", "lights/test_emission", "integrators/test_bdpt", "geometry/test_scale"),
+    *("integrators/test_light_tracing", "integrators/test_guided", "gradients/test_materials", "docs/test_examples"),
+    *("integrators/test_same_seed", "validation/test_statistics", "validation/test_compare", "geometry/test_instances"),
+    *("integrators/test_ladder", "cameras/test_same_seed", "lights/test_textured", "scenes/test_rewritings"),
+)
+"""The files that take longest. Processes side by side begin with them, and so end together."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark all but every n-th case of sparse tests as slow.
+    """Mark all but every n-th case of sparse tests as slow, and begin with the longest files if several run at once.
 
     An n without common factors with the numbers of values of each parameter meets each value.
     """
@@ -37,6 +62,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if cases[test] % sparse.args[0]:
                 item.add_marker(pytest.mark.slow)
             cases[test] += 1
+    if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+        ranks = {TESTS / f"{name}.py": rank for rank, name in enumerate(LONGEST)}
+        items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Leave out what LLVM says of quick kernels."""
+    report = yield
+    report.sections = [(title, without_notes(text)) for title, text in report.sections]
+    return report
 
 
 @pytest.fixture(scope="module")

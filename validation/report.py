@@ -18,7 +18,7 @@ from djpt.images.sheets import DARK, Tile, captioned_sheet, shown
 if TYPE_CHECKING:
     from djpt.validation.comparison import Comparison
 
-__all__ = ["difference_picture", "picture", "write_picture"]
+__all__ = ["check_picture", "difference_picture", "picture", "write_picture"]
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -26,10 +26,15 @@ _LEAST_WIDTH = 256
 """Smaller images are enlarged by a whole factor, so that the captions fit."""
 
 
-def write_picture(result: Comparison, path: str | os.PathLike[str]) -> None:
-    """Write `picture(result)` as png or jpg. Raises `FileError`."""
+def check_picture(path: str | os.PathLike[str]) -> None:
+    """Raise `FileError` unless the picture of a comparison can have this name; ask before rendering."""
     if Path(path).suffix.lower() not in DISPLAY_FORMATS:
         raise FileError(f"can't write '{path}': the picture of a comparison is a png or a jpg")
+
+
+def write_picture(result: Comparison, path: str | os.PathLike[str]) -> None:
+    """Write `picture(result)` as png or jpg. Raises `FileError`."""
+    check_picture(path)
     write(path, picture(result))
 
 

@@ -16,7 +16,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import as_float
+from djpt.kernels import as_float, own_floats
 from djpt.phase.base import PhaseFunction
 from djpt.phase.directions import around
 from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
@@ -62,7 +62,8 @@ class TabulatedPhaseFunction(PhaseFunction):
         self.density: Any = TensorXf(self.numbers * (dr.rcp(integral) * (1 / (2 * math.pi))), (count,))
         values = np.asarray(dr.detach(self.density), np.float64)
         running = np.cumsum(values[1:] + values[:-1])
-        self.running: Any = TensorXf((running / running[-1]).astype(np.float32))
+        # In memory of Dr.Jit's own: NumPy's is aligned by chance, and another kernel then.
+        self.running: Any = TensorXf(own_floats(running / running[-1]), (count - 1,))
         self.intervals = as_float(count - 1)
         self.steps = (count - 2).bit_length()
         """The number of steps of a binary search among the intervals."""

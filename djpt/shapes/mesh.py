@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -19,8 +18,9 @@ from djpt.geometry.triangle_sampling import square_to_triangle
 from djpt.kernels import as_float, own_copy, own_floats
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Shape
-from djpt.shapes.meshes.cleaning import check_indices, clean
+from djpt.shapes.meshes.cleaning import clean
 from djpt.shapes.meshes.data import MeshData, unit
+from djpt.shapes.meshes.edits import Edits
 from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
 from djpt.shapes.meshes.measures import Measures, is_remote
 from djpt.shapes.meshes.queries import MeshQueries
@@ -37,6 +37,8 @@ __all__ = ["Mesh"]
 HIDDEN = ParamFlags.NonDifferentiable
 PARAMETERS = ("faces_parameter", "vertex_positions", "vertex_normals", "vertex_texcoords")
 """The attributes that hold the parameters of all meshes; made when they are asked for, which most never are."""
+STORED = {"faces": "faces_parameter"}
+"""The attributes of parameters whose names mean something else."""
 MOVES = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
 
@@ -230,23 +232,16 @@ class Mesh(MeshQueries, Shape):
         changed = names.intersection(keys)
         if not changed:
             return
-        positions = self._read("vertex_positions", 3)
-        indices = self.indices
-        if "faces" in changed:
-            indices = self._read("faces", 3, "faces_parameter").astype(np.uint32)
-        if not len(indices):
-            raise ParameterError(f"{self.id()}.faces: a mesh needs at least one triangle")
-        try:
-            check_indices(indices, len(positions), f"{self.id()}.faces")
-        except SceneError as error:
-            raise ParameterError(str(error)) from None
+        edits = Edits(self.id(), lambda name: getattr(self, STORED.get(name, name)), changed)
+        positions = edits.rows("vertex_positions", 3)
+        indices = edits.faces(self.indices, len(positions))
         resized = len(positions) != len(self.positions) or len(indices) != len(self.indices)
-        normals = self._vertex_data("vertex_normals", 3, len(positions), changed)
-        texcoords = self._vertex_data("vertex_texcoords", 2, len(positions), changed)
+        normals = edits.fitting_rows("vertex_normals", 3, len(positions))
+        texcoords = edits.fitting_rows("vertex_texcoords", 2, len(positions))
         attributes = {}
         for name, (old, kind) in self.attributes.items():
             count = len(positions if kind == "vertex" else indices)
-            value = self._vertex_data(name, old.shape[1], count, changed)
+            value = edits.fitting_rows(name, old.shape[1], count)
             attributes[name] = (np.zeros((count, old.shape[1]), np.float32) if value is None else value, kind)
 
         # When an edit is undone the old normals must return, also those that the mesh was made with.
@@ -263,26 +258,6 @@ class Mesh(MeshQueries, Shape):
     def attached_parameter(self, name: str, value: Any) -> Any:
         if name != "vertex_positions":
             raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
-        return value
-
-    def _read(self, name: str, width: int, attribute: str | None = None) -> NDArray[Any]:
-        """Read a parameter as rows on the host."""
-        flat = np.array(dr.detach(getattr(self, attribute or name)))
-        if flat.size % width:
-            raise ParameterError(f"{self.id()}.{name}: {flat.size} numbers don't make rows of {width}")
-        return flat.reshape(-1, width)
-
-    def _vertex_data(self, name: str, width: int, count: int, changed: set[str]) -> NDArray[np.float32] | None:
-        """Read rows that belong to the vertices (or faces); zeros if only the number of these has changed."""
-        value = self._read(name, width)
-        if not len(value):
-            return None
-        if len(value) != count:
-            if name in changed:
-                raise ParameterError(f"{self.id()}.{name}: must be {count} rows of {width}, found {len(value)}")
-            if name != "vertex_normals":
-                warnings.warn(f"{self.id()}.{name}: the mesh has another size now; set to zero", stacklevel=2)
-            value = np.zeros((count, width), np.float32)
         return value
 
     def add_attribute(self, name: str, size: int, buffer: Any) -> None:

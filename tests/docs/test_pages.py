@@ -23,6 +23,8 @@ def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.
     code = snippets(page)
     if any("mitsuba" in block.code or "validation" in block.code for block in code):
         pytest.importorskip("mitsuba")
+    if any("from distributed" in block.code for block in code):
+        pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": Path(page).stem}
     for block in code:

@@ -8,10 +8,12 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
 import djpt
+from djpt.cli.main import app
 from tests.kit.markdown import snippets
 from tests.kit.processes import ROOT, run_python
 
@@ -42,14 +44,37 @@ def commands() -> list[str]:
 
 
 SMALLER = {
+    "compare": ["--spp", "16", "--rmse", "0.2"],
     "gallery": ["--size", "32", "--spp", "4"],
     "gradcheck": ["--width", "16", "--spp", "16", "--seeds", "4", "--most-seeds", "4"],
+    "ladder": ["--spp", "2", "--size", "16"],
     "turntable": ["--width", "16", "--spp", "1", "--frames", "2"],
 }
 """Options that spare what takes minutes: the pictures of 30 materials are for people to look at."""
 
+MANY_KERNELS = ("gallery", "ladder")
+"""Commands that compile for tens of seconds, one kernel after the other for each material or integrator."""
+
 
 @pytest.mark.parametrize("command", commands())
+def test_the_commands_are_understood(command: str) -> None:
+    name, *arguments = shlex.split(command, comments=True)[1:]
+    context = click.Context(app)
+    known = app.get_command(context, name)
+    assert known is not None, name
+    with known.make_context(name, arguments, parent=context) as parsed:
+        assert parsed.args == []
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(
+            line, marks=[pytest.mark.slow] if line.split()[1] in MANY_KERNELS else [], id=line.split("#")[0].strip()
+        )
+        for line in commands()
+    ],
+)
 def test_the_commands_run(command: str, tmp_path: Path) -> None:
     arguments = shlex.split(command, comments=True)[1:]
     arguments += SMALLER.get(arguments[0], [])

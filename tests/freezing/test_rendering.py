@@ -110,6 +110,7 @@ FOGGY: dict[str, Any] = {"type": "prbvolpath", "max_depth": 4}
 INTEGRATORS: dict[str, dict[str, Any]] = {"replay": {"type": "path"}, "plain AD": {"type": "direct"}, "fog": FOGGY}
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", INTEGRATORS)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_an_optimisation_by_frozen_steps_gives_the_same_values(name: str, rfilter: str) -> None:

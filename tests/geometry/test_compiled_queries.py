@@ -177,7 +177,7 @@ def test_queries_leave_no_variables_behind(capfd: pytest.CaptureFixture[str]) ->
         gc.collect()
         capfd.readouterr()
         dr.whos()
-        return len("".join(capfd.readouterr()).splitlines())
+        return len(capfd.readouterr().out.splitlines())
 
     def query() -> None:
         dr.eval(place.ray_intersect(ray), place.ray_test(ray))

@@ -70,6 +70,7 @@ def test_usual_scenes_are_rendered_as_they_are() -> None:
         assert twin(djpt.load_dict(build())) is None
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("name", PLACED)
 def test_powers_of_two_change_no_bit(name: str) -> None:
     """The frame scales by powers of two, exactly, whatever has a length or an intensity."""

@@ -42,6 +42,7 @@ djpt.register_integrator("plain_direct", PlainDirect)
 # ---------------------------------------------------------------- parameters
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("integrator", ["prb", "path"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_albedo_and_radiance(rfilter: str, integrator: str) -> None:
@@ -49,6 +50,7 @@ def test_albedo_and_radiance(rfilter: str, integrator: str) -> None:
     Experiment(description, [ALBEDO, "white.reflectance.value", RADIANCE]).check()
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("integrator", [PRB, {"type": "direct"}, PLAIN], ids=["prb", "direct", "plain"])
 @pytest.mark.parametrize(
     ("light", "name"),
@@ -65,6 +67,7 @@ def test_lights(light: str, name: str, integrator: dict[str, Any]) -> None:
     Experiment(box(16, "box", integrator, edit), [name, RADIANCE]).check()
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("integrator", [{"type": "direct"}, {"type": "direct", "shading_samples": 2}, PLAIN], ids=str)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_plain_automatic_differentiation(rfilter: str, integrator: dict[str, Any]) -> None:
@@ -94,12 +97,14 @@ def test_zero_albedo() -> None:
 # ---------------------------------------------------------------- films
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("pixel_format", ["rgba", "luminance"])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_pixel_formats(rfilter: str, pixel_format: str) -> None:
     Experiment(box(12, rfilter, PRB, pixel_format=pixel_format), [ALBEDO, RADIANCE]).check()
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("rfilter", ["tent", "mitchell", "lanczos", "catmullrom"])
 def test_filters(rfilter: str) -> None:
     Experiment(box(12, rfilter, PRB), [ALBEDO]).check()
@@ -111,7 +116,7 @@ def test_crop_and_border(integrator: dict[str, Any]) -> None:
     Experiment(box(16, "gaussian", integrator, **film), [ALBEDO, "white.reflectance.value"]).check()
 
 
-@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.parametrize("rfilter", [pytest.param("box", marks=pytest.mark.slow), "gaussian"])
 def test_many_passes(rfilter: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Passes over samples and bands leave the gradient as it is."""
     from djpt.schedules import passes
@@ -194,6 +199,7 @@ def two_colors_each(scene: dict[str, Any]) -> list[str]:
     return names
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 @pytest.mark.parametrize("edit", [two_colors_each, tiles])
 def test_more_parameters_than_registers(edit: Callable[[Any], list[str]], rfilter: str) -> None:
@@ -289,7 +295,7 @@ def test_descending_the_gradient_finds_the_albedo() -> None:
 # ---------------------------------------------------------------- Mitsuba
 
 
-@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.parametrize("rfilter", [pytest.param("box", marks=pytest.mark.slow), "gaussian"])
 def test_against_mitsuba(rfilter: str) -> None:
     mi = pytest.importorskip("mitsuba")
     names = ["red.reflectance.value", "green.reflectance.value", "white.reflectance.value", RADIANCE]
@@ -344,6 +350,7 @@ MUTATIONS = {
 }
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("mutation", MUTATIONS)
 def test_a_wrong_gradient_fails(mutation: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(*MUTATIONS[mutation])

@@ -135,6 +135,7 @@ def test_uv_textures_beside_parameters(folder: Path) -> None:
     same(Loss(scene, names, "machine").reverse(), Loss(scene, names, "flat").reverse(), 2e-3)
 
 
+@pytest.mark.sparse(5)
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (37, 5)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_small_images_and_sample_counts(folder: Path, size: tuple[int, int], rfilter: str) -> None:
@@ -218,7 +219,7 @@ def test_gradients_repeat(folder: Path) -> None:
             np.testing.assert_array_equal(again[name], gradient, err_msg=name)
 
 
-@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+@pytest.mark.parametrize("rfilter", [pytest.param("box", marks=pytest.mark.slow), "gaussian"])
 def test_gradients_of_mitsuba(folder: Path, rfilter: str) -> None:
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("llvm_ad_rgb")

@@ -220,7 +220,7 @@ class ImageSlopes(Slopes):
 LONG = ("blendbsdf", "hair", "principled", "principledthin", "roughplastic")
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("name", first_of_each(NAMES, LONG))
 def test_every_parameter_in_an_image(name: str) -> None:
     slopes, exact = ImageSlopes(name), {}

@@ -82,6 +82,7 @@ def test_thin_pane(integrator: Keys) -> None:
     check(render(scene, integrator, 2, 1024), ABOVE * up + BELOW * (1 - up))
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("integrator", [*ALONG, {"type": "direct"}], ids=str)
 def test_lamp_in_a_mirror(integrator: Keys) -> None:
     """rho e; black without an edge to reach the lamp."""

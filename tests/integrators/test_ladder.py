@@ -53,7 +53,7 @@ def shiny(scene: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("integrator", NAIVE, ids=str)
-@pytest.mark.parametrize("materials", ["diffuse", "shiny"])
+@pytest.mark.parametrize("materials", [pytest.param("diffuse", marks=pytest.mark.slow), "shiny"])
 def test_same_mean_as_path(integrator: dict[str, Any], materials: str) -> None:
     big = {"type": "sphere", "center": [-1, 3, 1], "radius": 1.2, "emitter": {"type": "area", "radiance": 3.0}}
     description = floor_scene({"big": big}, size=16)
@@ -198,7 +198,10 @@ class TestWhitted:
 
 
 class TestDistributed:
-    @pytest.mark.parametrize(("split", "light_samples"), [(1, 1), (3, 2), (2, 4)])
+    @pytest.mark.parametrize(
+        ("split", "light_samples"),
+        [(3, 2), *(pytest.param(*pair, marks=pytest.mark.slow) for pair in ((1, 1), (2, 4)))],
+    )
     def test_same_mean_as_path(self, split: int, light_samples: int) -> None:
         scene = djpt.load_dict(shiny(floor_scene(size=12)))
         integrator = {"type": "distributed", "split": split, "light_samples": light_samples}
@@ -223,6 +226,7 @@ class TestDistributed:
 # ---------------------------------------------------------------- bounces
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("name", ["path", "prb", "path_nee", "path_naive", "prb_basic"])
 @pytest.mark.parametrize("materials", ["diffuse", "shiny"])
 def test_bounces_add_up(name: str, materials: str) -> None:

@@ -86,6 +86,7 @@ def test_same_mean_as_path(name: str) -> None:
     assert_equal_means(images(scene, light, 256), images(scene, {"type": "path", "max_depth": 4}, 128))
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("rfilter", ["box", "gaussian", "mitchell"])
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: s["type"])
 def test_sensors_and_filters(rfilter: str, sensor: dict[str, Any]) -> None:

@@ -109,6 +109,7 @@ def test_pixel_formats(pixel_format: str, integrator: dict[str, Any]) -> None:
     overlapping(box(64, "gaussian", integrator, pixel_format=pixel_format))
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("sample_border", [False, True], ids=["", "border"])
 @pytest.mark.parametrize("edit", [None, crop], ids=["whole", "crop"])
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"])

@@ -155,7 +155,7 @@ class TestEmission:
             close = np.isclose(wide(found), wide(drawn), rtol=5e-3, atol=1e-3 * wide(drawn).max())
             assert close[same].mean() > 0.98
 
-    @pytest.mark.sparse(3)
+    @pytest.mark.sparse(5)
     def test_directions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         emitter, es = scene.emitter_ptr(UInt32(0)), emitted(scene, COUNT, seed=4)
@@ -183,7 +183,7 @@ class TestEmission:
         assert integral == pytest.approx(1, abs=5e-3)
         assert p > SIGNIFICANCE
 
-    @pytest.mark.sparse(3)
+    @pytest.mark.sparse(5)
     def test_positions_follow_the_density(self, source: dict[str, Any] | str) -> None:
         scene = scene_of(source)
         es = emitted(scene, COUNT, seed=5)

@@ -116,6 +116,7 @@ def test_directions_follow_the_density(name: str) -> None:
     assert p > SIGNIFICANCE
 
 
+@pytest.mark.sparse(2)
 @pytest.mark.parametrize("description", LIGHTS.values(), ids=LIGHTS)
 def test_light_arrives_from_where_it_is_seen(description: dict[str, Any]) -> None:
     """Integrals of the radiance over cells of the sphere, by light sampling and by directions drawn uniformly."""

@@ -104,7 +104,7 @@ def check_density(name: str, wi: Any, count: int) -> None:
     np.testing.assert_array_less(difference, noise + 0.3 * error(name) + 1e-4)
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_samples_follow_the_density(name: str, wi: Any) -> None:
@@ -141,7 +141,7 @@ MIXTURES = {"phong", "blinn", "roughplastic", "pplastic", "blendbsdf"}
 """Several lobes may lead to one direction: the density is the sum of all."""
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
@@ -188,7 +188,7 @@ def test_density_is_the_inverse_jacobian(name: str, wi: Any) -> None:
         assert np.mean(ratio < 1 - error) < 0.02
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_weights_are_values_over_densities(name: str, wi: Any) -> None:
@@ -215,7 +215,7 @@ BRIGHTER = {"principled-coated": 1.1, "principled-sheen": 1.04}
 """What reflects more than it receives, at low angles: coat and sheen are just added to what lies below."""
 
 
-@pytest.mark.sparse(3)
+@pytest.mark.sparse(4)
 @pytest.mark.parametrize("wi", WI.values(), ids=WI)
 @pytest.mark.parametrize("name", cases())
 def test_energy(name: str, wi: Any) -> None:

@@ -295,6 +295,7 @@ def test_new_seeds_and_counts_compile_nothing(description: dict[str, Any]) -> No
         assert all(k["cache_hit"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("schedule", ["flat", "wave"])
 @every()
 def test_passes_do_not_change_a_bit(description: dict[str, Any], schedule: str) -> None:

@@ -83,6 +83,7 @@ def test_large_images_in_bands() -> None:
             np.testing.assert_array_equal(pixels(djpt.render(scene, spp=5, pass_spp=pass_spp)), image)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("rows", [1, 5])
 @pytest.mark.parametrize(("schedule", "rfilter"), [*KINDS, ("flat", "lanczos")])
 def test_bands_do_not_matter(schedule: str, rfilter: str, rows: int, monkeypatch: pytest.MonkeyPatch) -> None:

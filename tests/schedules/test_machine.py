@@ -83,6 +83,7 @@ def test_schedules_agree(folder: Path, kind: str) -> None:
     close(machine, wave, share)
 
 
+@pytest.mark.sparse(3)
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (1, 19), (37, 21)])
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
 def test_sizes_and_sample_counts(folder: Path, size: tuple[int, int], rfilter: str) -> None:
