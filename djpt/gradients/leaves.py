@@ -11,14 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
 
-from djpt.description.numeric import may_wait
 from djpt.description.plugin import ParamFlags, Plugin
-from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf, may_vanish
+from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
 from djpt.dispatch.tables import Buffer
 from djpt.errors import RenderError
@@ -114,19 +112,15 @@ def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:
 class Numbering:
     """The numbers of the parameters that leaves read, for each member of a group; built before kernels are traced."""
 
-    def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf]) -> None:
+    def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf], values: Detached) -> None:
         number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
         self._of_leaf = {
             id(leaf): [number.get((id(owner), leaf.attribute)) for owner in leaf.owners] for leaf in leaves
         }
         self.leaves = [leaf for leaf in leaves if any(n is not None for n in self._of_leaf[id(leaf)])]
-        self._values = [dr.detach(p.value) for p in parameters]
-
-    @cached_property
-    def vanishing(self) -> frozenset[int]:
+        # Found before the image is launched: to read a value is to wait for all kernels under way.
+        self.vanishing = frozenset(i for i, p in enumerate(parameters) if values.vanishes(p.owner, p.attribute))
         """The numbers of the parameters that may make a factor of paths vanish: see `may_vanish`."""
-        with may_wait():
-            return frozenset(i for i, value in enumerate(self._values) if may_vanish(value))
 
     def of(self, leaf: Leaf) -> list[int | None]:
         """The number of the parameter of each member, or None."""
