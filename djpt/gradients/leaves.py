@@ -18,8 +18,9 @@ import drjit as dr
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
-from djpt.dispatch.tables import Buffer
+from djpt.dispatch.tables import Buffer, entry_size
 from djpt.errors import RenderError
+from djpt.gradients.entry_sums import EntrySums, entry_sums, prepare_functions
 from djpt.kernels import opaque
 from djpt.scene import Scene
 from djpt.types import Bool, Float, UInt32
@@ -31,6 +32,7 @@ __all__ = [
     "Parameter",
     "Tangents",
     "attached_parameters",
+    "prepare_tables",
     "shape_parameters",
     "unused_values",
 ]
@@ -83,6 +85,13 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
                         raise RenderError(f"no gradient is available for '{owner.id()}.{leaf.attribute}'")
                     found[id(owner), leaf.attribute] = parameter
     return list(found.values())
+
+
+def prepare_tables(scene: Scene) -> None:
+    """Compile what adds up the gradients of the scene's tables, which frozen functions can't."""
+    leaves = (leaf for ensemble in scene.ensembles() for leaf in ensemble.leaves() if isinstance(leaf, TableLeaf))
+    attached = (t for leaf in leaves for t in leaf.rows() if dr.grad_enabled(t))
+    prepare_functions({entry_size(tensor) for tensor in attached})
 
 
 def shape_parameters(scene: Scene) -> list[Parameter]:
@@ -237,15 +246,17 @@ class Accumulator:
             for leaf in numbering.leaves
             if not isinstance(leaf, TableLeaf)
         }
-        self._buffers: dict[int, tuple[TableLeaf, Buffer, Float]] = {}
+        self._tables: dict[int, tuple[TableLeaf, Buffer, EntrySums]] = {}
         for leaf in numbering.leaves:
             if isinstance(leaf, TableLeaf):
                 buffer = values.buffer(leaf)
-                self._buffers[id(leaf)] = (leaf, buffer, dr.zeros(Float, buffer.size))
+                self._tables[id(leaf)] = (leaf, buffer, entry_sums(buffer, lanes))
+        self._calls = any(sums.calls for _, _, sums in self._tables.values())
 
     def start(self) -> list[Float]:
-        """The sums at the start of the loop: one per component, or none."""
-        return [dr.zeros(Float, self._lanes) for _ in range(self.size)] if self.in_registers else []
+        """The sums at the start of the loop: one per component, or none; and one that uses the results of calls."""
+        count = (self.size if self.in_registers else 0) + self._calls
+        return [dr.zeros(Float, self._lanes) for _ in range(count)]
 
     def add(self, sums: list[Float], leaves: Leaves, active: Bool) -> list[Float]:
         """Add the gradients of all leaves taken at a vertex."""
@@ -264,15 +275,17 @@ class Accumulator:
                 start = self._start_of[id(leaf)].at(slot)
                 for c, component in enumerate(components):
                     dr.scatter_add(self._memory, component, start + c, active & (start < self.size))
-        for leaf, address, entry in leaves.read:
-            _, buffer, memory = self._buffers[id(leaf)]
-            buffer.add_to(memory, address, dr.grad(entry), active)
+        for place, (_, _, entries) in self._tables.items():
+            read = [(address, dr.grad(entry)) for leaf, address, entry in leaves.read if id(leaf) == place]
+            taken = entries.add(read, active)
+            if entries.calls:
+                sums[-1] = sums[-1] + dr.select(taken, 1, 0)
         return sums
 
     def gradients(self, sums: list[Float]) -> list[Any]:
         """The finished gradients, one per parameter, of the parameters' types."""
         if self.in_registers:
-            totals = [dr.sum(s) for s in sums]
+            totals = [dr.sum(s) for s in sums[: self.size]]
         else:
             totals = [dr.gather(Float, self._memory, UInt32(i)) for i in range(self.size)]
         dr.eval(totals)
@@ -290,7 +303,7 @@ class Accumulator:
         shape = parameter.value.shape
         total = dr.zeros(Float, dr.prod(shape))
         # A texture may stand in several groups: each has a buffer.
-        for leaf, buffer, memory in self._buffers.values():
+        for leaf, buffer, sums in self._tables.values():
             if leaf.attribute == parameter.attribute and parameter.owner in leaf.owners:
-                total += buffer.unpacked(memory, id(parameter.owner), shape)
+                total += buffer.unpacked(sums.total(), id(parameter.owner), shape)
         return type(parameter.value)(total, shape)
