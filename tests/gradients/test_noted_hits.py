@@ -46,7 +46,12 @@ def test_gradients_with_and_without_notes(kind: str, tmp_path: Path, monkeypatch
     description["integrator"] = paths(6)
     pages: list[Any] = []
     for_vertex = noted_hits.Notes.for_vertex
-    monkeypatch.setattr(noted_hits.Notes, "for_vertex", lambda *args: pages.append(args) or for_vertex(*args))
+
+    def noticed(notes: noted_hits.Notes, *arguments: Any) -> Any:
+        pages.append(arguments)
+        return for_vertex(notes, *arguments)
+
+    monkeypatch.setattr(noted_hits.Notes, "for_vertex", noticed)
     noted = derivatives(description, names)
     assert bool(pages) == (not djpt.load_dict(description).geometry.stepwise)
     monkeypatch.setattr(replay, "blank_notes", lambda *arguments: ())
