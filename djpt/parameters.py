@@ -220,6 +220,8 @@ class SceneParameters(Mapping[str, Any]):
         if loan is not None and loan.is_copy and value is loan.value and not loan.is_edited():
             return
         in_place = loan is not None and value is loan.value and not (loan.is_copy or entry.is_computed())
+        if not in_place and is_same(value, current):
+            return  # checked before: to read it again would wait for all kernels under way
         try:
             converted = convert(entry.owner.check_parameter(entry.name, value), current)
             if not entry.flags.differentiable and dr.grad_enabled(value):
@@ -235,7 +237,7 @@ class SceneParameters(Mapping[str, Any]):
             if loan.is_edited():
                 self._dirty.setdefault(key, (entry, loan.before))
             return
-        if type(converted) is type(current) and state_of(converted) == state_of(current):
+        if is_same(converted, current):
             return
         self._dirty.setdefault(key, (entry, current if loan is None or entry.is_computed() else loan.before))
         self._lent.pop(key, None)
@@ -336,6 +338,13 @@ def state_of(value: Any) -> Any:
     """A key that differs after any edit: the Dr.Jit and gradient indices of an array, else the value."""
     on_lanes = dr.is_array_v(value) or hasattr(value, "DRJIT_STRUCT")
     return tuple(dr.detail.collect_indices(value)) if on_lanes else value
+
+
+def is_same(value: Any, current: Any) -> bool:
+    """Whether two values are of one type and known to be equal, gradients included."""
+    if type(value) is not type(current) or (dr.is_tensor_v(value) and value.shape != current.shape):
+        return False
+    return bool(state_of(value) == state_of(current))
 
 
 def convert(value: Any, current: Any) -> Any:

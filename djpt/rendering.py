@@ -13,7 +13,7 @@ from djpt.description.frozen import recording
 from djpt.description.properties import Properties
 from djpt.display.progress import Progress, watched
 from djpt.errors import RenderError
-from djpt.gradients.leaves import attached_parameters, unused_values
+from djpt.gradients.leaves import attached_parameters, prepare_tables, unused_values
 from djpt.integrators import Integrator, Path
 from djpt.kernels import begin_trace
 from djpt.process.interruption import Interruption, interruptible
@@ -235,6 +235,7 @@ def prepare_to_record(scene: Scene) -> None:
         rendered, its_sensor = carried(scene, sensor) if integrator.fits_any_frame() else (scene, sensor)
         for view in (rendered, rendered.with_media()):
             view.seen_by(its_sensor)
+    prepare_tables(scene)
     for shape in scene.shapes():
         shape.make_parameters()
     found = twin(scene)

@@ -213,6 +213,12 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         view.lookup = lookup
         return view
 
+    def with_geometry(self, geometry: Geometry) -> Scene:
+        """A view of this scene whose rays meet `geometry`, which must number faces and shapes in the same way."""
+        view = self._view()
+        view.geometry = geometry
+        return view
+
     def measured_from(self, sensor: Sensor) -> Scene:
         """A view of this scene that knows how far from a sensor its rays start: see `Sensor.near_share`."""
         view = self._view()

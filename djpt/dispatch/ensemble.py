@@ -23,6 +23,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording
+from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin
 from djpt.dispatch.lookup import Flat, Members, Numbers, Rows
 from djpt.dispatch.tables import Buffer, channels_of
@@ -117,6 +118,7 @@ class Detached:
     def __init__(self) -> None:
         self._copies: dict[tuple[int, str], Any] = {}
         self._tables: dict[int, tuple[Leaf, Any]] = {}
+        self._vanishing: dict[tuple[int, str], bool] = {}
 
     def prepare(self, leaves: Iterable[Leaf]) -> None:
         """Build the tables of some leaves. Long ones must exist before a kernel's loop asks for them."""
@@ -151,12 +153,25 @@ class Detached:
             if attribute in owner.values:  # tables are there already
                 self.value(owner, attribute)
         clone._copies, clone._tables = dict(self._copies), dict(self._tables)
+        # Shared until either forgets: what one has read from the device the other needn't wait for.
+        clone._vanishing = self._vanishing
         return clone
+
+    def vanishes(self, owner: Plugin, attribute: str) -> bool:
+        """Whether a plugin's value may make a factor of paths vanish: see `may_vanish`."""
+        if recording():
+            return True
+        key = (id(owner), attribute)
+        if key not in self._vanishing:
+            with may_wait():
+                self._vanishing[key] = may_vanish(dr.detach(getattr(owner, attribute)))
+        return self._vanishing[key]
 
     def forget(self) -> None:
         """Drop the copies of values that have changed: the next use reads them again."""
         self._copies.clear()
         self._tables.clear()
+        self._vanishing = {}
 
     def __call__(self, leaf: Leaf, slot: UInt32) -> Any:
         table = self._table(leaf)

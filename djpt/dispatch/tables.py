@@ -15,7 +15,7 @@ import drjit as dr
 from djpt.dispatch.lookup import Rows
 from djpt.types import Array4f, ArrayXf, Bool, Color3f, Float, Point2f, UInt32
 
-__all__ = ["Buffer", "Table", "channels_of", "entry_at"]
+__all__ = ["Buffer", "Table", "channels_of", "entry_at", "entry_size"]
 
 ENTRIES: dict[int, tuple[type, int]] = {
     1: (Float, 1),
@@ -48,6 +48,11 @@ class Table(Protocol):
 def channels_of(tensor: Any) -> int:
     """The count of numbers in an entry: the channels of (H, W, C) or (D, H, W, C), else 1."""
     return int(tensor.shape[-1]) if len(tensor.shape) in (3, 4) else 1
+
+
+def entry_size(tensor: Any) -> int:
+    """The numbers of an entry in a buffer, padding included."""
+    return ENTRIES[channels_of(tensor)][1]
 
 
 class Buffer:
@@ -86,6 +91,11 @@ class Buffer:
         index = dr.arange(UInt32, entries(tensor) * self._size)
         entry, channel = index // self._size, index % self._size
         return dr.gather(Float, tensor.array, entry * self.channels + channel, channel < self.channels, mode=LOCAL)
+
+    @property
+    def entry_size(self) -> int:
+        """The numbers of an entry in memory, padding included."""
+        return self._size
 
     @property
     def attached(self) -> bool:

@@ -66,8 +66,10 @@ class Geometry:
         if self.triangles is None or not len(points):
             return self
         triangles = self.triangles.seen_from(points)
-        if triangles is self.triangles:
-            return self
+        return self if triangles is self.triangles else self.with_triangles(triangles)
+
+    def with_triangles(self, triangles: Any) -> Geometry:
+        """A view of this geometry that asks another view of its triangles."""
         view = copy.copy(self)
         view.triangles = triangles
         return view

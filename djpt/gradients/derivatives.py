@@ -175,7 +175,7 @@ class ReplayDerivative:
         # Later edits of the scene must not change what is differentiated.
         self.values = job.scene.lookup.snapshot([(p.owner, p.attribute) for p in parameters])
         leaves = [leaf for ensemble in job.scene.ensembles() for leaf in ensemble.leaves()]
-        self.numbering = Numbering(parameters, leaves)
+        self.numbering = Numbering(parameters, leaves, self.values)
 
     def _replay(self, band: Band, begin: int, end: int, mode_of: ModeOf) -> tuple[Mode, list[Float], UInt32]:
         return self.schedule.replay(self.job, self.values, self.numbering, band, begin, end, mode_of)

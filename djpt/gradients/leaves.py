@@ -11,17 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
 
-from djpt.description.numeric import may_wait
 from djpt.description.plugin import ParamFlags, Plugin
-from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf, may_vanish
+from djpt.dispatch.ensemble import Detached, Leaf, TableLeaf
 from djpt.dispatch.lookup import MAX_CHAIN, Numbers, Rows, is_one_of
-from djpt.dispatch.tables import Buffer
+from djpt.dispatch.tables import Buffer, entry_size
 from djpt.errors import RenderError
+from djpt.gradients.entry_sums import EntrySums, entry_sums, prepare_functions
 from djpt.kernels import opaque
 from djpt.scene import Scene
 from djpt.types import Bool, Float, UInt32
@@ -33,6 +32,7 @@ __all__ = [
     "Parameter",
     "Tangents",
     "attached_parameters",
+    "prepare_tables",
     "shape_parameters",
     "unused_values",
 ]
@@ -87,6 +87,13 @@ def attached_parameters(scene: Scene) -> list[Parameter]:
     return list(found.values())
 
 
+def prepare_tables(scene: Scene) -> None:
+    """Compile what adds up the gradients of the scene's tables, which frozen functions can't."""
+    leaves = (leaf for ensemble in scene.ensembles() for leaf in ensemble.leaves() if isinstance(leaf, TableLeaf))
+    attached = (t for leaf in leaves for t in leaf.rows() if dr.grad_enabled(t))
+    prepare_functions({entry_size(tensor) for tensor in attached})
+
+
 def shape_parameters(scene: Scene) -> list[Parameter]:
     """The parameters of shapes that have gradients, as `djpt.silhouettes.moving` reads them."""
     return [Parameter(shape, name) for shape in scene.shapes() for name in shape.attached_names()]
@@ -114,19 +121,15 @@ def unused_values(scene: Scene, parameters: Sequence[Parameter]) -> list[Any]:
 class Numbering:
     """The numbers of the parameters that leaves read, for each member of a group; built before kernels are traced."""
 
-    def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf]) -> None:
+    def __init__(self, parameters: Sequence[Parameter], leaves: Sequence[Leaf], values: Detached) -> None:
         number = {(id(p.owner), p.attribute): i for i, p in enumerate(parameters)}
         self._of_leaf = {
             id(leaf): [number.get((id(owner), leaf.attribute)) for owner in leaf.owners] for leaf in leaves
         }
         self.leaves = [leaf for leaf in leaves if any(n is not None for n in self._of_leaf[id(leaf)])]
-        self._values = [dr.detach(p.value) for p in parameters]
-
-    @cached_property
-    def vanishing(self) -> frozenset[int]:
+        # Found before the image is launched: to read a value is to wait for all kernels under way.
+        self.vanishing = frozenset(i for i, p in enumerate(parameters) if values.vanishes(p.owner, p.attribute))
         """The numbers of the parameters that may make a factor of paths vanish: see `may_vanish`."""
-        with may_wait():
-            return frozenset(i for i, value in enumerate(self._values) if may_vanish(value))
 
     def of(self, leaf: Leaf) -> list[int | None]:
         """The number of the parameter of each member, or None."""
@@ -243,15 +246,17 @@ class Accumulator:
             for leaf in numbering.leaves
             if not isinstance(leaf, TableLeaf)
         }
-        self._buffers: dict[int, tuple[TableLeaf, Buffer, Float]] = {}
+        self._tables: dict[int, tuple[TableLeaf, Buffer, EntrySums]] = {}
         for leaf in numbering.leaves:
             if isinstance(leaf, TableLeaf):
                 buffer = values.buffer(leaf)
-                self._buffers[id(leaf)] = (leaf, buffer, dr.zeros(Float, buffer.size))
+                self._tables[id(leaf)] = (leaf, buffer, entry_sums(buffer, lanes))
+        self._calls = any(sums.calls for _, _, sums in self._tables.values())
 
     def start(self) -> list[Float]:
-        """The sums at the start of the loop: one per component, or none."""
-        return [dr.zeros(Float, self._lanes) for _ in range(self.size)] if self.in_registers else []
+        """The sums at the start of the loop: one per component, or none; and one that uses the results of calls."""
+        count = (self.size if self.in_registers else 0) + self._calls
+        return [dr.zeros(Float, self._lanes) for _ in range(count)]
 
     def add(self, sums: list[Float], leaves: Leaves, active: Bool) -> list[Float]:
         """Add the gradients of all leaves taken at a vertex."""
@@ -270,15 +275,17 @@ class Accumulator:
                 start = self._start_of[id(leaf)].at(slot)
                 for c, component in enumerate(components):
                     dr.scatter_add(self._memory, component, start + c, active & (start < self.size))
-        for leaf, address, entry in leaves.read:
-            _, buffer, memory = self._buffers[id(leaf)]
-            buffer.add_to(memory, address, dr.grad(entry), active)
+        for place, (_, _, entries) in self._tables.items():
+            read = [(address, dr.grad(entry)) for leaf, address, entry in leaves.read if id(leaf) == place]
+            taken = entries.add(read, active)
+            if entries.calls:
+                sums[-1] = sums[-1] + dr.select(taken, 1, 0)
         return sums
 
     def gradients(self, sums: list[Float]) -> list[Any]:
         """The finished gradients, one per parameter, of the parameters' types."""
         if self.in_registers:
-            totals = [dr.sum(s) for s in sums]
+            totals = [dr.sum(s) for s in sums[: self.size]]
         else:
             totals = [dr.gather(Float, self._memory, UInt32(i)) for i in range(self.size)]
         dr.eval(totals)
@@ -296,7 +303,7 @@ class Accumulator:
         shape = parameter.value.shape
         total = dr.zeros(Float, dr.prod(shape))
         # A texture may stand in several groups: each has a buffer.
-        for leaf, buffer, memory in self._buffers.values():
+        for leaf, buffer, sums in self._tables.values():
             if leaf.attribute == parameter.attribute and parameter.owner in leaf.owners:
-                total += buffer.unpacked(memory, id(parameter.owner), shape)
+                total += buffer.unpacked(sums.total(), id(parameter.owner), shape)
         return type(parameter.value)(total, shape)

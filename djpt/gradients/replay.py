@@ -23,6 +23,7 @@ from djpt.dispatch.ensemble import Detached
 from djpt.gradients.aside import begun, blank
 from djpt.gradients.leaves import Numbering
 from djpt.gradients.modes import Mode
+from djpt.gradients.noted_hits import Notes, blank_notes
 from djpt.integrators.base import PathIntegrator, PathState
 from djpt.kernels import wide
 from djpt.records import Ray3f
@@ -47,6 +48,8 @@ class Lane:
     """See `djpt.gradients.aside`."""
     again: Bool
     """True on the second walk."""
+    number: UInt32 | None
+    """The number of the vertex on its walk; None if nothing is noted of vertices."""
     k: UInt32
     slot: UInt32
     delta: Color3f
@@ -66,6 +69,7 @@ def run(
     x, y = job.coordinates(lanes.pixel)
     sampler, ray, _ = job.begin(lanes.pixel, lanes.first, x, y)
     _, attached = mode.view(scene, values, numbering)
+    notes = blank_notes(integrator, scene, count)
     start = Lane(
         ray=wide(ray, count),
         sampler=sampler,
@@ -73,19 +77,24 @@ def run(
         radiance=dr.zeros(Color3f, count),
         behind=blank(attached, count),
         again=dr.full(Bool, False, count),
+        number=dr.zeros(UInt32, count) if notes else None,
         k=wide(lanes.first, count),
         slot=wide(slots, count),
         delta=wide(mode.delta_of(slots, Bool(True)), count),
         sums=mode.start(),
     )
 
-    def body(lane: Lane) -> Lane:
+    def body(lane: Lane, *notes: Notes) -> Lane:
         leaves, view = mode.view(scene, values, numbering)
-        si = integrator.trace(scene, lane.path, lane.ray)
+        queried, lit = scene, view
+        if lane.number is not None:
+            page = notes[0].for_vertex(lane.number, lane.again)
+            queried, lit = page.in_scene(scene), page.in_scene(view)
+        si = integrator.trace(queried, lane.path, lane.ray)
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
-            arrived = integrator.arriving(view, lane.sampler, v)
+            arrived = integrator.arriving(lit, lane.sampler, v)
         second = lane.again & (lane.k < lanes.end)
         lane.radiance, lane.behind, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, second)
 
@@ -103,11 +112,12 @@ def run(
             radiance=dr.select(finished, 0, lane.radiance),
             behind=None if lane.behind is None else dr.select(finished, 0, lane.behind),
             again=lane.again ^ ended,
+            number=None if lane.number is None else dr.select(ended, 0, lane.number + 1),
             k=k,
             slot=next_slot,
             delta=delta,
             sums=sums,
         )
 
-    end = run_free(start, lambda lane: lane.k < lanes.end, body, count, mode.label)
+    end = run_free(start, lambda lane: lane.k < lanes.end, body, count, mode.label, *notes)
     return end.sums, end.k

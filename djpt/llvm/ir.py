@@ -141,6 +141,17 @@ class Function:
         """Write memory."""
         self._write(f"store {value}, {address}, align {align or max(value.type.element.bits // 8, 1)}")
 
+    def exchange(self, value: Value, address: Value) -> Value:
+        """Write a number to memory and return the one that was there, in one step for all threads.
+
+        What other threads had written before they wrote this number by `exchange` or `publish` is seen afterwards.
+        """
+        return self.emit(f"atomicrmw xchg {address}, {value} acq_rel", value.type)
+
+    def publish(self, value: Value, address: Value) -> None:
+        """Write a number to memory after all that this thread has written before: see `exchange`."""
+        self._write(f"store atomic {value}, {address} release, align {value.type.size}")
+
     def prefetch(self, address: Value) -> None:
         """Ask for the cache line of an address, which will be read soon."""
         self.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")

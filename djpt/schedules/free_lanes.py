@@ -21,20 +21,28 @@ __all__ = ["run_free"]
 T = TypeVar("T", bound=Any)
 
 
-def run_free(start: T, condition: Callable[[T], Bool], body: Callable[[T], T], lanes: int, label: str) -> T:
+def run_free(
+    start: T, condition: Callable[[T], Bool], body: Callable[..., T], lanes: int, label: str, *local: Any
+) -> T:
     """Run a loop over the dataclass `start`, whose arrays have `lanes` lanes, and return it as it is at the end.
 
     Lanes go on until none fulfils the `condition`. So `body` itself must keep the results of those that don't, and
-    they must not come to fulfil it again. What it writes to arrays is masked as in any loop.
+    they must not come to fulfil it again. What it writes to arrays is masked as in any loop. `local` are records of
+    local memory, which `body` gets after the state and writes to.
     """
     if not can_unmask():
-        (end,) = while_loop((start,), condition, lambda state: (body(state),), label=label)
+        end, *_ = while_loop(
+            (start, *local),
+            lambda state, *local: condition(state),
+            lambda state, *local: (body(state, *local), *local),
+            label=label,
+        )
         return end
     memory = Memory(start, lanes)
-    (arrays,) = while_loop(
-        (memory.allocated(),),
-        lambda arrays: condition(memory.read(arrays)),
-        lambda arrays: (memory.write(arrays, body(memory.read(arrays))),),
+    arrays, *_ = while_loop(
+        (memory.allocated(), *local),
+        lambda arrays, *local: condition(memory.read(arrays)),
+        lambda arrays, *local: (memory.write(arrays, body(memory.read(arrays), *local)), *local),
         label=label,
     )
     return memory.read(arrays)
