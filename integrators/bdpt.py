@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -13,8 +13,10 @@ from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.integrators.both_ends import (
     CameraHit,
+    CameraLane,
     CameraStep,
     End,
+    Lane,
     LightHit,
     LightStep,
     balance,
@@ -23,18 +25,13 @@ from djpt.integrators.both_ends import (
     power,
     scaled,
 )
-from djpt.integrators.light_paths import LightVertex, departure, vertices
+from djpt.integrators.light_paths import LightVertex, departure, is_beam, vertices
 from djpt.integrators.places import Place, Scattering, arriving, arriving_between, is_half_open, reach
 from djpt.integrators.splatting import Sink, SplattingIntegrator
 from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
 from djpt.kernels import loop_traced_once, minimum, while_loop, wide
-from djpt.records import (
-    DirectionSample3f,
-    EmitterFlags,
-    Ray3f,
-    has_flag,
-)
+from djpt.records import DirectionSample3f, Ray3f
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
@@ -49,27 +46,6 @@ JOINED = 32
 
 LITTLE = 0.25
 """A share of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
-
-
-@dataclass
-class Lane:
-    """Loop state of either walk."""
-
-    end: End
-    sampler: Any
-    active: Bool
-    vertices: Any
-    """The vertices of the light path, in local memory."""
-    count: UInt32
-    """Their number."""
-
-
-@dataclass
-class CameraLane(Lane):
-    """Loop state of the walk from the camera."""
-
-    radiance: Color3f
-    covered: Bool
 
 
 class BidirectionalPath(SplattingIntegrator):
@@ -125,28 +101,7 @@ class BidirectionalPath(SplattingIntegrator):
         self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
     ) -> tuple[Color3f, Bool, list[Float]]:
         ledger, lanes = Ledger(sink, position, self.strategies), dr.width(ray, sampler)
-        end, power = self.at_light(scene, sampler)
-        light = Lane(
-            end=wide(end, lanes),
-            sampler=sampler,
-            active=dr.full(Bool, self.joined > 1, lanes),
-            vertices=vertices(scene, self.most_vertices(scene)),
-            count=dr.zeros(UInt32, lanes),
-        )
-
-        def from_light(lane: Lane) -> tuple[Lane]:
-            hit = self.light_hit(scene, lane.end, power, lane.sampler, lane.active)
-            lane.vertices.write(hit.vertex, lane.count, hit.joins)
-            step = self.light_step(scene, camera, hit, lane.sampler)
-            if step.shown is not None:
-                ledger.show(step.position, step.shown, step.weight, hit.end.depth + 1)
-            lane.end, lane.active = step.end, step.active
-            lane.count = dr.select(hit.joins, lane.count + 1, lane.count)
-            if is_half_open(scene):
-                lane.active &= lane.count < self.most_vertices(scene)
-            return (lane,)
-
-        (light,) = loop_traced_once(light, lambda lane: lane.active, from_light, "light path")
+        light = self.light_path(scene, camera, sampler, ledger, lanes)
         camera_path = CameraLane(
             end=wide(self.at_camera(scene, camera, ray, ledger.inside), lanes),
             sampler=light.sampler,
@@ -193,6 +148,31 @@ class BidirectionalPath(SplattingIntegrator):
         return JOINED if is_half_open(scene) else max(1, self.joined - 1)
 
     # ---- from the light ----------------------------------------------------------------
+
+    def light_path(self, scene: Scene, camera: Sensor, sampler: SampleStream, ledger: Ledger, lanes: int) -> Lane:
+        """Trace a light path, and show its vertices to the camera; the lane goes on with its random numbers."""
+        end, power = self.at_light(scene, sampler)
+        start = Lane(
+            end=wide(end, lanes),
+            sampler=sampler,
+            active=dr.full(Bool, self.joined > 1, lanes),
+            vertices=vertices(scene, self.most_vertices(scene)),
+            count=dr.zeros(UInt32, lanes),
+        )
+
+        def body(lane: Lane) -> tuple[Lane]:
+            hit = self.light_hit(scene, lane.end, power, lane.sampler, lane.active)
+            lane.vertices.write(hit.vertex, lane.count, hit.joins)
+            step = self.light_step(scene, camera, hit, lane.sampler)
+            if step.shown is not None:
+                ledger.show(step.position, step.shown, step.weight, hit.end.depth + 1)
+            lane.end, lane.active = step.end, step.active
+            lane.count = dr.select(hit.joins, lane.count + 1, lane.count)
+            if is_half_open(scene):
+                lane.active &= lane.count < self.most_vertices(scene)
+            return (lane,)
+
+        return loop_traced_once(start, lambda lane: lane.active, body, "light path")[0]
 
     def at_light(self, scene: Scene, sampler: SampleStream) -> tuple[End, Float]:
         """A path that leaves an emitter, with throughputs up to 1, and the power that they are shares of."""
@@ -398,11 +378,6 @@ class BidirectionalPath(SplattingIntegrator):
         if scene.media.scatter:
             onward = hit.come.passing(place, place.passes(s), onward)
         return onward, survives
-
-
-def is_beam(flags: Any) -> Any:
-    """Whether light leaves a surface in one direction only: flags are `EmitterFlags`."""
-    return has_flag(flags, EmitterFlags.Surface) & has_flag(flags, EmitterFlags.DeltaDirection)
 
 
 register_integrator("bdpt", BidirectionalPath)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 
@@ -27,9 +28,11 @@ from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = [
     "CameraHit",
+    "CameraLane",
     "CameraStep",
     "End",
     "Heuristic",
+    "Lane",
     "LightHit",
     "LightStep",
     "balance",
@@ -149,6 +152,27 @@ def scaled(
 def with_derivative(value: Color3f, other: Color3f) -> Color3f:
     """The colour `value` with the derivative of another one."""
     return dr.replace_grad(value, other)  # type: ignore[func-returns-value, return-value]
+
+
+@dataclass
+class Lane:
+    """Loop state of either walk."""
+
+    end: End
+    sampler: Any
+    active: Bool
+    vertices: Any
+    """The vertices of the light path, in local memory."""
+    count: UInt32
+    """Their number."""
+
+
+@dataclass
+class CameraLane(Lane):
+    """Loop state of the walk from the camera."""
+
+    radiance: Color3f
+    covered: Bool
 
 
 @dataclass

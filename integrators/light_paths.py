@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.dispatch.pointers import EmitterPtr
-from djpt.frame import Frame3f
+from djpt.integrators.kept_surface import KeptSurface
 from djpt.integrators.places import Matter, Place
 from djpt.kernels import maximum
-from djpt.records import RAY_EPSILON, EmissionSample, Ray3f, SurfaceInteraction3f
-from djpt.records.record import Record
+from djpt.records import RAY_EPSILON, EmissionSample, EmitterFlags, Ray3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["Departure", "LightVertex", "departure", "vertices"]
+__all__ = ["Departure", "LightVertex", "departure", "is_beam", "vertices"]
 
 
 @dataclass
@@ -50,22 +49,14 @@ def departure(scene: Scene, sampler: SampleStream) -> Departure:
     return Departure(o, emitter, inverse, es)
 
 
-class LightVertex(Record):
-    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there.
+def is_beam(flags: Any) -> Any:
+    """Whether light leaves a surface in one direction only: flags are `EmitterFlags`."""
+    return has_flag(flags, EmitterFlags.Surface) & has_flag(flags, EmitterFlags.DeltaDirection)
 
-    What nobody reads costs nothing: LLVM leaves it out.
-    """
 
-    p: Point3f
-    n: Normal3f
-    sh_frame: Frame3f
-    uv: Point2f
-    dp_du: Vector3f
-    dp_dv: Vector3f
-    prim_uv: Point2f
-    wi: Vector3f
-    face: UInt32
-    shape_index: UInt32
+class LightVertex(KeptSurface):
+    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there."""
+
     flux: Color3f
     vcm: Float
     vc: Float
@@ -77,7 +68,7 @@ class LightVertex(Record):
 
         For `vcm` and `vc` see `djpt.integrators.both_ends.End`.
         """
-        kept: dict[str, Any] = {name: getattr(place.si, name) for name in SURFACE}
+        kept = KeptSurface.fields_of(place.si)
         kind, matter = LightVertex, place.matter
         if matter is not None:
             kind = VertexInMatter
@@ -87,9 +78,7 @@ class LightVertex(Record):
 
     def place(self, scene: Scene) -> Place:
         """The place of the vertex."""
-        kept = {name: getattr(self, name) for name in SURFACE}
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=(), home={scene: ()})
-        return Place(si, None)
+        return Place(self.interaction(scene), None)
 
 
 class VertexInMatter(LightVertex):
@@ -108,9 +97,6 @@ class VertexInMatter(LightVertex):
 
 NOWHERE = 0xFFFFFFFF
 """The number of no medium."""
-
-SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
-"""The fields of a surface point that BSDFs look at."""
 
 
 def vertices(scene: Scene, size: int) -> Any:

@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.frame import Frame3f
 from djpt.integrators.bdpt import BidirectionalPath
 from djpt.integrators.both_ends import End, meeting, mis_weight
+from djpt.integrators.kept_surface import KeptSurface
 from djpt.integrators.places import Place, Scattering
 from djpt.kernels import loop_traced_once, wide
 from djpt.materials.adjoint import sample_light
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, Reference, SurfaceInteraction3f, has_flag
-from djpt.records.record import Record
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -33,19 +32,9 @@ def numbers_drawn(edges: int) -> int:
     return 5 + 5 + 2 + 3 * edges
 
 
-class LastVertex(Record):
+class LastVertex(KeptSurface):
     """The last vertex of one side of a path, as local memory keeps it."""
 
-    p: Point3f
-    n: Normal3f
-    sh_frame: Frame3f
-    uv: Point2f
-    dp_du: Vector3f
-    dp_dv: Vector3f
-    prim_uv: Point2f
-    wi: Vector3f
-    face: UInt32
-    shape_index: UInt32
     valid: UInt32
     """1 on a surface, 0 where the sky was met. Local memory of masks isn't possible."""
     medium: UInt32
@@ -59,7 +48,7 @@ class LastVertex(Record):
     @staticmethod
     def at(si: SurfaceInteraction3f, end: End, covered: Bool) -> LastVertex:
         """The vertex `si`, where the `end` of a path has arrived; on a miss, the sky."""
-        kept = {name: getattr(si, name) for name in SURFACE}
+        kept = KeptSurface.fields_of(si)
         kept["face"] = dr.select(si.is_valid(), si.face, 0)
         vertex: LastVertex = LastVertex.holding(
             **kept,
@@ -75,9 +64,7 @@ class LastVertex(Record):
 
     def surface(self, scene: Scene, time: tuple[Float, ...]) -> SurfaceInteraction3f:
         """The surface point, at the given time."""
-        kept = {name: getattr(self, name) for name in SURFACE}
-        media = (self.medium,) if scene.media else ()
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(**kept, media=media, home={scene: ()})
+        si = self.interaction(scene, (self.medium,) if scene.media else ())
         valid = self.valid != 0
         si.found_at(dr.select(valid, Float(0), dr.inf), valid)
         if time:
@@ -88,10 +75,6 @@ class LastVertex(Record):
         """The end of the path that has arrived here, at `surface`."""
         d = dr.select(si.is_valid(), si.to_world(self.wi), self.wi)
         return End(Ray3f(self.p, -d), self.throughput, self.vcm, self.vc, Float(0), None, self.depth)
-
-
-SURFACE = ("p", "n", "sh_frame", "uv", "dp_du", "dp_dv", "prim_uv", "wi", "face", "shape_index")
-"""The fields of a surface point that BSDFs and emitters look at."""
 
 
 @dataclass

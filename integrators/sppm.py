@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.bdpt import is_beam
+from djpt.integrators.light_paths import is_beam
 from djpt.integrators.passes import LightPath
 from djpt.integrators.path import Path
 from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters

@@ -15,7 +15,7 @@ from djpt.samplers import SampleStream
 from djpt.schedules.job import Job
 from djpt.types import Bool, UInt32
 
-__all__ = ["walk_light"]
+__all__ = ["Lane", "follow", "lanes", "walk_light"]
 
 LANES = 2**16
 
@@ -24,10 +24,44 @@ LANES = 2**16
 class Lane:
     """Loop state."""
 
-    path: LightPath
+    path: Any
     sampler: Any
     number: UInt32
-    """The number of the path, among all paths of the image."""
+    """The number of the path, among all that are followed."""
+
+
+def lanes(count: int) -> UInt32:
+    """As many lanes as follow `count` light paths, with the numbers of their first ones: 0, 1, .."""
+    return dr.arange(UInt32, min(LANES, count))
+
+
+def follow(
+    numbers: UInt32,
+    end: int,
+    fresh: Callable[[UInt32], tuple[Any, Any]],
+    step: Callable[[Lane], tuple[Any, Bool]],
+    sinks: Any,
+    label: str,
+) -> None:
+    """Follow light paths with consecutive numbers, from the first of each of the `lanes` up to `end`, exclusive.
+
+    `fresh` gives a path's random numbers and its state as it leaves a light, any PyTree; `step` traces the next edge,
+    and returns the path that goes on and whether it does. Kernels write to `sinks` (any PyTree of Dr.Jit arrays),
+    which are evaluated.
+    """
+    width = dr.width(numbers)
+    stop, stride = dr.opaque(UInt32, end), dr.opaque(UInt32, width)
+    sampler, path = fresh(numbers)
+
+    def body(lane: Lane) -> tuple[Lane]:
+        path, goes_on = step(lane)
+        number = dr.select(goes_on, lane.number, lane.number + stride)
+        sampler, new = fresh(number)
+        return (Lane(dr.select(goes_on, path, new), dr.select(goes_on, lane.sampler, sampler), number),)
+
+    state = Lane(wide(path, width), sampler, numbers)
+    (done,) = while_loop((state,), lambda lane: lane.number < stop, body, label=label)
+    dr.eval(done.number, sinks)
 
 
 def walk_light(
@@ -46,27 +80,16 @@ def walk_light(
     """
     scene = job.scene
     width, height = job.film.crop_size()
-    begin, end = begin * width * height, end * width * height
-    lanes = min(LANES, end - begin)
-    first, stop, stride = dr.opaque(UInt32, begin), dr.opaque(UInt32, end), dr.opaque(UInt32, lanes)
 
     def fresh(number: UInt32) -> tuple[SampleStream, LightPath]:
         sampler = job.stream(number // job.spp_value, number % job.spp_value)
         return sampler, start(sampler)
 
-    number = dr.arange(UInt32, lanes) + first
-    sampler, path = fresh(number)
-
-    def body(lane: Lane) -> tuple[Lane]:
+    def step(lane: Lane) -> tuple[LightPath, Bool]:
         ray = lane.path.ray
         si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
         arriving = replace(lane.path, flux=lane.path.flux * scene.transmittance(ray, si.t))
-        path, goes_on = vertex(lane.sampler, arriving, si)
+        return vertex(lane.sampler, arriving, si)
 
-        number = dr.select(goes_on, lane.number, lane.number + stride)
-        sampler, new = fresh(number)
-        return (Lane(dr.select(goes_on, path, new), dr.select(goes_on, lane.sampler, sampler), number),)
-
-    state = Lane(wide(path, lanes), sampler, number)
-    (done,) = while_loop((state,), lambda lane: lane.number < stop, body, label="light")
-    dr.eval(done.number, sinks)
+    begin, end = begin * width * height, end * width * height
+    follow(lanes(end - begin) + dr.opaque(UInt32, begin), end, fresh, step, sinks, "light")

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 
 from djpt.films.splats import Splats
 from djpt.integrators.photon_mapping import PhotonMapping
-from djpt.kernels import while_loop, wide
 from djpt.llvm.lanes import small_blocks
 from djpt.photons import PhotonMap, PhotonStore
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
 from djpt.schedules.job import Band, Job
+from djpt.schedules.light_walk import Lane, follow, lanes
 from djpt.schedules.splatting import SplattedSamples, Splatting
-from djpt.types import Float, UInt32
+from djpt.types import Bool, Float, UInt32
 
 __all__ = ["Photons"]
-
-LANES = 2**16
-"""Lanes that follow light paths, each one after the other."""
 
 SHARED = 4
 """Light paths of a pass for each camera path, at most: less noise than with the same number of both in equal time."""
@@ -127,16 +123,6 @@ def samples_of_pass(job: Job) -> int:
     return -(-job.integrator.photon_count // (SHARED * job.width * job.height))
 
 
-@dataclass
-class Lane:
-    """Loop state."""
-
-    path: Any
-    sampler: Any
-    number: UInt32
-    """The number of the path in its pass."""
-
-
 def trace(job: Job, store: PhotonStore, number: int) -> PhotonMapping:
     """Follow the light paths of a pass, and return the integrator with their map."""
     scene, integrator = job.scene, job.integrator
@@ -144,8 +130,6 @@ def trace(job: Job, store: PhotonStore, number: int) -> PhotonMapping:
     paths = integrator.photon_count
     photons = PhotonMap(integrator.radius(scene, number), paths, scene.brightness)
     looking = integrator.looking_at(photons)
-    lanes = min(LANES, paths)
-    stop, stride = dr.opaque(UInt32, paths), dr.opaque(UInt32, lanes)
     seed = dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF)
     seed, _ = sample_tea_32(job.seed_value, seed)
 
@@ -153,20 +137,13 @@ def trace(job: Job, store: PhotonStore, number: int) -> PhotonMapping:
         sampler = IndependentStream.seeded(*sample_tea_32(seed, number))
         return sampler, looking.leave(scene, sampler)
 
-    def body(lane: Lane) -> tuple[Lane]:
-        path, goes_on = looking.arrive(scene, lane.sampler, lane.path, store)
-        number = dr.select(goes_on, lane.number, lane.number + stride)
-        sampler, new = fresh(number)
-        return (Lane(dr.select(goes_on, path, new), dr.select(goes_on, lane.sampler, sampler), number),)
+    def step(lane: Lane) -> tuple[Any, Bool]:
+        return looking.arrive(scene, lane.sampler, lane.path, store)
 
     count = None
     while count is None:
         store.clear()
-        first = dr.arange(UInt32, lanes)
-        sampler, path = fresh(first)
-        start = Lane(wide(path, lanes), sampler, first)
-        (done,) = while_loop((start,), lambda lane: lane.number < stop, body, label="photons")
-        dr.eval(done.number, store.sinks)
+        follow(lanes(paths), paths, fresh, step, store.sinks, "photons")
         count = store.count()
     photons.fill(store, count)
     return looking

@@ -15,34 +15,11 @@ from djpt.errors import RenderError, SceneError
 from djpt.integrators import bdpt
 from djpt.integrators.strategies import strategies
 from djpt.transforms import ScalarTransform4f as T
-from djpt.validation.statistics import Batches, block_test, mean_test
+from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.devices import instances
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
-
-BATCHES = 16
-SIGNIFICANCE = 1e-4
-
-
-def images(scene: dict[str, Any], integrator: dict[str, Any], spp: int, first_seed: int = 3) -> list[np.ndarray]:
-    """Independent images of 3 channels, `spp` samples per pixel each."""
-    loaded, plugin = djpt.load_dict(scene), djpt.load_dict(integrator)
-    seeds = range(first_seed, first_seed + BATCHES)
-    return [np.array(djpt.render(loaded, integrator=plugin, spp=spp, seed=seed), np.float64) for seed in seeds]
-
-
-def assert_equal_means(a: list[np.ndarray], b: list[np.ndarray], block: int = 4, where: Any = 1.0) -> None:
-    """Of the images, and of their blocks."""
-    ours, theirs = Batches(block), Batches(block)
-    for image in a:
-        ours.add(image * where)
-    for image in b:
-        theirs.add(image * where)
-    for test in (mean_test, block_test):
-        result = test(ours, theirs, SIGNIFICANCE, equal_variance=False)
-        close = np.abs(ours.mean - theirs.mean).max() < 1e-5 * theirs.mean.max()
-        assert result.passed or close, result
 
 
 def check(scene: dict[str, Any], depth: int = 4, spp: int = 64, **keys: Any) -> None:
@@ -145,15 +122,8 @@ def test_meshes_and_instances(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({*djpt.scenes.SCENES} - {"parabolic_mirror", "lamp_behind_pane"}))
 def test_built_in_scenes(name: str) -> None:
-    """16 million samples of `bdpt`; pixels at the edge of a lamp are too noisy to tell anything."""
-    scene = djpt.scenes.SCENES[name]()
-    scene["sensor"]["film"].update(width=32, height=32, rfilter={"type": "box"})
-    depth = scene["integrator"]["max_depth"]
-    bright = np.array(djpt.render(djpt.load_dict(scene), integrator=djpt.load_dict({"type": "path", "max_depth": 1})))
-    share = bright / max(bright.max(), 1e-9)
-    where = 1.0 * ((share < 1e-4) | (share > 1 - 1e-4) | (bright.min() > 0))
-    ours = images(scene, {"type": "bdpt", "max_depth": depth}, 1024)
-    assert_equal_means(ours, images(scene, {"type": "path", "max_depth": depth}, 4096, 100), where=where)
+    """16 million samples."""
+    assert_converges_to_path(name, {"type": "bdpt"}, 1024, 4096)
 
 
 def test_hidden_lamps() -> None:

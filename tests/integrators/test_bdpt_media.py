@@ -12,7 +12,7 @@ import pytest
 import djpt
 from djpt.errors import RenderError
 from djpt.transforms import ScalarTransform4f as T
-from tests.integrators.test_bdpt import assert_equal_means, images
+from tests.kit.convergence import assert_equal_means, images
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, foggy_room, lit_ball
 
 slow = pytest.mark.slow

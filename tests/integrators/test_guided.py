@@ -18,35 +18,20 @@ from djpt.rendering import make_job
 from djpt.samplers import SampleIndex
 from djpt.schedules.learning import JobLessons
 from djpt.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.validation.statistics import Batches, block_test, mean_test
 from tests.kit.chi_squared import SPHERE, p_value, uniform
+from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
 
-BATCHES = 16
-SIGNIFICANCE = 1e-4
 LIMIT = 1e-5
 """The smallest p-value that passes."""
 
 
-def images(scene: dict[str, Any], integrator: dict[str, Any], spp: int, first_seed: int = 3) -> list[np.ndarray]:
-    """Independent images of 3 channels, `spp` samples per pixel each."""
-    loaded, plugin = djpt.load_dict(scene), djpt.load_dict(integrator)
-    seeds = range(first_seed, first_seed + BATCHES)
-    return [np.array(djpt.render(loaded, integrator=plugin, spp=spp, seed=seed), np.float64) for seed in seeds]
-
-
-def check(scene: dict[str, Any], spp: int = 64, block: int = 4, where: Any = 1.0, **keys: Any) -> None:
+def check(scene: dict[str, Any], spp: int = 64, **keys: Any) -> None:
     """Assert that `guided` and `path` converge to one image."""
     shared = {"max_depth": 5, **{key: keys[key] for key in keys if key != "share"}}
-    ours, theirs = Batches(block), Batches(block)
-    for image in images(scene, {"type": "guided", **shared, **keys}, spp):
-        ours.add(image * where)
-    for image in images(scene, {"type": "path", **shared}, 2 * spp, 100):
-        theirs.add(image * where)
-    for test in (mean_test, block_test):
-        result = test(ours, theirs, SIGNIFICANCE, equal_variance=False)
-        assert result.passed, result
+    ours = images(scene, {"type": "guided", **shared, **keys}, spp)
+    assert_equal_means(ours, images(scene, {"type": "path", **shared}, 2 * spp, 100))
 
 
 # ---------------------------------------------------------------- the parts of a guide
@@ -179,13 +164,7 @@ def test_an_environment_and_a_filter() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({*djpt.scenes.SCENES} - {"parabolic_mirror"}))
 def test_built_in_scenes(name: str) -> None:
-    """Pixels at the edge of a lamp are too noisy to tell anything."""
-    scene = djpt.scenes.SCENES[name]()
-    scene["sensor"]["film"].update(width=32, height=32, rfilter={"type": "box"})
-    bright = np.array(djpt.render(djpt.load_dict(scene), integrator=djpt.load_dict({"type": "path", "max_depth": 1})))
-    share = bright / max(bright.max(), 1e-9)
-    where = 1.0 * ((share < 1e-4) | (share > 1 - 1e-4) | (bright.min() > 0))
-    check(scene, 1024, where=where, max_depth=scene["integrator"]["max_depth"])
+    assert_converges_to_path(name, {"type": "guided"}, 1024, 2048)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from djpt.errors import RenderError, SceneError
 from djpt.integrators.mutations import FINEST, step
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import PCG32, Float, UInt32
-from tests.integrators.test_bdpt import assert_equal_means, images
+from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.emitters import entry
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
@@ -103,16 +103,8 @@ def test_something_in_coloured_glass() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({*djpt.scenes.SCENES} - {"parabolic_mirror"}))
 def test_built_in_scenes(name: str) -> None:
-    """16 million steps; pixels at the edge of a lamp are too noisy in `path` to tell anything."""
-    scene = djpt.scenes.SCENES[name]()
-    scene["sensor"]["film"].update(width=32, height=32, rfilter={"type": "box"})
-    depth = scene["integrator"]["max_depth"]
-    depth = 8 if depth < 0 else depth
-    bright = np.array(djpt.render(djpt.load_dict(scene), integrator=djpt.load_dict({"type": "path", "max_depth": 1})))
-    share = bright / max(bright.max(), 1e-9)
-    where = 1.0 * ((share < 1e-4) | (share > 1 - 1e-4) | (bright.min() > 0))
-    ours = images(scene, {"type": "mmlt", "max_depth": depth}, 1024)
-    assert_equal_means(ours, images(scene, {"type": "path", "max_depth": depth}, 4096, 100), where=where)
+    """16 million steps."""
+    assert_converges_to_path(name, {"type": "mmlt"}, 1024, 4096, unbounded=8)
 
 
 @pytest.mark.slow
