@@ -56,6 +56,7 @@ class Search:
     """Of the last iteration, by view."""
 
     def __post_init__(self) -> None:
+        self._spp = 0
         self.curvatures: Curvatures | None = None
         if isinstance(self.optimizer, GaussNewton):
             self.curvatures = Curvatures(list(self.pictures), self._measured)
