@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -15,13 +15,15 @@ import numpy.typing as npt
 
 from djpt.display.progress import Progress, watched
 from djpt.errors import ParameterError, RenderError, near_miss
-from djpt.long_renders.rounds import round_seed
-from djpt.optimization.losses import Loss, loss_of
-from djpt.optimization.priors import Prior, prior_of
+from djpt.optimization.gauss_newton import RATE, GaussNewton
+from djpt.optimization.live import shown_live
+from djpt.optimization.losses import Loss, loss_of, residual_of
+from djpt.optimization.priors import Prior, curvature_of, prior_of
+from djpt.optimization.search import Search
 from djpt.optimization.state import load_state, save_state
 from djpt.optimization.variables import Variable
 from djpt.parameters import SceneParameters, traverse
-from djpt.rendering import check_count, check_seed, find_sensor, render
+from djpt.rendering import check_count, check_seed, find_sensor
 from djpt.scene import Scene
 
 __all__ = ["Optimization", "Progressed", "optimize"]
@@ -29,7 +31,13 @@ __all__ = ["Optimization", "Progressed", "optimize"]
 SAVED = 10
 """Iterations from one writing of the checkpoint to the next."""
 
-OPTIMIZERS = {"adam": drjit.opt.Adam, "sgd": drjit.opt.SGD, "rmsprop": drjit.opt.RMSProp}
+OPTIMIZERS: dict[str, tuple[Callable[..., Any], float]] = {
+    "adam": (drjit.opt.Adam, 0.02),
+    "sgd": (drjit.opt.SGD, 0.02),
+    "rmsprop": (drjit.opt.RMSProp, 0.02),
+    "gauss_newton": (GaussNewton, RATE),
+}
+"""The optimisers by name, each with its default rate."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,10 @@ class Progressed:
     """The parameters."""
     seconds: float
     """Since the start."""
+    images: Mapping[int, Any] = field(default_factory=dict)
+    """The images of this iteration, (H, W, C) each, by their sensors."""
+    targets: Mapping[int, npt.NDArray[np.float32]] = field(default_factory=dict)
+    """The pictures that they should look like."""
 
 
 @dataclass
@@ -74,10 +86,10 @@ def optimize(
     views: Sequence[int] | None = None,
     batch: int = 0,
     iterations: int = 100,
-    spp: int = 16,
+    spp: int | Callable[[int], int] = 16,
     loss: str | Loss = "l2",
     optimizer: str = "adam",
-    rate: float | Callable[[int], float] = 0.02,
+    rate: float | Callable[[int], float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | tuple[float, float] = (0.0, 1.0),
     keeping: str = "projection",
     priors: Mapping[str, tuple[str | Prior, float]] | None = None,
@@ -85,6 +97,7 @@ def optimize(
     demodulate: bool = False,
     seed: int = 0,
     callback: Callable[[Progressed], bool | None] | None = None,
+    live: bool = False,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Progress | bool | None = None,
 ) -> Optimization:
@@ -98,10 +111,13 @@ def optimize(
         batch: How many views each iteration looks at, in an order drawn anew for each round of all; 0: all.
         iterations: How many steps.
         spp: Samples per pixel of each image, and of each gradient, which has samples of its own: derivatives of L2
-            losses are unbiased therefore.
+            losses are unbiased therefore. A number, or a function of the iteration.
         loss: ``l1``, ``l2``, ``relative``, ``log``, or a function of image and target.
-        optimizer: ``adam``, ``sgd``, ``rmsprop``: those of `drjit.opt`.
-        rate: The step, or a function of the iteration, such as ``lambda i: 0.05 * 0.99**i``.
+        optimizer: ``adam``, ``sgd``, ``rmsprop``: those of `drjit.opt`; or ``gauss_newton``, which measures how much
+            the pictures change with the parameters, and needs few steps therefore (see `GaussNewton`). It takes losses
+            of squares only, and no functions as priors.
+        rate: The step, or a function of the iteration, such as ``lambda i: 0.05 * 0.99**i``. By default 0.02, and 1.6
+            for ``gauss_newton``, whose steps are in units of the curvature: take smaller ones if it overshoots.
         bounds: Of all parameters, or by name.
         keeping: How parameters stay in them: ``projection``, ``sigmoid``, or ``free``.
         priors: For textures by name: (``smooth``, ``tv`` or a function, weight).
@@ -111,13 +127,15 @@ def optimize(
             of a picture count alike: what is left is the ratio of albedos.
         seed: Of all renders; iteration i has seeds of its own.
         callback: Called after each iteration; returning True ends the search.
+        live: Show the loss, the parameters and the images beside their targets while the search runs: below the cell
+            of a notebook; in a terminal, a line with the loss.
         checkpoint: A file that keeps the state after each tenth iteration; if it exists, the search goes on from it,
             with the same steps as one that was never ended.
         progress: Called with (iterations done, all); True shows a bar.
 
     Raises:
         ParameterError: A parameter is unknown, has no derivatives, or its bounds make no sense.
-        RenderError: Targets don't fit the views, or arguments are out of range.
+        RenderError: Targets don't fit the views, the loss doesn't fit the optimiser, or arguments are out of range.
         FileError: The checkpoint is another search's, or can't be written.
     """
     names = [keys] if isinstance(keys, str) else list(keys)
@@ -125,38 +143,44 @@ def optimize(
     iterations, seed = check_count("iterations", iterations), check_seed("seed", seed)
     if optimizer not in OPTIMIZERS:
         raise RenderError(f"unknown optimizer '{optimizer}'{near_miss(optimizer, OPTIMIZERS)}")
-    params, rate_at = traverse(scene), rate if callable(rate) else lambda i: rate
+    params, (kind, usual) = traverse(scene), OPTIMIZERS[optimizer]
+    rate_at, spp_at = at_each(usual if rate is None else rate), at_each(spp)
+    newton = kind is GaussNewton
+    wanted = [(name, prior, weight) for name, (prior, weight) in (priors or {}).items()]
     variables = {name: variable(params, name, bounds, keeping, (coarse or {}).get(name, 0)) for name in names}
     search = Search(
         scene=scene,
         params=params,
         variables=variables,
-        optimizer=OPTIMIZERS[optimizer](lr=rate_at(0), params={name: v.start for name, v in variables.items()}),
+        optimizer=kind(lr=rate_at(0), params={name: v.start for name, v in variables.items()}),
         pictures=pictures_of(scene, numbers, targets),
         count=check_count("batch", batch) or len(numbers),
         loss=loss_of(loss),
-        priors=[(name, prior_of(prior), weight) for name, (prior, weight) in (priors or {}).items()],
+        priors=[(name, prior_of(prior), weight) for name, prior, weight in wanted],
         demodulate=demodulate,
-        spp=check_count("spp", spp),
         seed=seed,
+        residual=residual_of(loss) if newton else None,
+        bends=[curvature_of(prior) for _, prior, _ in wanted] if newton else [],
     )
     first, losses, sums = 0, list[float](), dict.fromkeys(names, np.zeros(()))
     if checkpoint is not None and os.path.exists(checkpoint):
-        first, losses, sums = load_state(checkpoint, search.optimizer, variables)
+        first, losses, sums = load_state(checkpoint, search.optimizer, variables, search.curvatures)
     start, last = time.perf_counter(), max(1, iterations // 4)
-    with watched(progress, "optimising", "iterations") as shown:
+    with watched(progress, "optimising", "iterations") as shown, shown_live(live, losses) as shows:
         for i in range(first, iterations):
             if refines(i, iterations, coarse):
                 search.refine()
-            losses.append(search.descend(i, rate_at(i)))
+            losses.append(search.descend(i, rate_at(i), check_count("spp", spp_at(i))))
             values = search.values()
             if i >= iterations - last:
                 sums = {name: sums[name] + np.array(value, np.float64) for name, value in values.items()}
             if shown:
                 shown(i + 1, iterations)
             if checkpoint is not None and (i % SAVED == SAVED - 1 or i + 1 == iterations):
-                save_state(checkpoint, i + 1, losses, sums, search.optimizer, variables)
-            done = Progressed(i, losses[-1], values, time.perf_counter() - start)
+                save_state(checkpoint, i + 1, losses, sums, search.optimizer, variables, search.curvatures)
+            done = Progressed(i, losses[-1], values, time.perf_counter() - start, search.images, search.pictures)
+            if shows is not None:
+                shows(done)
             if callback is not None and callback(done):
                 break
     params.update(search.values())
@@ -166,59 +190,9 @@ def optimize(
     return Optimization(values, means, losses, time.perf_counter() - start)
 
 
-@dataclass
-class Search:
-    """An optimisation under way."""
-
-    scene: Scene
-    params: SceneParameters
-    variables: Mapping[str, Variable]
-    optimizer: Any
-    pictures: Mapping[int, npt.NDArray[np.float32]]
-    """The targets by view."""
-    count: int
-    """Views of an iteration."""
-    loss: Loss
-    priors: Sequence[tuple[str, Prior, float]]
-    demodulate: bool
-    spp: int
-    seed: int
-
-    def descend(self, iteration: int, rate: float) -> float:
-        """Take a step; returns the loss before it."""
-        self.optimizer.set_learning_rate(rate)
-        total = 0.0
-        for view in order(list(self.pictures), iteration, self.count, self.seed):
-            # Anew for each view: a derivative frees what led to it.
-            self.params.update({name: self._parameter(name) for name in self.variables})
-            number = round_seed(self.seed, 4096 * (iteration + 1) + view)
-            image = render(self.scene, self.params, sensor=view, spp=self.spp, seed=number)
-            total += differentiated(self.loss(*compared(image, self.pictures[view], self.demodulate)) / self.count)
-        for name, prior, weight in self.priors:
-            total += differentiated(weight * prior(self._parameter(name)))
-        self.optimizer.step()
-        for name, v in self.variables.items():
-            self.optimizer[name] = v.projected(self.optimizer[name])
-        return total
-
-    def refine(self) -> None:
-        """Give coarse textures more texels."""
-        for name, v in self.variables.items():
-            if v.is_coarse(self.optimizer[name]):
-                self.optimizer[name] = v.refined(self.optimizer[name])
-
-    def values(self) -> dict[str, Any]:
-        """The parameters as they are now."""
-        return {name: dr.detach(self._parameter(name)) for name in self.variables}
-
-    def _parameter(self, name: str) -> Any:
-        return self.variables[name].parameter(self.optimizer[name])
-
-
-def differentiated(value: Any) -> float:
-    """A number on Dr.Jit's side, whose derivatives are added to those of the variables."""
-    dr.backward(value)
-    return float(np.array(dr.detach(value)).ravel()[0])
+def at_each(value: Any) -> Callable[[int], Any]:
+    """A function of the iteration, which may be given as one number for all."""
+    return value if callable(value) else lambda i: value
 
 
 def variable(
@@ -251,15 +225,6 @@ def pictures_of(scene: Scene, views: Sequence[int], targets: Sequence[Any]) -> d
     return pictures
 
 
-def order(views: Sequence[int], iteration: int, count: int, seed: int) -> list[int]:
-    """The views of an iteration: each comes once before any comes again."""
-    chosen = []
-    for place in range(iteration * count, (iteration + 1) * count):
-        turn, within = divmod(place, len(views))
-        chosen.append(views[int(np.random.default_rng([seed, turn]).permutation(len(views))[within])])
-    return chosen
-
-
 def refines(iteration: int, iterations: int, coarse: Mapping[str, int] | None) -> bool:
     """Whether coarse textures get more texels before an iteration."""
     levels = max((coarse or {}).values(), default=0)
@@ -268,13 +233,3 @@ def refines(iteration: int, iterations: int, coarse: Mapping[str, int] | None) -
         and iteration > 0
         and any(iteration == round(iterations * level / (levels + 1)) for level in range(1, levels + 1))
     )
-
-
-def compared(image: Any, target: npt.NDArray[np.float32], demodulate: bool) -> tuple[Any, Any]:
-    """Image and target as the loss gets them."""
-    wanted = type(image)(target)
-    if not demodulate:
-        return image, wanted
-    brightness = np.maximum(target.mean(axis=2, keepdims=True), 1e-2) * np.ones_like(target)
-    inverse = type(image)((1 / brightness).astype(np.float32))
-    return image * inverse, wanted * inverse

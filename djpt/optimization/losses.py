@@ -9,13 +9,28 @@ import drjit as dr
 
 from djpt.errors import RenderError, near_miss
 
-__all__ = ["LOSSES", "Loss", "loss_of"]
+__all__ = ["LOSSES", "RESIDUALS", "Loss", "loss_of", "residual_of"]
 
 Loss = Callable[[Any, Any], Any]
 """Called with an image and its target, (H, W, C) each; gives one number on Dr.Jit's side."""
 
 DARK = 1e-2
 """What keeps dark pixels from dominating relative losses."""
+
+
+def difference(image: Any, target: Any) -> Any:
+    """What L2 squares."""
+    return image - target
+
+
+def share(image: Any, target: Any) -> Any:
+    """What relative L2 squares."""
+    return (image - target) * dr.rsqrt(dr.square(target) + DARK)
+
+
+def ratio(image: Any, target: Any) -> Any:
+    """What L2 of logarithms squares."""
+    return dr.log((dr.maximum(image, 0) + DARK) / (target + DARK))
 
 
 def absolute(image: Any, target: Any) -> Any:
@@ -29,21 +44,24 @@ def squared(image: Any, target: Any) -> Any:
     Its derivative is unbiased, though the loss itself contains the variance of the pixels: images and derivatives are
     estimated from different samples, so that the derivative 2 (a - b) da has the right mean.
     """
-    return dr.mean(dr.square(image - target), axis=None)
+    return dr.mean(dr.square(difference(image, target)), axis=None)
 
 
 def relative(image: Any, target: Any) -> Any:
     """Relative L2: mean (a - b)^2 / (b^2 + 0.01), of which all pixels have a like share; unbiased as L2 is."""
-    return dr.mean(dr.square(image - target) / (dr.square(target) + DARK), axis=None)
+    return dr.mean(dr.square(share(image, target)), axis=None)
 
 
 def logarithmic(image: Any, target: Any) -> Any:
     """L2 of logarithms: mean log((a + 0.01) / (b + 0.01))^2; noise biases it, so take samples enough."""
-    return dr.mean(dr.square(dr.log((dr.maximum(image, 0) + DARK) / (target + DARK))), axis=None)
+    return dr.mean(dr.square(ratio(image, target)), axis=None)
 
 
 LOSSES: dict[str, Loss] = {"l1": absolute, "l2": squared, "relative": relative, "log": logarithmic}
 """The losses by name."""
+
+RESIDUALS: dict[str, Loss] = {"l2": difference, "relative": share, "log": ratio}
+"""What the losses that are means of squares square, pixel by pixel."""
 
 
 def loss_of(loss: str | Loss) -> Loss:
@@ -57,3 +75,16 @@ def loss_of(loss: str | Loss) -> Loss:
     if loss not in LOSSES:
         raise RenderError(f"unknown loss '{loss}'{near_miss(str(loss), LOSSES)}")
     return LOSSES[loss]
+
+
+def residual_of(loss: str | Loss) -> Loss:
+    """What a loss squares.
+
+    Raises:
+        RenderError: The loss isn't a mean of squares.
+    """
+    if isinstance(loss, str) and loss in RESIDUALS:
+        return RESIDUALS[loss]
+    name = f"'{loss}'" if isinstance(loss, str) else "a function"
+    possible = ", ".join(RESIDUALS)
+    raise RenderError(f"'gauss_newton' needs a loss of squares ({possible}), found {name}; 'adam' takes any loss")

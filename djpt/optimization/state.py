@@ -12,6 +12,7 @@ import numpy as np
 
 from djpt.errors import FileError
 from djpt.files import as_path, open_regular, writing
+from djpt.optimization.curvature import Curvatures
 from djpt.optimization.variables import Variable
 
 __all__ = ["load_state", "save_state"]
@@ -26,8 +27,9 @@ def save_state(
     sums: Mapping[str, Any],
     optimizer: Any,
     variables: Mapping[str, Variable],
+    curvatures: Curvatures | None = None,
 ) -> None:
-    """Write a search: its variables, its optimiser's moments, its losses."""
+    """Write a search: its variables, its optimiser's moments, its losses, the curvatures that it has measured."""
     arrays: dict[str, Any] = {}
     for name in variables:
         arrays[f"x:{name}"] = np.array(optimizer[name])
@@ -35,13 +37,18 @@ def save_state(
         for i, moment in enumerate(moments(optimizer, name)):
             if moment is not None:
                 arrays[f"moment{i}:{name}"] = np.array(moment)
+    for key, array in (curvatures.arrays() if curvatures is not None else {}).items():
+        arrays[f"curvature:{key}"] = array
     header = {"kind": KIND, "iteration": iteration, "losses": losses, "optimizer": type(optimizer).__name__}
     with writing(as_path(path)) as temporary, temporary.open("wb") as file:
         np.savez(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
 
 
 def load_state(
-    path: str | os.PathLike[str], optimizer: Any, variables: Mapping[str, Variable]
+    path: str | os.PathLike[str],
+    optimizer: Any,
+    variables: Mapping[str, Variable],
+    curvatures: Curvatures | None = None,
 ) -> tuple[int, list[float], dict[str, Any]]:
     """Put a search into an optimiser: the iteration that comes next, the losses, the sums of parameters.
 
@@ -59,6 +66,9 @@ def load_state(
             optimizer[name] = v.type(arrays[f"x:{name}"])
             kept = sorted(key for key in arrays if key.startswith("moment") and key.partition(":")[2] == name)
             restore(optimizer, name, [arrays[key] for key in kept])
+        if curvatures is not None:
+            known = {key.partition(":")[2]: arrays[key] for key in arrays if key.startswith("curvature:")}
+            curvatures.restore(known)
         return int(header["iteration"]), list(header["losses"]), {name: arrays[f"sum:{name}"] for name in variables}
     except FileError:
         raise

@@ -54,6 +54,12 @@ class Variable:
             raise ParameterError(f"{key}: only textures (height, width, channels) can begin coarse")
         self.start = self.inverse(coarse(np.array(value, np.float64), shrunk))
 
+    @property
+    def scale(self) -> float:
+        """How large changes of x are in proportion to those of other variables: the width of the bounds."""
+        width = self.bounds[1] - self.bounds[0]
+        return width if self.kind != "sigmoid" and np.isfinite(width) else 1.0
+
     def inverse(self, value: npt.NDArray[np.float64]) -> Any:
         """The variable of a value of the parameter."""
         low, high = self.bounds

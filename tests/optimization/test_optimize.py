@@ -11,9 +11,10 @@ import pytest
 import djpt
 from djpt.errors import FileError, ParameterError, RenderError
 from djpt.optimization import confidence, optimize
-from djpt.optimization.loop import order, refines
+from djpt.optimization.loop import refines
 from djpt.optimization.losses import LOSSES
 from djpt.optimization.priors import smoothness, total_variation
+from djpt.optimization.search import order
 from djpt.optimization.variables import Variable, coarse, magnified
 
 KEY = "paint.reflectance.value"

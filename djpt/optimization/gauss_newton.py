@@ -1,0 +1,178 @@
+"""`GaussNewton`: steps divided by the curvature of squared losses, so that they need no rate found by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import drjit as dr
+import drjit.opt
+import numpy as np
+import numpy.typing as npt
+
+from djpt.errors import RenderError
+
+__all__ = ["MOMENTUM", "RATE", "GaussNewton", "majorant"]
+
+Doubles = npt.NDArray[np.float64]
+Residual = Callable[[Mapping[str, Any]], Any]
+"""Called with variables by name; gives an array attached to them, of which the loss is the mean square."""
+
+RATE = 1.6
+"""The default step. Losses that are quadratic converge with rates below 2 (1 + momentum)."""
+
+MOMENTUM = 0.3
+"""The default share of a step that the next one repeats."""
+
+DAMPING = 1e-2
+"""The share of a parameter's largest curvature that is added to all: entries that are hardly seen take small steps."""
+
+
+class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
+    """Descent x' = x - rate g / D + momentum (x - x_before), with a diagonal D that bounds the curvature.
+
+    For a loss mean(r^2) of n residuals with derivatives J, D = 2 |J|^T |J| 1 / n: the sums of the absolute values of
+    the rows of the Gauss-Newton matrix, or more where its terms cancel. D - 2 J^T J / n has no negative eigenvalue
+    therefore, and steps of rate 1 never raise a quadratic loss: D is that of a separable surrogate (De Pierro, "A
+    Modified Expectation Maximization Algorithm for Penalized Likelihood Estimation in Emission Tomography", IEEE
+    Transactions on Medical Imaging 14, 1995). Momentum makes up for what a diagonal can't know (Polyak 1964).
+
+    It has the verbs of the optimisers of `drjit.opt`, and one more, `measure`::
+
+        optimizer = GaussNewton(params={key: params[key]})
+
+        def residual(variables):
+            params.update(variables)
+            return djpt.render(scene, params, spp=8) - target
+
+        optimizer.measure(residual)
+        for i in range(8):
+            params.update(optimizer)
+            image = djpt.render(scene, params, spp=8, seed=i + 1)
+            dr.backward(dr.mean(dr.square(image - target), axis=None))
+            optimizer.step()
+            optimizer[key] = dr.clip(optimizer[key], 0, 1)
+
+    Args:
+        lr: the rate.
+        params: the variables by name.
+        momentum: of the last step.
+    """
+
+    def __init__(
+        self, lr: float = RATE, params: Mapping[str, Any] | None = None, *, momentum: float = MOMENTUM
+    ) -> None:
+        if not 0 <= momentum < 1:
+            raise RenderError(f"'momentum' must be in [0, 1), found {momentum}")
+        self.momentum = momentum
+        super().__init__(lr, params)
+
+    def measure(self, *residuals: Residual, scales: Mapping[str, float] | None = None) -> None:
+        """Measure the curvature of a loss, the sum of the mean squares of residuals, where the variables are now.
+
+        Args:
+            residuals: Called with the variables, twice or more often.
+            scales: How large changes of each variable are in proportion to those of others; by default 1.
+        """
+        variables = dict(self.items())
+        found = [majorant(variables, residual, scales or {}) for residual in residuals]
+        self.precondition({name: np.sum([one[name] for one in found], axis=0) for name in variables})
+
+    def precondition(self, curvatures: Mapping[str, Doubles]) -> None:
+        """Divide by these curvatures from now on, and by a little more."""
+        for name, curvature in curvatures.items():
+            value, promoted, rate, (before, gradient, old) = self.state[name]
+            damped = curvature + DAMPING * np.max(curvature)
+            new = type(old)(np.ascontiguousarray(damped.reshape(np.shape(np.array(old))), np.float32))
+            dr.make_opaque(new)
+            self.state[name] = value, promoted, rate, (before, gradient, new)
+
+    def growth(self) -> float:
+        """How fast the gradient has changed over the last step, as a share of what the curvature allows.
+
+        It is at most 1 for quadratic losses: more says that the curvature has grown, and must be measured anew; 0 as
+        long as no step was taken.
+        """
+        change = allowed = 0.0
+        for value, _, _, (before, gradient, curvature) in self.state.values():
+            moved = doubles(dr.detach(value).array) - doubles(before)
+            change += float(np.sum(moved * (doubles(value.grad.array) - doubles(gradient))))
+            allowed += float(np.sum(np.square(moved) * doubles(curvature)))
+        return change / allowed if allowed > 0 else 0.0
+
+    def step(self, **options: Any) -> None:
+        """Take a step; arguments as those of `drjit.opt.Optimizer.step`.
+
+        Raises:
+            RenderError: No curvature was measured, or none was found since nothing depends on the variables.
+        """
+        if not any(np.any(np.array(extra[2])) for _, _, _, extra in self.state.values()):
+            raise RenderError("'GaussNewton' has no curvature: call 'measure'; or the residuals depend on no variable")
+        super().step(**options)
+
+    def _step(self, cache: Any, value: Any, grad: Any, lr: Any, extra: tuple[Any, Any, Any], /) -> Any:
+        before, _, curvature = extra
+        newton = dr.select(curvature > 0, grad / curvature, 0)
+        scale = cache.product(dr.leaf_t(grad), lr, -1.0)
+        return dr.fma(newton, scale, value) + self.momentum * (value - before), (value, grad, curvature)
+
+    def _reset(self, key: str, value: Any, promoted: bool, /) -> None:
+        flat = dr.detach(value).array
+        nothing = [dr.opaque(type(flat), 0, flat.shape) for _ in range(2)]
+        self.state[key] = value, promoted, None, (type(flat)(flat), nothing[0], nothing[1])
+
+    def _select(self, mask: Any, extra: Any, new_extra: Any, /) -> Any:
+        return tuple(dr.select(mask, old, new) for old, new in zip(extra, new_extra, strict=True))
+
+
+def majorant(variables: Mapping[str, Any], residual: Residual, scales: Mapping[str, float]) -> dict[str, Doubles]:
+    """The bound 2 |J|^T |J| s / (n s) on the curvature of a mean of n squares, for changes of relative size s.
+
+    |J| is known by its product with s: one forward derivative for each variable, and one reverse derivative, or one
+    for each variable if some derivatives are negative. It is exact if the derivatives of one residual by the entries
+    of one variable have the same sign, as those of pixels by albedos.
+
+    Args:
+        variables: by name.
+        residual: see `Residual`; each call may take other random numbers.
+        scales: by name; 1 by default.
+    """
+    detached = {name: type(value)(dr.detach(value)) for name, value in variables.items()}
+    slopes = {}
+    for name, value in detached.items():
+        attached = enabled(detached, [name])
+        dr.set_grad(attached[name], filled(value, scales.get(name, 1.0)))
+        slopes[name] = dr.detach(dr.forward_to(residual(attached)))
+        dr.eval(slopes[name])
+    reach = sum(dr.abs(slope) for slope in slopes.values())
+    rising = all(np.min(np.array(slope), initial=0) >= 0 for slope in slopes.values())
+    found = {}
+    for group in [list(detached)] if rising else [[name] for name in detached]:
+        attached = enabled(detached, group)
+        seen = residual(attached)
+        signed = reach if rising else dr.select(slopes[group[0]] < 0, -reach, reach)
+        dr.backward(dr.mean(2 * seen * signed, axis=None))
+        for name in group:
+            bound = np.array(dr.grad(attached[name]), np.float64) / scales.get(name, 1.0)
+            found[name] = np.maximum(bound, 0)
+    return found
+
+
+def enabled(variables: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
+    """The variables, of which those of these names have gradients."""
+    result = {}
+    for name, value in variables.items():
+        result[name] = type(value)(value)
+        if name in names:
+            dr.enable_grad(result[name])
+    return result
+
+
+def filled(like: Any, number: float) -> Any:
+    """An array like another with one number everywhere."""
+    return type(like)(np.full(np.shape(np.array(like)), number, np.float32))
+
+
+def doubles(value: Any) -> Doubles:
+    """An array in the precision in which products of small differences are added."""
+    return np.array(dr.detach(value), np.float64)
