@@ -43,10 +43,10 @@ DIGITS = 32
 LENGTH = 1 / 2
 """The length of a cell along x, in relation to the radius."""
 
-WIDTH = 2 / 3
+WIDTH = 1.0
 """Its width along y and z."""
 
-MOST_ALONG, MOST_ACROSS = 6, 5
+MOST_ALONG, MOST_ACROSS = 6, 4
 """The cells along x, and along y or z, that a ball may reach into: one more than fit, since numbers are rounded."""
 
 FLATNESS = 0.1
