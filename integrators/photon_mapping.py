@@ -62,6 +62,9 @@ class PhotonMapping(SplattingIntegrator):
     default_photon_count: ClassVar[int] = 250_000
     """The light paths of a pass, unless a description says something else."""
 
+    weighs_photons: ClassVar[bool] = False
+    """Whether photons keep the weights of their light paths."""
+
     photons: PhotonMap | None = None
     """The map of the pass at hand."""
 
@@ -77,7 +80,7 @@ class PhotonMapping(SplattingIntegrator):
             raise RenderError(
                 f"{self.id()}: dr.freeze can't record photon maps, whose sizes only passes know; render without it"
             )
-        require_memory(self.id(), self.photon_count)
+        require_memory(self.id(), self.photon_count, self.weighs_photons)
         super().check_scene(scene, sensor)
 
     def prepare_scene(self, scene: Scene) -> None:
@@ -85,7 +88,7 @@ class PhotonMapping(SplattingIntegrator):
         scene.brightness  # noqa: B018
 
     def held_bytes(self) -> int:
-        return bytes_of(self.photon_count)
+        return bytes_of(self.photon_count, self.weighs_photons)
 
     # ---- passes ------------------------------------------------------------------------
 

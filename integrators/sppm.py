@@ -107,7 +107,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
         flux = path.flux * scene.transmittance(ray, si.t)
         # One more edge at least leads to the camera.
         on = si.is_valid() & (path.depth < self.longest)
-        photon = Photon(si.p, Float(path.depth), ray.d, flux, Float(0), Float(0))
+        photon = Photon(si.p, Float(path.depth), ray.d, flux)
         store.add(photon, on & scatters(si) & ((path.depth > 1) | path.beam) & (dr.max(flux) > 0))
 
         bs, weight = si.bsdf().visit(lambda bsdf: sample_light(bsdf, si, sample1, sample2, on), on)

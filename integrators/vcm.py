@@ -55,6 +55,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     # Many photons take their time at each of the vertices, and first of all connections need many samples.
     default_photon_count = 60_000
+    weighs_photons = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
 
 from djpt.errors import RenderError
+from djpt.photons import directions
 from djpt.process.memory import RESERVE, shortage
-from djpt.types import Array4f, Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.types import ArrayXf, Bool, Color3f, Float, Point3f, UInt32, Vector2f, Vector3f
 
-__all__ = ["Photon", "PhotonStore", "bytes_of", "require_memory"]
+__all__ = ["WORDS", "Photon", "PhotonStore", "bytes_of", "memory_for", "require_memory", "unpacked"]
 
-PACKETS = 3
-"""The packets of four numbers that a photon takes."""
+WORDS = 8
+"""The words of 32 bits that a photon takes, and one packet of memory."""
 
-BYTES = 2 * PACKETS * 16 + 16
-"""The bytes of a photon: as it was stored, once more in its cell, and what is needed to find the cell."""
+WEIGHTS = 2
+"""Further ones of photons that have weights."""
+
+FOUND = 8
+"""The words per photon, at most, that it takes to find its cell: its hash value and its number among those that have
+it, and three for each hash value, of which there are less than two to a photon."""
 
 PER_PATH = 6
 """Photons of a path that there is memory for at first."""
 
-MOST = 2**28
+MOST = 2**27
 """The most photons of a pass: their numbers are counted in 32 bits, with room for those that don't fit."""
 
 
@@ -37,26 +42,32 @@ class Photon:
     """The direction in which it travels."""
     flux: Color3f
     """The power that it carries, of all light paths together, as if there were no others."""
-    vcm: Float
-    vc: Float
+    vcm: Float = field(default_factory=lambda: Float(0))
+    vc: Float = field(default_factory=lambda: Float(0))
     """Both are the light path's, for weights: see `djpt.integrators.both_ends.End`; 0 where there are none."""
 
 
-def bytes_of(paths: int) -> int:
-    """An estimate of the memory that the photons of some light paths take."""
-    return PER_PATH * paths * BYTES
+def bytes_each(weighted: bool) -> int:
+    """The bytes that a photon takes: as it was stored, once more in its cell, and what is needed to find the cell."""
+    return 4 * (2 * (WORDS + WEIGHTS * weighted) + FOUND)
 
 
-def require_memory(owner: str, paths: int, photons: int = 0) -> None:
+def bytes_of(paths: int, weighted: bool) -> int:
+    """An estimate of the memory that the photons of some light paths take, with weights or without."""
+    return PER_PATH * paths * bytes_each(weighted)
+
+
+def require_memory(owner: str, paths: int, weighted: bool, photons: int = 0) -> None:
     """Raise `RenderError` if the photons of a pass are more than memory holds.
 
     Args:
         owner: the name of the integrator.
         paths: light paths of the pass.
+        weighted: whether photons have weights.
         photons: their photons; 0: an estimate.
     """
     photons = photons or PER_PATH * paths
-    missing = shortage(photons * BYTES + RESERVE)
+    missing = shortage(photons * bytes_each(weighted) + RESERVE)
     if photons > MOST or missing is not None:
         problem = missing or f"has more than {MOST}"
         raise RenderError(
@@ -67,19 +78,24 @@ def require_memory(owner: str, paths: int, photons: int = 0) -> None:
 class PhotonStore:
     """Memory that the lanes of a light walk fill with photons, in any order."""
 
-    def __init__(self, owner: str, paths: int) -> None:
-        """Room for the photons of some light paths; `owner` is the integrator's name, for messages.
+    def __init__(self, owner: str, paths: int, weighted: bool) -> None:
+        """Room for the photons of some light paths.
+
+        Args:
+            owner: the integrator's name, for messages.
+            paths: light paths of a pass.
+            weighted: whether photons have weights; else theirs are lost.
 
         Raises:
             RenderError: They take more memory than is free.
         """
-        self._owner, self._paths = owner, paths
+        self._owner, self._paths, self.weighted = owner, paths, weighted
         self._make_room(PER_PATH * paths)
 
     def _make_room(self, photons: int) -> None:
-        require_memory(self._owner, self._paths, photons)
+        require_memory(self._owner, self._paths, self.weighted, photons)
         self._room, self._limit = photons, dr.opaque(UInt32, photons)
-        self.packets = [dr.empty(Float, 4 * photons) for _ in range(PACKETS)]
+        self.photons, self.weights = memory_for(photons, self.weighted)
 
     def clear(self) -> None:
         """Forget all photons."""
@@ -88,14 +104,15 @@ class PhotonStore:
     @property
     def sinks(self) -> Any:
         """What kernels that add photons write to."""
-        return self._count, self.packets
+        return self._count, self.photons, self.weights
 
     def add(self, photon: Photon, active: Bool) -> None:
         """Keep a photon. Those for which there is no room are counted only."""
         place: Any = dr.scatter_inc(self._count, UInt32(0), active)
         active = active & (place < self._limit)
-        for memory, packet in zip(self.packets, packed(photon), strict=True):
-            dr.scatter(memory, packet, place, active)
+        dr.scatter(self.photons, packed(photon), place, active)
+        if self.weighted:
+            dr.scatter(self.weights, Vector2f(photon.vcm, photon.vc), place, active)
 
     def count(self) -> int | None:
         """The number of photons, once the walk has ended; None if there was no room: then there is, to walk again.
@@ -110,23 +127,19 @@ class PhotonStore:
         return None
 
 
-def packed(photon: Photon) -> list[Array4f]:
-    """A photon as packets: the place, the way, the power."""
-    p, d, flux = photon.p, photon.d, photon.flux
-    return [
-        Array4f(p.x, p.y, p.z, photon.edges),
-        Array4f(d.x, d.y, d.z, photon.vcm),
-        Array4f(flux.x, flux.y, flux.z, photon.vc),
-    ]
+def memory_for(photons: int, weighted: bool) -> tuple[Float, Float]:
+    """Memory for the packets of some photons, and for their weights: none, if they have none."""
+    return dr.empty(Float, WORDS * photons), dr.empty(Float, WEIGHTS * photons if weighted else 0)
 
 
-def unpacked(place: Array4f, way: Array4f, power: Array4f) -> Photon:
-    """The photon that three packets hold."""
-    return Photon(
-        p=Point3f(place[0], place[1], place[2]),
-        edges=place[3],
-        d=Vector3f(way[0], way[1], way[2]),
-        flux=Color3f(power[0], power[1], power[2]),
-        vcm=way[3],
-        vc=power[3],
-    )
+def packed(photon: Photon) -> ArrayXf:
+    """A photon as a packet, without its weights."""
+    p, flux = photon.p, photon.flux
+    return ArrayXf([p.x, p.y, p.z, photon.edges, flux.x, flux.y, flux.z, directions.packed(photon.d)])
+
+
+def unpacked(packet: ArrayXf, weights: Vector2f | None) -> Photon:
+    """The photon of a packet, and of weights if it has some."""
+    x, y, z, edges, red, green, blue, way = packet
+    photon = Photon(Point3f(x, y, z), edges, directions.unpacked(way), Color3f(red, green, blue))
+    return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)

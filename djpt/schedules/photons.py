@@ -73,7 +73,10 @@ class PhotonSamples(SplattedSamples):
         if number != self._number or self._looking is None:
             if self._store is None:
                 assert isinstance(job.integrator, PhotonMapping)
-                self._store = PhotonStore(job.integrator.id(), job.integrator.photon_count)
+                self._store = PhotonStore(
+                    job.integrator.id(), job.integrator.photon_count, job.integrator.weighs_photons
+                )
+            self._looking = None  # its map's memory is that of the next one
             self._looking = trace(job, self._store, number)
             self._number = number
         return self._looking

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from djpt.errors import RenderError
-from djpt.photons import Photon, PhotonMap, PhotonStore, photon
-from djpt.photons.map import ALONG_Y, ALONG_Z, FEWEST, FLATNESS, SPAN
+from djpt.photons import Photon, PhotonMap, PhotonStore, directions, photon
+from djpt.photons.map import ALONG_Y, ALONG_Z, FEWEST, FLATNESS, LENGTH, MOST_ACROSS, MOST_ALONG, WIDTH
+from djpt.photons.photon import FOUND, WEIGHTS, WORDS, bytes_of
+from djpt.process import memory
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
 
 RADIUS, PATHS, UNIT = 0.05, 1000, 0.5
@@ -24,9 +26,11 @@ def photons(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rng.uniform(-0.3, 0.3, (count, 3)).astype(np.float32), rng.random((count, 3)).astype(np.float32), edges
 
 
-def filled(p: np.ndarray, flux: np.ndarray, edges: np.ndarray, radius: float = RADIUS) -> PhotonMap:
+def filled(
+    p: np.ndarray, flux: np.ndarray, edges: np.ndarray, radius: float = RADIUS, weighted: bool = True
+) -> PhotonMap:
     """The map of some photons, of which every second one travels along x, the others along z."""
-    store, count = PhotonStore("photons", PATHS), len(p)
+    store, count = PhotonStore("photons", PATHS, weighted), len(p)
     store.clear()
     if count:
         along_x = dr.arange(UInt32, count) % 2 == 0
@@ -89,14 +93,38 @@ def test_sums_do_not_depend_on_the_order() -> None:
 
 def test_neighbours_have_hashes_of_their_own() -> None:
     """No photon is found twice, and the run of a row has no photons of another row of the same ball."""
-    steps = range(1 - SPAN, SPAN)
-    for x, y, z in itertools.product(steps, steps, steps):
+    along, across = range(1 - MOST_ALONG, MOST_ALONG), range(1 - MOST_ACROSS, MOST_ACROSS)
+    for x, y, z in itertools.product(along, across, across):
         assert (x, y, z) == (0, 0, 0) or (x + y * ALONG_Y + z * ALONG_Z) % FEWEST
+    assert 2 / LENGTH + 1 < MOST_ALONG
+    assert 2 / WIDTH + 1 < MOST_ACROSS
+
+
+@pytest.mark.parametrize("place", [1.0, 1e3, 1e30])
+def test_radii_that_rounding_swallows(place: float) -> None:
+    """A search ends, and no photon counts twice, where cells are smaller than what numbers can tell apart."""
+    count = 100
+    p = np.full((count, 3), place, np.float32)
+    map_of = filled(p, np.ones((count, 3), np.float32), np.ones(count), radius=1e-6, weighted=False)
+    at, n, active = Point3f(p[:2].T), Normal3f(0, 0.6, 0.8), dr.full(Bool, True, 2)
+    found = map_of.density(at, n, UInt32(9), active, lambda photon: photon.flux * (photon.vcm + 1))
+    assert (np.array(found) <= (1 + 1e-5) * count / (math.pi * 1e-12 * PATHS)).all()
+
+
+def test_directions_in_a_word() -> None:
+    d = np.random.default_rng(6).normal(size=(100_000, 3)).astype(np.float32)
+    d[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    found = np.array(directions.unpacked(directions.packed(Vector3f(d.T)))).T
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-6)
+    assert np.linalg.norm(found - d, axis=1).max() < 6.5e-5
+    np.testing.assert_allclose(found[:6], d[:6], atol=1e-7)
+    assert abs((found - d).mean(axis=0)).max() < 1e-6
 
 
 def test_a_store_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(photon, "PER_PATH", 1)
-    store = PhotonStore("photons", 10)
+    store = PhotonStore("photons", 10, False)
     p, flux, edges = photons(100)
 
     def walk() -> int | None:
@@ -110,8 +138,28 @@ def test_a_store_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert walk() == 100
 
 
-def test_what_memory_does_not_hold_is_refused() -> None:
-    with pytest.raises(
-        RenderError, match=r"caustics: the map of .* light paths (takes about|has more than) .*lower 'photon_count'"
-    ):
-        PhotonStore("caustics", 2**28)
+@pytest.mark.parametrize("weighted", [False, True])
+def test_memory_is_what_the_estimate_says(weighted: bool) -> None:
+    """What photons are kept in takes no more than the estimate, and more than a half of it."""
+    p, flux, edges = photons(5000)
+    map_of = filled(p, flux, edges, weighted=weighted)
+    words = WORDS + WEIGHTS * weighted
+    stored = 4 * 2 * words * len(p)
+    assert sum(4 * dr.width(m) for m in (map_of._photons, map_of._weights)) == stored // 2
+    hashes = 3 * 4 * dr.width(map_of._begin)
+    assert hashes + 2 * 4 * len(p) <= 4 * FOUND * len(p)
+    assert stored + hashes <= bytes_of(len(p), weighted) / photon.PER_PATH <= 2 * (stored + hashes)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_what_memory_does_not_hold_is_refused(weighted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = r"caustics: the map of .* light paths {} .*lower 'photon_count'"
+    with pytest.raises(RenderError, match=problem.format("(takes about|has more than)")):
+        PhotonStore("caustics", 2**28, weighted)
+    paths = 2**20
+    needed = bytes_of(paths, weighted) + memory.RESERVE
+    monkeypatch.setattr(memory, "free_memory", lambda: needed - 1)
+    with pytest.raises(RenderError, match=problem.format("takes about")):
+        PhotonStore("caustics", paths, weighted)
+    monkeypatch.setattr(memory, "free_memory", lambda: needed)
+    PhotonStore("caustics", paths, weighted)
