@@ -81,6 +81,7 @@ def paints() -> None:
             place = 4 * i + channel
             axis.bar(place, 4 * error[channel], 0.8, -2 * error[channel], color=hue, alpha=0.22, linewidth=0)
             axis.plot(place, off[channel], "o", color=hue, markersize=5)
+    axis.use_sticky_edges = False  # bars end inside of the frame
     axis.axhline(0, color=FAINT, linewidth=0.8)
     axis.set_xticks([4 * i + 1 for i in range(len(names["PAINTS"]))], list(names["PAINTS"]))
     axis.set_ylabel("found - truth")
