@@ -13,7 +13,7 @@ import numpy.typing as npt
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import write
-from djpt.images.sheets import DARK, Tile, captioned_sheet, shown
+from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged, shown
 
 if TYPE_CHECKING:
     from djpt.validation.comparison import Comparison
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["check_picture", "difference_picture", "picture", "write_picture"]
 
 Bytes = npt.NDArray[np.uint8]
-
-_LEAST_WIDTH = 256
-"""Smaller images are enlarged by a whole factor, so that the captions fit."""
 
 
 def check_picture(path: str | os.PathLike[str]) -> None:
@@ -60,9 +57,7 @@ def picture(result: Comparison) -> Bytes:
             difference_picture(result.image, result.reference, scale),
         ),
     ]
-    factor = -(-_LEAST_WIDTH // ours.shape[1])
-    enlarged = [replace(tile, picture=tile.picture.repeat(factor, axis=0).repeat(factor, axis=1)) for tile in tiles]
-    return captioned_sheet(enlarged, palette=DARK)
+    return captioned_sheet([replace(tile, picture=enlarged(tile.picture)) for tile in tiles], palette=DARK)
 
 
 def difference_picture(image: Any, reference: Any, scale: float) -> Bytes:

@@ -16,7 +16,17 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-__all__ = ["DARK", "LIGHT", "Palette", "Tile", "captioned_rows", "captioned_sheet", "fitting_font", "shown"]
+__all__ = [
+    "DARK",
+    "LIGHT",
+    "Palette",
+    "Tile",
+    "captioned_rows",
+    "captioned_sheet",
+    "enlarged",
+    "fitting_font",
+    "shown",
+]
 
 Bytes = npt.NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -53,6 +63,15 @@ def shown(image: Any) -> Bytes:
     """Convert an image of any number of channels to a picture, (H, W, 3) bytes of sRGB; see `djpt.Image`."""
     pixels = Image(image).srgb()
     return pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1].repeat(3, axis=2)
+
+
+def enlarged(picture: Bytes, width: int = 256) -> Bytes:
+    """Show pixels as squares if a picture is narrower than `width`: larger by the least whole factor that reaches it.
+
+    The captions of very small pictures would not be legible.
+    """
+    factor = -(-width // picture.shape[1])
+    return picture.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
 def captioned_sheet(tiles: Sequence[Tile], columns: int | None = None, palette: Palette = LIGHT) -> Bytes:

@@ -7,8 +7,10 @@ import sys
 
 import box
 import cards
+import comparison
 import ends
 import estimators
+import experiments
 import illumination
 import mist
 import observers
@@ -24,7 +26,7 @@ FIGURES = {
     name: getattr(module, name)
     for module in (
         *(proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes),
-        *(rounds, window, cards),
+        *(experiments, rounds, window, comparison, cards),
     )
     for name in module.__all__
 }

@@ -15,6 +15,10 @@ from tests.kit.processes import ROOT, run_python
 DOCS = ROOT / "docs"
 PAGES = sorted(str(path.relative_to(ROOT)) for path in DOCS.rglob("*.md") if "_build" not in path.parts)
 
+FEW = {"SIZE": 8, "SPP": 4, "ITERATIONS": 4, "TARGET_SPP": 16, "TEXELS": 8, "ROWS": 4}
+SMALLER = {"docs/guides/albedo-experiments.md": FEW}
+"""Constants of pages whose code takes minutes as it stands. `python docs/figures` runs it so, for their pictures."""
+
 pytestmark = pytest.mark.skipif(not PAGES, reason="not a working copy of the repository")
 
 
@@ -28,7 +32,7 @@ def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": Path(page).stem}
     for block in code:
-        block.run(names)
+        block.smaller(SMALLER.get(page, {})).run(names)
 
 
 @pytest.mark.slow

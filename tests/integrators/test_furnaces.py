@@ -11,14 +11,13 @@ import pytest
 
 import djpt
 from djpt.scenes import furnace
+from djpt.validation.closed_forms.base import area, camera
 from tests.kit.closed_forms import (
     BY_CHANCE,
     BY_LIGHT_SAMPLES,
     FROM_LIGHTS,
     Keys,
-    area,
     check,
-    look_at,
     render,
 )
 from tests.kit.renders import ours
@@ -37,7 +36,7 @@ def shining_sphere(albedo: float, size: int = 12) -> Keys:
         "bsdf": {"type": "diffuse", "reflectance": albedo},
         "emitter": area(1.0),
     }
-    sensor = look_at((0, 0, 0), (0.3, 0.2, 1), size=size, fov=60.0)
+    sensor = camera((0, 0, 0), (0.3, 0.2, 1), size=size, fov=60.0)
     return {"type": "scene", "sensor": sensor, "shell": shell}
 
 
@@ -140,7 +139,7 @@ def test_inside_a_shining_sphere(albedo: float) -> None:
     }
     integrator = {"type": "path", "max_depth": depth, "rr_depth": 1000}
     scene = {"type": "scene", "integrator": integrator, "shell": shell}
-    scene["sensor"] = look_at((0, 0, 0), (0.3, 0.2, 1), size=32, fov=60.0)
+    scene["sensor"] = camera((0, 0, 0), (0.3, 0.2, 1), size=32, fov=60.0)
     image = ours(scene, 256)
     assert image.mean() == pytest.approx(expected, rel=2e-3)
 
@@ -200,7 +199,7 @@ def test_convex_body_under_a_constant_sky(albedo: float) -> None:
     """A sphere returns a e from everywhere: it vanishes against the sky at a = 1."""
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": albedo}}
     sky = {"type": "constant", "radiance": 2.0}
-    scene = {"type": "scene", "ball": ball, "sky": sky, "sensor": look_at((0, 0, 0), (0, 0, 5), size=16, fov=10.0)}
+    scene = {"type": "scene", "ball": ball, "sky": sky, "sensor": camera((0, 0, 0), (0, 0, 5), size=16, fov=10.0)}
     scene["integrator"] = {"type": "path", "max_depth": 3, "rr_depth": 1000}
     image = ours(scene, 512)
     assert image.mean() == pytest.approx(2.0 * albedo, rel=3e-3, abs=1e-7)

@@ -2,52 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import pytest
 
 from djpt.transforms import ScalarTransform4f as T
+from djpt.validation.closed_forms.base import area
+from djpt.validation.closed_forms.glass import ABOVE, BELOW, dielectric, pane
 from tests.kit.closed_forms import (
     BY_CHANCE,
     BY_LIGHT_SAMPLES,
     Keys,
-    area,
     check,
-    look_at,
     render,
 )
 
-ABOVE, BELOW = 2.0, 5.0
-
-
 ALONG: list[Keys] = [{"type": "whitted"}, *BY_CHANCE, *BY_LIGHT_SAMPLES[1:4], {"type": "distributed", "split": 1}]
 """Integrators that follow mirrors and panes to where there is light."""
-
-
-def fresnel(angle: float, ior: float) -> float:
-    """Reflectance of unpolarised light at an interface; `angle` in degrees, outside."""
-    outside, inside = math.cos(math.radians(angle)), math.sqrt(1 - (math.sin(math.radians(angle)) / ior) ** 2)
-    perpendicular = (outside - ior * inside) / (outside + ior * inside)
-    parallel = (ior * outside - inside) / (ior * outside + inside)
-    return (perpendicular**2 + parallel**2) / 2
-
-
-def pane(angle: float, **shape: Any) -> Keys:
-    """A pane z < 0 between a sky of radiance ABOVE and a black floor that shines with BELOW."""
-    a = math.radians(angle)
-    return {
-        "type": "scene",
-        "sensor": look_at((0, 0, 0), (3 * math.sin(a), 0, 3 * math.cos(a)), up=(0, 1, 0)),
-        "sky": {"type": "constant", "radiance": ABOVE},
-        "pane": shape,
-        "floor": {
-            "type": "rectangle",
-            "to_world": T().translate([0, 0, -1]).scale(20.0),
-            "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            "emitter": area(BELOW),
-        },
-    }
 
 
 @pytest.mark.sparse(5)
@@ -59,7 +28,7 @@ def test_slab_of_glass(depth: int, integrator: Keys) -> None:
     Up: R + T^2 R (1 + R^2 + ..), the k-th term after 4 + 2 k edges (the first after 2, R alone). Down:
     T^2 (1 + R^2 + ..), after 3 + 2 k edges.
     """
-    r = fresnel(50.0, 1.5)
+    r = dielectric(50.0, 1.5)
     t = 1 - r
     up = r * (depth >= 2) + t**2 * r * sum(r ** (2 * k) for k in range(99) if 4 + 2 * k <= depth)
     down = t**2 * sum(r ** (2 * k) for k in range(99) if 3 + 2 * k <= depth)
@@ -75,7 +44,7 @@ def test_slab_of_glass(depth: int, integrator: Keys) -> None:
 @pytest.mark.parametrize("integrator", [*ALONG, {"type": "direct"}], ids=str)
 def test_thin_pane(integrator: Keys) -> None:
     """All reflections inside at once: R' = 2 R / (1 + R), T' = 1 - R'."""
-    r = fresnel(50.0, 1.5)
+    r = dielectric(50.0, 1.5)
     up = 2 * r / (1 + r)
     bsdf = {"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0}
     scene = pane(50.0, type="rectangle", to_world=T().scale(20.0), bsdf=bsdf)

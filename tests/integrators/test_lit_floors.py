@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 
 from djpt.transforms import ScalarTransform4f as T
+from djpt.validation.closed_forms.base import ALBEDO, area, camera
+from djpt.validation.closed_forms.floors import parallel_rectangle
 from tests.kit.closed_forms import (
-    ALBEDO,
     BY_CHANCE,
     BY_LIGHT_SAMPLES,
     FROM_LIGHTS,
     Array,
     Keys,
-    area,
     check,
-    look_at,
     on_the_floor,
-    parallel_rectangle,
     render,
 )
 from tests.kit.renders import ours
@@ -208,6 +206,6 @@ def test_whitted_lamp_is_a_point(shape: str) -> None:
     """A lamp's light comes from its middle: a e A / (pi h^2) below it."""
     lamp = {"type": shape, "to_world": T().translate([0, 0, 2]).rotate([1, 0, 0], 180).scale(0.5), "emitter": area(4.0)}
     scene = floor_under(lamp)
-    scene["sensor"] = look_at((0, 0, 0), (0.5, 0, 1))
+    scene["sensor"] = camera((0, 0, 0), (0.5, 0, 1))
     surface = 1.0 if shape == "rectangle" else math.pi / 4
     check(render(scene, {"type": "whitted"}, 1, 16), ALBEDO * 4.0 * surface / (math.pi * 2**2))

@@ -6,41 +6,25 @@ each), or if it is right to 1e-4 of the radiance.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 import djpt
 from djpt.transforms import ScalarTransform4f as T
+from djpt.validation.closed_forms.base import ALBEDO, camera
 from djpt.validation.statistics import Batches, mean_test, pixel_test
 
 __all__ = [
-    "ALBEDO",
     "BY_CHANCE",
     "BY_LIGHT_SAMPLES",
     "FROM_LIGHTS",
     "Array",
     "Keys",
-    "area",
     "check",
-    "look_at",
     "on_the_floor",
-    "parallel_rectangle",
     "render",
 ]
-
-ALBEDO = 0.6
-
-
-def look_at(target: Any, origin: Any, up: Any = (0, 1, 0), size: int = 8, fov: float = 1e-3) -> dict[str, Any]:
-    """A camera of narrow view: all its pixels see one point."""
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
-    return {"type": "perspective", "fov": fov, "to_world": T().look_at(origin, target, up), "film": film}
-
-
-def area(radiance: float) -> dict[str, Any]:
-    return {"type": "area", "radiance": radiance}
 
 
 def plane(**more: Any) -> dict[str, Any]:
@@ -52,19 +36,9 @@ def plane(**more: Any) -> dict[str, Any]:
 def on_the_floor(spot: Any = (0, 0, 0), depth: int = 2, **lights: Any) -> dict[str, Any]:
     """A camera that looks at `spot` of the floor from the side, under some lights."""
     x, y, _ = spot
-    sensor = look_at(spot, (x + 3, y + 3, 2.0), up=(0, 0, 1))
+    sensor = camera(spot, (x + 3, y + 3, 2.0), up=(0, 0, 1))
     integrator = {"type": "path", "max_depth": depth}
     return {"type": "scene", "integrator": integrator, "sensor": sensor, "floor": plane(), **lights}
-
-
-def parallel_rectangle(a: float, b: float, c: float) -> float:
-    """Form factor of a small patch to a rectangle a x b in a parallel plane at distance c, one corner above it.
-
-    J. Howell, *A Catalog of Radiation Heat Transfer Configuration Factors*, B-3.
-    """
-    x, y = a / c, b / c
-    p, q = math.sqrt(1 + x * x), math.sqrt(1 + y * y)
-    return (x / p * math.atan(y / p) + y / q * math.atan(x / q)) / (2 * math.pi)
 
 
 Array = np.ndarray

@@ -10,7 +10,7 @@ import numpy as np
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ALBEDO, ClosedForm, area, camera, floor
 
-__all__ = ["FLOORS"]
+__all__ = ["FLOORS", "parallel_rectangle"]
 
 SAMPLING_LIGHTS = ("path", "prb", "direct", "path_nee", "distributed", "volpath", "volpathmis", "bdpt")
 BY_CHANCE = ("path_naive", "prb_basic")

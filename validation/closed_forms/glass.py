@@ -8,7 +8,7 @@ from typing import Any
 from djpt.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ClosedForm, area, camera
 
-__all__ = ["GLASS"]
+__all__ = ["ABOVE", "BELOW", "GLASS", "dielectric", "pane"]
 
 FOLLOWING = ("path", "prb", "path_naive", "prb_basic", "whitted", "distributed", "volpath", "volpathmis", "bdpt")
 ABOVE, BELOW, ANGLE = 2.0, 5.0, 50.0
@@ -22,9 +22,12 @@ def dielectric(angle: float, ior: float) -> float:
     return (perpendicular**2 + parallel**2) / 2
 
 
-def pane(**shape: Any) -> dict[str, Any]:
-    """A pane z < 0 between a sky of radiance ABOVE and a black floor that shines with BELOW."""
-    a = math.radians(ANGLE)
+def pane(angle: float, **shape: Any) -> dict[str, Any]:
+    """A pane z < 0 between a sky of radiance ABOVE and a black floor that shines with BELOW.
+
+    It is seen from above, `angle` degrees off its normal.
+    """
+    a = math.radians(angle)
     return {
         "type": "scene",
         "sensor": camera((0, 0, 0), (3 * math.sin(a), 0, 3 * math.cos(a))),
@@ -42,20 +45,18 @@ def pane(**shape: Any) -> dict[str, Any]:
 def slab() -> dict[str, Any]:
     """A slab of glass."""
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
-    return pane(type="cube", to_world=T().translate([0, 0, -0.1]).scale([20, 20, 0.1]), bsdf=glass)
+    return pane(ANGLE, type="cube", to_world=T().translate([0, 0, -0.1]).scale([20, 20, 0.1]), bsdf=glass)
 
 
 def metal() -> dict[str, Any]:
     """A flat piece of metal under the sky, seen from above."""
-    scene = pane(type="rectangle", to_world=T().scale(20.0), bsdf={"type": "conductor", "eta": 0.2, "k": 3.9})
-    scene["sensor"] = camera((0, 0, 0), (0, 0, 3))
-    return scene
+    return pane(0.0, type="rectangle", to_world=T().scale(20.0), bsdf={"type": "conductor", "eta": 0.2, "k": 3.9})
 
 
 def water() -> dict[str, Any]:
     """Water over a black floor that shines, seen from above at ANGLE."""
     glass = {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.0}
-    return pane(type="rectangle", to_world=T().scale(20.0), bsdf=glass)
+    return pane(ANGLE, type="rectangle", to_world=T().scale(20.0), bsdf=glass)
 
 
 W = dielectric(ANGLE, 1.33)
@@ -71,6 +72,7 @@ GLASS = (
         "L = R' e_above + (1 - R') e_below, R' = 2 R / (1 + R)",
         "A. Fresnel (1823); G. G. Stokes (1862) for the reflections inside",
         lambda: pane(
+            ANGLE,
             type="rectangle",
             to_world=T().scale(20.0),
             bsdf={"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0},

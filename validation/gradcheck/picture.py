@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,16 +12,13 @@ import numpy.typing as npt
 from djpt.errors import FileError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import write
-from djpt.images.sheets import DARK, Tile, captioned_sheet
+from djpt.images.sheets import DARK, Tile, captioned_sheet, enlarged
 from djpt.validation.report import difference_picture
 
 if TYPE_CHECKING:
     from djpt.validation.gradcheck.check import GradientCheck
 
 __all__ = ["picture", "write_picture"]
-
-LEAST_WIDTH = 256
-"""Smaller images are enlarged by a whole factor, so that the captions fit."""
 
 
 def write_picture(result: GradientCheck, path: str | os.PathLike[str]) -> None:
@@ -44,11 +41,5 @@ def picture(result: GradientCheck) -> npt.NDArray[np.uint8]:
         ("finite differences", f"{result.seeds} seeds of {result.spp} spp", other, nothing),
         ("the difference", "passed" if result.passed else "FAILED", ours, other),
     )
-    factor = -(-LEAST_WIDTH // ours.shape[1])
-    tiles = [Tile(above, below, enlarged(difference_picture(a, b, scale), factor)) for above, below, a, b in panels]
+    tiles = [Tile(above, below, enlarged(difference_picture(a, b, scale))) for above, below, a, b in panels]
     return captioned_sheet(tiles, palette=DARK)
-
-
-def enlarged(pixels: Any, factor: int) -> Any:
-    """An image whose pixels are squares of `factor` pixels."""
-    return pixels.repeat(factor, axis=0).repeat(factor, axis=1)
