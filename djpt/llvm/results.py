@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -28,7 +29,7 @@ class Results:
         self._computed.record()
 
     def numpy(self, array: Float) -> Floats:
-        """The numbers of one of the arrays, for as long as it lives; waits for the kernels of these results alone.
+        """The numbers of one of the arrays, in its memory; waits for the kernels of these results alone.
 
         On GPUs, and where an array isn't in memory yet, all kernels are waited for.
         """
@@ -39,5 +40,6 @@ class Results:
         except CallError:
             return array.numpy()
         self._computed.wait()
-        memory = (ctypes.c_float * dr.width(array)).from_address(address)
+        memory: Any = (ctypes.c_float * dr.width(array)).from_address(address)
+        memory.owner = array
         return np.ctypeslib.as_array(memory)

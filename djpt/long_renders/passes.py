@@ -251,7 +251,8 @@ class AdaptiveImage(RoundImage):
 
     def overlaps(self, number: int) -> bool:
         # What the next round samples follows from the surveys, and from the counts of its own half.
-        return not is_survey(number)
+        # Large ones would take the memory twice.
+        return self._rounds.small and not is_survey(number)
 
 
 def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulation]:
