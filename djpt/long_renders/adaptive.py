@@ -89,6 +89,7 @@ class AdaptiveAccumulation(Accumulation):
         "changes": "<f8",
         "constant": "<f4",
     }
+    added: ClassVar[Sequence[str]] = ("even", "odd", "products", "taken", "changes")
 
     @classmethod
     def empty(
@@ -205,17 +206,6 @@ class AdaptiveAccumulation(Accumulation):
             changes[half] += self.tiles.means(np.square(now - last[half]) / 2)
         last[half] = now
         return last, changes
-
-    def joined(self, other: AdaptiveAccumulation) -> AdaptiveAccumulation:
-        return replace(
-            self,
-            seeds=self.seeds + other.seeds,
-            even=self.even + other.even,
-            odd=self.odd + other.odd,
-            products=self.products + other.products,
-            taken=self.taken + other.taken,
-            changes=self.changes + other.changes,
-        )
 
     # ---- files ----------------------------------------------------------------------------------
 
