@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from djpt.errors import ParameterError
 from djpt.sensors.held import HeldCamera
 from djpt.transforms import ScalarTransform4f
+from djpt.transforms.matrices import about_axis
 
 __all__ = ["Track", "TurningCamera"]
 
@@ -144,11 +145,3 @@ def turned_part(rotation: Doubles, share: float) -> Doubles:
         )
         axis = swirl / np.linalg.norm(swirl)
     return about_axis(axis, share * angle)
-
-
-def about_axis(axis: Sequence[float] | Doubles, angle: float) -> Doubles:
-    """The rotation by an angle about an axis of length 1 (Rodrigues' formula), (3, 3)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    result: Doubles = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    return result

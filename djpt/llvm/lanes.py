@@ -36,7 +36,7 @@ WIDER = {8: ("avx512", "amx", "avx10"), 16: ("amx",)}
 PROCESSORS = {8: "haswell", 16: "skylake-avx512"}
 
 BLOCK = 1024
-"""Lanes that a thread takes at a time in `small_blocks`."""
+"""Lanes that a thread usually takes at a time in `small_blocks`."""
 
 
 @cache
@@ -64,8 +64,8 @@ def lane_count() -> int:
 
 
 @contextmanager
-def small_blocks() -> Iterator[None]:
-    """Let threads take work in small portions, of `BLOCK` lanes, in kernels that are launched inside.
+def small_blocks(lanes: int = BLOCK) -> Iterator[None]:
+    """Let threads take work in small portions, of so many lanes, in kernels that are launched inside.
 
     The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time. GPUs have no such portions. While
     `dr.freeze` records, the portions become small for good: Dr.Jit will launch the same kernels without asking.
@@ -80,7 +80,7 @@ def small_blocks() -> Iterator[None]:
         # Only the threads' shares are less even then.
         yield
         return
-    set_size(BLOCK)
+    set_size(lanes)
     try:
         yield
     finally:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
@@ -59,6 +59,8 @@ class Accumulation:
 
     stored: ClassVar[Mapping[str, str]] = {"constant": "<f4"}
     """The arrays in the order of files, and their types there."""
+    added: ClassVar[Sequence[str]] = ()
+    """The arrays that `a + b` adds up."""
 
     # ---- the image ----------------------------------------------------------------------------
 
@@ -139,11 +141,8 @@ class Accumulation:
             raise RenderError(
                 f"{problem}: both have the round of seed {min(shared)}; render them with seeds that differ"
             )
-        return self.joined(other)
-
-    def joined(self: Same, other: Same) -> Same:
-        """The sum with an accumulation of the same kind and image."""
-        raise NotImplementedError
+        sums: dict[str, Any] = {name: getattr(self, name) + getattr(other, name) for name in self.added}
+        return replace(self, seeds=self.seeds + other.seeds, **sums)
 
     def require_same(self, fingerprint: Fingerprint, problem: str) -> None:
         """Raise `RenderError` if a fingerprint isn't this one."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -19,6 +19,9 @@ __all__ = ["AdaptiveAccumulation", "TileSums"]
 
 Counts = npt.NDArray[np.int64]
 
+TOGETHER = 2**8
+"""The tiles whose films are computed with at once: what is needed meanwhile is small beside the sums."""
+
 
 @dataclass(frozen=True)
 class TileSums:
@@ -26,10 +29,32 @@ class TileSums:
 
     places: Counts
     """The numbers of the tiles, in order; a tile that was sampled several times is there as often."""
-    sums: Floats
-    """Their sums, (channels and weight, len(places), height, width)."""
+    parts: Sequence[Sequence[Floats]]
+    """Films of some places after the other: for each channel, the last being the weight, (places, height, width)."""
     constant: Floats
     """The channels that come from the centres of pixels, (height, width, channels)."""
+
+    def channel(self, number: int) -> Floats:
+        """A channel of all films, (places, height, width)."""
+        return np.concatenate([part[number] for part in self.parts])
+
+    def by_tiles(self) -> Iterator[tuple[Counts, Floats]]:
+        """Some tiles after the other, and their films (channels and weight, places, height, width).
+
+        All films of a tile come together.
+        """
+        end, places = 0, self.places[:0]
+        films: Floats | None = None
+        for part in self.parts:
+            for start in range(0, len(part[0]), TOGETHER):
+                added = np.stack([channel[start : start + TOGETHER] for channel in part])
+                films = added if films is None else np.concatenate([films, added], axis=1)
+                places, end = np.concatenate([places, self.places[end : end + added.shape[1]]]), end + added.shape[1]
+                # The last tile may go on in what follows.
+                complete = len(places) if end == len(self.places) else int(np.searchsorted(places, places[-1]))
+                if complete:
+                    yield places[:complete], films[:, :complete]
+                places, films = places[complete:], films[:, complete:]
 
 
 @dataclass(frozen=True)
@@ -40,8 +65,11 @@ class AdaptiveAccumulation(Accumulation):
     """
 
     tiles: Tiles
-    films: Doubles
-    """Sums of the tiles' films in each half, (2, channels that are filtered and weight, tiles, height, width)."""
+    even: Doubles
+    """Sums of the tiles' films in the half of the even rounds, (channels that are filtered and weight, tiles, height,
+    width)."""
+    odd: Doubles
+    """The same in the other half. A round leaves the half that it doesn't belong to as it is, without a copy."""
     products: Doubles
     """Over all rounds the sums of l l, l w and w w, l being the weighted luminance of a tile's film in a round and w
     its weight: (3, tiles, height, width)."""
@@ -53,13 +81,15 @@ class AdaptiveAccumulation(Accumulation):
     """Halves of the squared changes between the surveys of a half, summed; means over the tiles, (2, tiles)."""
 
     stored: ClassVar[Mapping[str, str]] = {
-        "films": "<f8",
+        "even": "<f8",
+        "odd": "<f8",
         "products": "<f8",
         "taken": "<i8",
         "last": "<f4",
         "changes": "<f8",
         "constant": "<f4",
     }
+    added: ClassVar[Sequence[str]] = ("even", "odd", "products", "taken", "changes")
 
     @classmethod
     def empty(
@@ -74,7 +104,8 @@ class AdaptiveAccumulation(Accumulation):
             seeds=(),
             constant=np.zeros((height, width, constant), np.float32),
             tiles=tiles,
-            films=np.zeros((2, len(channels) - constant + 1, tiles.count, *tiles.film)),
+            even=np.zeros((len(channels) - constant + 1, tiles.count, *tiles.film)),
+            odd=np.zeros((len(channels) - constant + 1, tiles.count, *tiles.film)),
             products=np.zeros((3, tiles.count, *tiles.film)),
             taken=np.zeros((2, tiles.count), np.int64),
             last=np.zeros((2, height, width), np.float32),
@@ -88,15 +119,21 @@ class AdaptiveAccumulation(Accumulation):
 
     def filtered(self) -> Doubles:
         """The mean of the images of both halves."""
-        halves = [self._image_of(half)[:-1] for half in (0, 1) if self.taken[half].any()]
+        halves = [half for half in (0, 1) if self.taken[half].any()]
         if not halves:
             width, height = self.size
-            return np.zeros((self.films.shape[1] - 1, height, width))
-        return halves[0] if len(halves) == 1 else (halves[0] + halves[1]) / 2
+            return np.zeros((len(self.even) - 1, height, width))
+        first, *others = [self._image_of(half) for half in halves]
+        return (first + others[0]) / 2 if others else first
 
     def _image_of(self, half: int) -> Doubles:
-        """The image of a half, and the weight of its pixels if each tile had been sampled once."""
-        return developed(self.tiles, self.films[half] / np.maximum(self.taken[half], 1)[:, None, None])
+        """The image of a half."""
+        counts, films = np.maximum(self.taken[half], 1), self._films[half]
+        return developed(len(films), lambda channel: self.tiles.joined(films[channel], counts))
+
+    @property
+    def _films(self) -> tuple[Doubles, Doubles]:
+        return self.even, self.odd
 
     def variance(self) -> Doubles:
         """The variance of a film's luminance between the rounds, divided by their number, added up over the tiles.
@@ -106,16 +143,21 @@ class AdaptiveAccumulation(Accumulation):
         if not self.taken.all():
             width, height = self.size
             return np.full((height, width), np.inf)
-        count = self.taken.sum(0)[:, None, None]
         x = self.tiles.parted(luminance(self.filtered(), self.channels))
-        totals = self.films.sum(0)
-        mean = luminance(totals[:-1], self.channels) - x * totals[-1]
-        square = self.products[0] - 2 * x * self.products[1] + x * x * self.products[2]
-        of_round = np.maximum(square - mean * mean / count, 0) / (count - 1)
-        # The image is the mean of two images, of which each divides by its own counts.
-        of_image = of_round * (1 / self.taken).sum(0)[:, None, None] / 4
-        weights = self.tiles.joined(totals[-1] / count)
-        return self.tiles.joined(of_image) / np.where(weights == 0, 1, weights) ** 2
+        of_films, weights = np.empty_like(x), np.empty_like(x)
+        for start in range(0, self.tiles.count, TOGETHER):
+            some = slice(start, start + TOGETHER)
+            taken, count = self.taken[:, some], self.taken[:, some].sum(0)[:, None, None]
+            totals = self.even[:, some] + self.odd[:, some]
+            mean, products = luminance(totals[:-1], self.channels), self.products[:, some]
+            mean = mean - x[some] * totals[-1]
+            square = products[0] - 2 * x[some] * products[1] + x[some] * x[some] * products[2]
+            of_round = np.maximum(square - mean * mean / count, 0) / (count - 1)
+            # The image is the mean of two images, of which each divides by its own counts.
+            of_films[some] = of_round * (1 / taken).sum(0)[:, None, None] / 4
+            weights[some] = totals[-1] / count
+        of_image, weight = self.tiles.joined(of_films), self.tiles.joined(weights)
+        return of_image / np.where(weight == 0, 1, weight) ** 2
 
     def mean_luminance(self) -> float:
         return float(luminance(self.filtered(), self.channels).mean()) if self.rounds else 0.0
@@ -133,44 +175,37 @@ class AdaptiveAccumulation(Accumulation):
 
     def with_round(self, seed: int, part: TileSums) -> AdaptiveAccumulation:
         """This accumulation and one more round."""
-        half, every = half_of(self.rounds), np.arange(self.tiles.count)
-        bright, weight = luminance(part.sums[:-1], self.channels).astype(np.float64), part.sums[-1].astype(np.float64)
-        products = np.stack([bright * bright, bright * weight, weight * weight])
-        films, taken = self.films.copy(), self.taken.copy()
-        if len(part.places) == len(every) and (part.places == every).all():
-            films[half] += part.sums
-            taken[half] += 1
-            products += self.products
-        else:
-            sampled, first, number = np.unique(part.places, return_index=True, return_counts=True)
-            films[half][:, sampled] += np.add.reduceat(part.sums, first, axis=1, dtype=np.float64)
+        half = half_of(self.rounds)
+        last, changes = self._surveyed(half, part) if is_survey(self.rounds) else (self.last, self.changes)
+        films, products, taken = self._films[half].copy(), self.products.copy(), self.taken.copy()
+        for places, sums in part.by_tiles():
+            bright, weight = luminance(sums[:-1], self.channels).astype(np.float64), sums[-1].astype(np.float64)
+            of_places = np.stack([bright * bright, bright * weight, weight * weight])
+            sampled, first, number = np.unique(places, return_index=True, return_counts=True)
+            films[:, sampled] += np.add.reduceat(sums, first, axis=1, dtype=np.float64)
+            products[:, sampled] += np.add.reduceat(of_places, first, axis=1)
             taken[half][sampled] += number
-            added = np.add.reduceat(products, first, axis=1)
-            products = self.products.copy()
-            products[:, sampled] += added
-        found = replace(
-            self, seeds=(*self.seeds, seed), constant=part.constant, films=films, products=products, taken=taken
-        )
-        return found.with_survey(half, part) if is_survey(self.rounds) else found
-
-    def with_survey(self, half: int, part: TileSums) -> AdaptiveAccumulation:
-        """This accumulation with what is known of the tiles after the round `part` has sampled all of them."""
-        now = luminance(developed(self.tiles, part.sums.astype(np.float64))[:-1], self.channels)
-        last, changes = self.last.copy(), self.changes.copy()
-        if surveys(self.rounds, half) > 1:
-            changes[half] += self.tiles.means(np.square(now - last[half]) / 2)
-        last[half] = now
-        return replace(self, last=last, changes=changes)
-
-    def joined(self, other: AdaptiveAccumulation) -> AdaptiveAccumulation:
         return replace(
             self,
-            seeds=self.seeds + other.seeds,
-            films=self.films + other.films,
-            products=self.products + other.products,
-            taken=self.taken + other.taken,
-            changes=self.changes + other.changes,
+            seeds=(*self.seeds, seed),
+            constant=part.constant,
+            even=self.even if half else films,
+            odd=films if half else self.odd,
+            products=products,
+            taken=taken,
+            last=last,
+            changes=changes,
         )
+
+    def _surveyed(self, half: int, part: TileSums) -> tuple[Floats, Doubles]:
+        """The luminance and the changes that are known after a survey `part`, which has sampled all tiles."""
+        image = developed(len(self.even), lambda channel: self.tiles.joined(part.channel(channel)))
+        now = luminance(image, self.channels)
+        last, changes = self.last.copy(), self.changes.copy()
+        if surveys(self.rounds + 1, half) > 1:
+            changes[half] += self.tiles.means(np.square(now - last[half]) / 2)
+        last[half] = now
+        return last, changes
 
     # ---- files ----------------------------------------------------------------------------------
 
@@ -189,8 +224,10 @@ class AdaptiveAccumulation(Accumulation):
     def shapes(cls, header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
         (width, height), constant = header["size"], header["constant"]
         tiles: Tiles = cls.further(header)["tiles"]
+        films = len(header["channels"]) - constant + 1, tiles.count, *tiles.film
         return {
-            "films": (2, len(header["channels"]) - constant + 1, tiles.count, *tiles.film),
+            "even": films,
+            "odd": films,
             "products": (3, tiles.count, *tiles.film),
             "taken": (2, tiles.count),
             "last": (2, height, width),
@@ -199,7 +236,14 @@ class AdaptiveAccumulation(Accumulation):
         }
 
 
-def developed(tiles: Tiles, films: Doubles) -> Doubles:
-    """The image that films of tiles add up to, divided by its weight; the weight is its last channel."""
-    whole = tiles.joined(films)
-    return np.concatenate([whole[:-1] / np.where(whole[-1] == 0, 1, whole[-1]), whole[-1:]])
+def developed(channels: int, of_channel: Callable[[int], Doubles]) -> Doubles:
+    """The image of some `channels`, each divided by the weight, which is the last one.
+
+    `of_channel` adds up the films of a channel: together they would be more than twice an image.
+    """
+    weight = of_channel(channels - 1)
+    weight[weight == 0] = 1
+    image = np.empty((channels - 1, *weight.shape))
+    for channel, pixels in enumerate(image):
+        np.divide(of_channel(channel), weight, out=pixels)
+    return image

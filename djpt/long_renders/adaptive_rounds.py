@@ -15,6 +15,7 @@ from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace, shared
+from djpt.llvm.results import Results
 from djpt.long_renders.adaptive import Counts, TileSums
 from djpt.long_renders.rounds import constant_of, inputs, round_seed
 from djpt.long_renders.tile_job import TileJob, film_sums, reason_against
@@ -29,6 +30,8 @@ from djpt.sensors import Sensor
 from djpt.types import Float, UInt32
 
 __all__ = ["AdaptiveRounds"]
+
+Floats = npt.NDArray[np.float32]
 
 PIXELS = 2**16
 """The pixels of the tiles that are computed at once: a film's sums are up to half a kilobyte for each."""
@@ -72,6 +75,16 @@ class AdaptiveRounds:
         if not integrator.from_script and not attached_parameters(job.scene):
             self._recorded = {}
 
+    @property
+    def _together(self) -> int:
+        """The tiles that are computed at once."""
+        return max(1, PIXELS // (self.tiles.width * self.tiles.height))
+
+    @property
+    def small(self) -> bool:
+        """Whether all tiles are computed at once."""
+        return self.tiles.count <= self._together
+
     def _job(self) -> Job:
         begin_trace()
         return make_job(self._scene, self._sensor, self._integrator, 0, self._spp)
@@ -83,8 +96,7 @@ class AdaptiveRounds:
         _, first = np.unique(places, return_index=True)
         again = np.arange(len(places)) - np.repeat(first, np.diff(first, append=len(places)))
         seeds = [round_seed(seed, number + REPEATED * k) for k in again.tolist()]
-        size = max(1, PIXELS // (self.tiles.width * self.tiles.height))
-        parts = []
+        size, parts = self._together, []
         for start in range(0, len(places), size):
             parts.append(self._launch(places[start : start + size], seeds[start : start + size]))
             if interruption is not None or progress is not None or start >= 2 * size:
@@ -95,8 +107,15 @@ class AdaptiveRounds:
             if progress is not None:
                 progress(start + len(places[start : start + size]), len(places))
 
+        results = Results()
+
         def result() -> TileSums:
-            return TileSums(places, self._on_host(parts, len(places)), self._constant)
+            films = [self._on_host(part, results) for part in parts]
+            parts.clear()
+            if len(films) > 1:
+                # What kernels took is needed for sums of 64 bits.
+                dr.flush_malloc_cache()
+            return TileSums(places, films, self._constant)
 
         return result
 
@@ -124,13 +143,10 @@ class AdaptiveRounds:
             tiles = TileJob.of(job, self.tiles, places, seeds)
             return film_sums(tiles, choose(self._schedule, tiles))
 
-    def _on_host(self, parts: list[list[Float]], count: int) -> Any:
-        """The sums of all parts, (channels and weight, tiles, height, width)."""
-        films = np.concatenate([np.stack([sums.numpy() for sums in part]) for part in parts], axis=1)
-        films = films.reshape(-1, count, *self.tiles.film)
-        if self._filters:
-            return films
-        return np.concatenate([films, np.full((1, *films.shape[1:]), self._spp, np.float32)])
+    def _on_host(self, part: list[Float], results: Results) -> list[Floats]:
+        """The films of some tiles: for each channel, the last being the weight, (tiles, height, width)."""
+        films = [results.numpy(sums).reshape(-1, *self.tiles.film) for sums in part]
+        return films if self._filters else [*films, np.broadcast_to(np.float32(self._spp), films[0].shape)]
 
 
 def copied(numbers: npt.NDArray[np.uint32]) -> UInt32:

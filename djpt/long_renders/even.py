@@ -36,6 +36,7 @@ class EvenAccumulation(Accumulation):
         "luminance": "<f8",
         "squares": "<f8",
     }
+    added: ClassVar[Sequence[str]] = ("sums", "weights", "luminance", "squares")
 
     @classmethod
     def empty(
@@ -91,16 +92,6 @@ class EvenAccumulation(Accumulation):
             constant=part.constant,
             luminance=halves,
             squares=self.squares + brightness * brightness,
-        )
-
-    def joined(self, other: EvenAccumulation) -> EvenAccumulation:
-        return replace(
-            self,
-            seeds=self.seeds + other.seeds,
-            sums=self.sums + other.sums,
-            weights=self.weights + other.weights,
-            luminance=self.luminance + other.luminance,
-            squares=self.squares + other.squares,
         )
 
     # ---- files ----------------------------------------------------------------------------------

@@ -164,6 +164,10 @@ def usual_spp(spp: int, adaptive: bool) -> int:
 class Image(Protocol):
     """An image that is rendered in rounds."""
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody waits for the ends of passes."""
+
     def empty(self) -> Any:
         """The accumulation of no rounds."""
 
@@ -193,6 +197,10 @@ class RoundImage:
     schedule: str
     progress: Progress | None
     interruption: Interruption | None
+
+    @property
+    def is_watched(self) -> bool:
+        return self.progress is not None or self.interruption is not None
 
     def watch(self, watched: bool) -> tuple[Progress | None, Interruption | None]:
         """Who is told of passes."""
@@ -243,22 +251,25 @@ class AdaptiveImage(RoundImage):
 
     def overlaps(self, number: int) -> bool:
         # What the next round samples follows from the surveys, and from the counts of its own half.
-        return not is_survey(number)
+        # Large ones would take the memory twice.
+        return self._rounds.small and not is_survey(number)
 
 
 def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulation]:
     """The accumulations after each round until a goal is reached, one at least."""
     start = before = time.perf_counter()
     of_round, waiting = 0.0, None
+    # Nobody knows yet how long a round takes. Unless that matters, the second one is traced while the first runs.
+    matters = image.is_watched or goal.seconds is not None
     if found.rounds and goal.is_reached(found, 0.0, 0.0):
         yield found
         return
     for number in itertools.count(found.rounds):
-        # Watched in the beginning: nobody knows yet how long a round takes.
         result = waiting or image.begin(found, number, of_round > SLOW or not of_round)
         waiting = None
         elapsed = time.perf_counter() - start
-        ahead = of_round and of_round <= SLOW and (goal.rounds is None or number + 1 < goal.rounds)
+        quick = of_round <= SLOW and (of_round > 0 or not matters)
+        ahead = quick and (goal.rounds is None or number + 1 < goal.rounds)
         if ahead and image.overlaps(number) and (goal.seconds is None or elapsed + 2 * of_round <= goal.seconds):
             waiting = image.begin(found, number + 1, False)
         found = result(found)

@@ -20,6 +20,8 @@ from djpt.display.progress import Progress
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace
+from djpt.llvm.lanes import small_blocks
+from djpt.llvm.results import Results
 from djpt.long_renders.streaks import StreakJob, rows_by_streaks, streak
 from djpt.process.interruption import Interruption
 from djpt.rendering import centres, make_job, render, require_still
@@ -39,6 +41,9 @@ Doubles = npt.NDArray[np.float64]
 
 RECORDED_SAMPLES = 2**24
 """The samples of the largest rounds whose kernels are recorded: tracing them matters less and less in larger ones."""
+
+PORTION = 2**8
+"""The lanes of recorded kernels that a thread takes at a time: then none waits long for the last portion of a round."""
 
 
 def round_seed(seed: int, number: int) -> int:
@@ -115,8 +120,10 @@ class Rounds:
             self._job, self._streak = job, streak(job, how)
             self._inputs = inputs(scene, sensor, integrator)
 
+        results = Results()
+
         def result() -> RoundSums:
-            sums = sums_of_rows(job, summed)
+            sums = sums_of_rows(job, summed, results)
             if len(summed) > 1:
                 # What large bands took is needed for sums of 64 bits.
                 summed.clear()
@@ -128,13 +135,13 @@ class Rounds:
     def _launched_again(self, job: Job, seed: int) -> Callable[[], RoundSums]:
         """Launch the recorded kernels with another seed; the first time they are traced."""
         begin_trace()
-        with dr.suspend_grad(), without_garbage():
+        with dr.suspend_grad(), without_garbage(), small_blocks(PORTION):
             sums = self._recorded(self._inputs, dr.opaque(UInt32, seed))
         assert self._constant is not None
-        weight = sums[-1] if job.film.filters else Float(self.spp)
-        summed = [(Rows(0, job.height, sums), weight)]
+        weight = sums[-1] if job.film.filters else dr.opaque(Float, self.spp)
+        summed, results = [(Rows(0, job.height, sums), weight)], Results()
         constant = self._constant
-        return lambda: RoundSums(*sums_of_rows(job, summed), constant)
+        return lambda: RoundSums(*sums_of_rows(job, summed, results), constant)
 
     def _one_band(self, inputs: list[Any], seed: UInt32) -> list[Float]:
         """The sums of a round that is computed in one band, by channel; `inputs` is what its kernels read."""
@@ -180,8 +187,8 @@ def waiting_for_image(image: Any, spp: int, constant: Floats | None = None) -> C
     return result
 
 
-def sums_of_rows(job: Job, summed: list[Summed]) -> tuple[Floats, Floats]:
-    """The sums and the weights of the pixels of a film, without its border."""
+def sums_of_rows(job: Job, summed: list[Summed], results: Results) -> tuple[Floats, Floats]:
+    """The sums and the weights of the pixels of a film, without its border; `results` reads them."""
     border, (width, height) = job.film.border, job.film.crop_size()
     sums = np.zeros((job.channel_count(), height, width), np.float32)
     weights = np.zeros((height, width) if job.film.filters else (1, 1), np.float32)
@@ -192,11 +199,11 @@ def sums_of_rows(job: Job, summed: list[Summed]) -> tuple[Floats, Floats]:
         inside = slice(top - rows.first_row, end - rows.first_row), slice(border, border + width)
         target = slice(top - border, end - border)
         for channel, values in zip(sums, rows.sums, strict=False):
-            channel[target] = values.numpy()[: rows.count * job.width].reshape(rows.count, job.width)[inside]
+            channel[target] = results.numpy(values)[: rows.count * job.width].reshape(rows.count, job.width)[inside]
         if job.film.filters:
-            weights[target] = weight.numpy()[: rows.count * job.width].reshape(rows.count, job.width)[inside]
+            weights[target] = results.numpy(weight)[: rows.count * job.width].reshape(rows.count, job.width)[inside]
         else:
-            weights[...] = weight.numpy()
+            weights[...] = results.numpy(weight)
     return sums, weights
 
 

@@ -33,7 +33,7 @@ LONGEST = 8
 """The most pixels of a lane."""
 
 LANES = 2**13
-"""The lanes that each thread has at least, which it takes in portions of 2^10."""
+"""The lanes that each thread has at least."""
 
 
 def streak(job: Job, schedule: Schedule) -> int:

@@ -18,6 +18,11 @@ __all__ = ["Tiles"]
 SIDE = 8
 """The largest width and height of a tile: small enough for what is noisy, large enough to know its variance."""
 
+TOGETHER = 8
+"""The rows of tiles that are added up at once: what that takes is small beside an image."""
+
+Counts = npt.NDArray[np.int64]
+Doubles = npt.NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)
 
 
@@ -62,19 +67,26 @@ class Tiles:
         """Height and width of a tile's film."""
         return self.height + 2 * self.reach, self.width + 2 * self.reach
 
-    def joined(self, films: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """The sum of all tiles' films, (.., tile, row, column), at their places: (.., height, width) of the crop."""
-        lead, (high, wide) = films.shape[:-3], self.film
-        parts = films.reshape(*lead, self.rows, self.columns, high, wide)
-        across = np.zeros((*lead, self.rows, high, self.columns * self.width + 2 * self.reach), films.dtype)
-        for column in range(self.columns):
-            first = column * self.width
-            across[..., first : first + wide] += parts[..., column, :, :]
-        whole = np.zeros((*lead, self.rows * self.height + 2 * self.reach, across.shape[-1]), films.dtype)
-        for row in range(self.rows):
-            first = row * self.height
-            whole[..., first : first + high, :] += across[..., row, :, :]
-        return np.ascontiguousarray(whole[..., self._crop[0], self._crop[1]])
+    def joined(self, films: npt.NDArray[np.floating], counts: Counts | None = None) -> Doubles:
+        """The sum of all tiles' films, (tile, row, column), at their places: (height, width) of the crop.
+
+        Each is divided by its number among `counts`, if these are given.
+        """
+        high, wide = self.film
+        parts = films.reshape(self.rows, self.columns, high, wide)
+        divisors = None if counts is None else counts.reshape(self.rows, self.columns, 1, 1)
+        whole = np.zeros((self.rows * self.height + 2 * self.reach, self.columns * self.width + 2 * self.reach))
+        for start in range(0, self.rows, TOGETHER):
+            some = slice(start, start + TOGETHER)
+            across = np.zeros((len(parts[some]), high, whole.shape[1]))
+            for column in range(self.columns):
+                part = parts[some, column]
+                first = column * self.width
+                across[..., first : first + wide] += part if divisors is None else part / divisors[some, column]
+            for row, film in enumerate(across, start):
+                first = row * self.height
+                whole[first : first + high] += film
+        return np.ascontiguousarray(whole[self._crop])
 
     def parted(self, image: npt.NDArray[Number]) -> npt.NDArray[Number]:
         """What each tile's film sees of an image of the crop, (height, width): (tile, row, column); 0 outside."""

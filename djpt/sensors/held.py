@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.records import Ray3f
+from djpt.transforms.matrices import about_axis
 from djpt.types import Point3f, Vector3f
 
 if TYPE_CHECKING:
@@ -107,10 +108,8 @@ def unit(v: Matrix) -> Matrix:
 
 
 def about(point: Matrix, axis: Matrix, angle: float) -> Matrix:
-    """The rotation by `angle` about an axis of length 1 through a point (Rodrigues' formula), (4, 4)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    """The rotation by `angle` radians about an axis of length 1 through a point, (4, 4)."""
     result = np.eye(4)
-    result[:3, :3] += math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    result[:3, :3] = about_axis(axis, angle)
     result[:3, 3] = point - result[:3, :3] @ point
     return result

@@ -15,6 +15,7 @@ from djpt.errors import SceneError
 __all__ = [
     "IDENTITIES",
     "Matrix",
+    "about_axis",
     "is_far_from_flat",
     "is_unit",
     "rotation",
@@ -60,17 +61,32 @@ def rotation(axis: Any, angle: Any, place: str, stacklevel: int) -> Matrix:
     unit = is_unit(length)
     if not unit:
         warn_of_length(length, place, stacklevel + 1)
-    x, y, z = direction / length if unit else direction
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    sine, cosine = math.sin(radians), math.cos(radians)
     matrix = np.eye(4)
     if unit:
-        # O. Rodrigues: R = I + sin(a) K + (1 - cos(a)) K K
-        matrix[:3, :3] += sine * cross + (1 - cosine) * (cross @ cross)
+        matrix[:3, :3] = about_axis(direction / length, radians)
     else:
         # The same for unit axes only: R = cos(a) I + sin(a) K + (1 - cos(a)) x x^T
-        matrix[:3, :3] = cosine * np.eye(3) + sine * cross + (1 - cosine) * np.outer(direction, direction)
+        sine, cosine = math.sin(radians), math.cos(radians)
+        matrix[:3, :3] = (
+            cosine * np.eye(3) + sine * cross_matrix(direction) + (1 - cosine) * np.outer(direction, direction)
+        )
     return matrix
+
+
+def about_axis(axis: Matrix, angle: float) -> Matrix:
+    """The 3x3 matrix that turns space by `angle` radians about an axis of length 1.
+
+    R = I + sin(a) K + (1 - cos(a)) K K (O. Rodrigues).
+    """
+    cross = cross_matrix(axis)
+    result: Matrix = np.eye(3) + (math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross))
+    return result
+
+
+def cross_matrix(vector: Matrix) -> Matrix:
+    """The 3x3 matrix K of the cross product with a vector: K y = x cross y."""
+    x, y, z = vector
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def is_unit(length: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import pytest
 
 import djpt
 from djpt.errors import FileError, RenderError
-from djpt.long_renders.adaptive import AdaptiveAccumulation
+from djpt.long_renders import adaptive as adaptive_sums
+from djpt.long_renders.adaptive import AdaptiveAccumulation, TileSums
 from djpt.long_renders.allocation import LEAST, is_survey, shares, surveys
 from djpt.long_renders.tiles import Tiles
 from djpt.scene import Scene
@@ -180,6 +182,19 @@ def test_films_of_tiles_add_up_to_an_image(width: int, height: int, border: int,
     np.testing.assert_allclose(tiles.joined(windows) / covered, image)
     of_tiles = np.random.default_rng(2).random(tiles.count)
     np.testing.assert_allclose(tiles.means(tiles.spread(of_tiles)), of_tiles)
+
+
+def test_the_films_of_a_tile_come_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adaptive_sums, "TOGETHER", 3)
+    random = np.random.default_rng(3)
+    places = np.repeat(np.arange(9), [1, 0, 5, 2, 11, 1, 1, 0, 3])
+    channels = random.random((2, len(places), 4, 4)).astype(np.float32)
+    parts = [[channel[start : start + 7] for channel in channels] for start in range(0, len(places), 7)]
+    found = list(TileSums(places, parts, np.zeros((8, 8, 0), np.float32)).by_tiles())
+    np.testing.assert_array_equal(np.concatenate([some for some, _ in found]), places)
+    np.testing.assert_array_equal(np.concatenate([films for _, films in found], axis=1), channels)
+    assert len(found) > 3
+    assert all(before[-1] < after[0] for (before, _), (after, _) in itertools.pairwise(found))
 
 
 def test_rounds_take_what_is_missing() -> None:

@@ -1,8 +1,9 @@
 """Memory is bounded by the size of the image, not by the number of samples.
 
-4096 x 4096 pixels at 16 spp and 1024 x 1024 at 4096 must fit in 1 GiB, files included. Each render runs in a
-process of its own, whose peak resident size Linux reports. Bands and passes are of equal size at any spp, so the peak
-of a few passes is that of all of them; the real thing is rendered with a short path.
+4096 x 4096 pixels at 16 spp and 1024 x 1024 at 4096 must fit in 1 GiB, files included, and adaptive renders of
+1024 x 1024 in half of that. Each render runs in a process of its own, whose peak resident size Linux reports. Bands and
+passes are of equal size at any spp, so the peak of a few passes is that of all of them; the real thing is rendered with
+a short path.
 """
 
 from __future__ import annotations
@@ -181,3 +182,30 @@ def test_all_the_samples(rfilter: str) -> None:
     (peak,) = peaks(4096, rfilter=rfilter, max_depth=1)
     print(f"{rfilter}: {peak / GIB:.2f} GiB")
     assert peak < BUDGET
+
+
+ADAPTIVE = """
+import sys
+import djpt
+description = djpt.cornell_box()
+description["sensor"]["film"].update(width=1024, height=1024, rfilter={"type": sys.argv[1]})
+description["integrator"] = {"type": "path", "max_depth": 1}
+for found in djpt.render_passes(djpt.load_dict(description), spp=6, round_spp=1, adaptive=True):
+    pass
+found.error(), found.image()
+with open("/proc/self/status") as status:
+    print(next(int(line.split()[1]) for line in status if line.startswith("VmHWM")))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_adaptive_rounds(rfilter: str) -> None:
+    """Surveys and others; the accumulation of the round before is there while the next one is added up.
+
+    The first process compiles the kernels, for which LLVM takes some memory.
+    """
+    for budget in (0.55 * GIB, 0.5 * GIB):
+        done = subprocess.run([sys.executable, "-c", ADAPTIVE, rfilter], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert int(done.stdout) * 1024 < budget
