@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from djpt import errors as errors
     from djpt import integrators as integrators
     from djpt import materials as materials
+    from djpt import optimization as optimization
     from djpt import scenes as scenes
     from djpt import types as types
     from djpt import util as util
@@ -91,6 +92,7 @@ if TYPE_CHECKING:
     from djpt.long_renders.passes import render_passes as render_passes
     from djpt.long_renders.to_file import render_to_file as render_to_file
     from djpt.materials import BSDF as BSDF
+    from djpt.optimization.loop import optimize as optimize
     from djpt.parameters import SceneParameters as SceneParameters
     from djpt.parameters import traverse as traverse
     from djpt.process.interruption import Terminated as Terminated
@@ -143,7 +145,19 @@ if TYPE_CHECKING:
 
 _SUBMODULES = {
     name: f"djpt.{name}"
-    for name in ("ad", "errors", "integrators", "materials", "scenes", "types", "util", "validation", "warp", "xml")
+    for name in (
+        "ad",
+        "errors",
+        "integrators",
+        "materials",
+        "optimization",
+        "scenes",
+        "types",
+        "util",
+        "validation",
+        "warp",
+        "xml",
+    )
 } | _MODULES_FOR_SCRIPTS
 
 _EXPORTS = {
@@ -164,6 +178,7 @@ _EXPORTS = {
     "djpt.long_renders.accumulation": "Accumulation",
     "djpt.long_renders.passes": "render_passes",
     "djpt.long_renders.to_file": "render_to_file",
+    "djpt.optimization.loop": "optimize",
     "djpt.frame": "Frame3f coordinate_system",
     "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",
     "djpt.geometry.bounding_sphere": "BoundingSphere3f ScalarBoundingSphere3f",

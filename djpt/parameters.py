@@ -172,6 +172,13 @@ class SceneParameters(Mapping[str, Any]):
         """Whether a parameter is differentiable, and whether it moves edges (`Discontinuous`)."""
         return self._entry(key).flags
 
+    def owners(self, key: str) -> Iterator[Plugin]:
+        """The plugin that has a parameter, the one that this is nested in, and so on."""
+        node: Plugin | None = self._entry(key).owner
+        while node is not None:
+            yield node
+            node = self._parents[id(node)]
+
     def names_of(self, node: Plugin) -> list[str]:
         """The names of the parameters of one plugin, without those of what is nested in it."""
         return [key for key, entry in self._entries.items() if entry.owner is node]

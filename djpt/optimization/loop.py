@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from djpt.display.progress import Progress, watched
 from djpt.errors import ParameterError, RenderError, near_miss
+from djpt.optimization.bounds import usual_bounds
 from djpt.optimization.gauss_newton import RATE, GaussNewton
 from djpt.optimization.live import shown_live
 from djpt.optimization.losses import Loss, loss_of, residual_of
@@ -27,6 +28,9 @@ from djpt.rendering import check_count, check_seed, find_sensor
 from djpt.scene import Scene
 
 __all__ = ["Optimization", "Progressed", "optimize"]
+
+Rate = float | Callable[[int], float]
+"""A step, or one for each iteration."""
 
 SAVED = 10
 """Iterations from one writing of the checkpoint to the next."""
@@ -89,8 +93,8 @@ def optimize(
     spp: int | Callable[[int], int] = 16,
     loss: str | Loss = "l2",
     optimizer: str = "adam",
-    rate: float | Callable[[int], float] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | tuple[float, float] = (0.0, 1.0),
+    rate: Rate | Mapping[str, Rate] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | tuple[float, float] | None = None,
     keeping: str = "projection",
     priors: Mapping[str, tuple[str | Prior, float]] | None = None,
     coarse: Mapping[str, int] | None = None,
@@ -116,9 +120,11 @@ def optimize(
         optimizer: ``adam``, ``sgd``, ``rmsprop``: those of `drjit.opt`; or ``gauss_newton``, which measures how much
             the pictures change with the parameters, and needs few steps therefore (see `GaussNewton`). It takes losses
             of squares only, and no functions as priors.
-        rate: The step, or a function of the iteration, such as ``lambda i: 0.05 * 0.99**i``. By default 0.02, and 1.6
-            for ``gauss_newton``, whose steps are in units of the curvature: take smaller ones if it overshoots.
-        bounds: Of all parameters, or by name.
+        rate: The step, or a function of the iteration, such as ``lambda i: 0.05 * 0.99**i``; of all parameters, or by
+            name. By default 0.02, and 1.6 for ``gauss_newton``, whose steps are in units of the curvature: take
+            smaller ones if it overshoots.
+        bounds: Of all parameters, or by name; by default those that a parameter's meaning sets, see
+            `djpt.optimization.bounds.usual_bounds`: 0 and 1 for albedos and roughness, 0 and infinity for light.
         keeping: How parameters stay in them: ``projection``, ``sigmoid``, or ``free``.
         priors: For textures by name: (``smooth``, ``tv`` or a function, weight).
         coarse: For textures by name: how often width and height are halved at first. They are doubled again at equal
@@ -134,17 +140,20 @@ def optimize(
         progress: Called with (iterations done, all); True shows a bar.
 
     Raises:
-        ParameterError: A parameter is unknown, has no derivatives, or its bounds make no sense.
+        ParameterError: A parameter is unknown, has no derivatives, starts out of its bounds, or these make no sense.
         RenderError: Targets don't fit the views, the loss doesn't fit the optimiser, or arguments are out of range.
         FileError: The checkpoint is another search's, or can't be written.
     """
     names = [keys] if isinstance(keys, str) else list(keys)
+    for option, by_name in (("rate", rate), ("bounds", bounds), ("priors", priors), ("coarse", coarse)):
+        check_names(option, by_name, names)
     numbers = list(range(len(targets)) if views is None else views)
     iterations, seed = check_count("iterations", iterations), check_seed("seed", seed)
     if optimizer not in OPTIMIZERS:
         raise RenderError(f"unknown optimizer '{optimizer}'{near_miss(optimizer, OPTIMIZERS)}")
     params, (kind, usual) = traverse(scene), OPTIMIZERS[optimizer]
-    rate_at, spp_at = at_each(usual if rate is None else rate), at_each(spp)
+    rates_at = {name: at_each(given(rate, name, usual)) for name in names}
+    spp_at = at_each(spp)
     newton = kind is GaussNewton
     wanted = [(name, prior, weight) for name, (prior, weight) in (priors or {}).items()]
     variables = {name: variable(params, name, bounds, keeping, (coarse or {}).get(name, 0)) for name in names}
@@ -152,7 +161,7 @@ def optimize(
         scene=scene,
         params=params,
         variables=variables,
-        optimizer=kind(lr=rate_at(0), params={name: v.start for name, v in variables.items()}),
+        optimizer=kind(lr=usual, params={name: v.start for name, v in variables.items()}),
         pictures=pictures_of(scene, numbers, targets),
         count=check_count("batch", batch) or len(numbers),
         loss=loss_of(loss),
@@ -170,10 +179,12 @@ def optimize(
         for i in range(first, iterations):
             if refines(i, iterations, coarse):
                 search.refine()
-            losses.append(search.descend(i, rate_at(i), check_count("spp", spp_at(i))))
+            losses.append(
+                search.descend(i, {name: float(at(i)) for name, at in rates_at.items()}, check_count("spp", spp_at(i)))
+            )
             values = search.values()
             if i >= iterations - last:
-                sums = {name: sums[name] + np.array(value, np.float64) for name, value in values.items()}
+                sums = {name: sums[name] + as_numpy(value) for name, value in values.items()}
             if shown:
                 shown(i + 1, iterations)
             if checkpoint is not None and (i % SAVED == SAVED - 1 or i + 1 == iterations):
@@ -186,8 +197,29 @@ def optimize(
     params.update(search.values())
     values = {name: params[name] for name in names}
     counted = len(losses) - (iterations - last)
-    means = {name: sums[name] / counted if counted > 0 else np.array(values[name], np.float64) for name in names}
+    means = {name: sums[name] / counted if counted > 0 else as_numpy(values[name]) for name in names}
     return Optimization(values, means, losses, time.perf_counter() - start)
+
+
+def check_names(option: str, by_name: Any, names: Sequence[str]) -> None:
+    """Raise `ParameterError` if an option is given for a parameter that isn't searched for."""
+    for name in by_name if isinstance(by_name, Mapping) else ():
+        if name not in names:
+            raise ParameterError(
+                f"optimize: '{option}' is given for '{name}', not one of the keys{near_miss(name, names)}"
+            )
+
+
+def as_numpy(value: Any) -> npt.NDArray[np.float64]:
+    """A parameter's value in the shape in which `SceneParameters.update` takes it: (3,) for a colour."""
+    array = np.array(value, np.float64)
+    return array[:, 0] if dr.depth_v(value) == 2 and array.shape[1:] == (1,) else array
+
+
+def given(rate: Any, name: str, usual: float) -> Any:
+    """The rate of a parameter."""
+    found = rate.get(name) if isinstance(rate, Mapping) else rate
+    return usual if found is None else found
 
 
 def at_each(value: Any) -> Callable[[int], Any]:
@@ -198,7 +230,7 @@ def at_each(value: Any) -> Callable[[int], Any]:
 def variable(
     params: SceneParameters,
     name: str,
-    bounds: Mapping[str, tuple[float, float]] | tuple[float, float],
+    bounds: Mapping[str, tuple[float, float]] | tuple[float, float] | None,
     keeping: str,
     shrunk: int,
 ) -> Variable:
@@ -206,7 +238,9 @@ def variable(
     value = params[name]
     if not params.flags(name).differentiable:
         raise ParameterError(f"{name}: has no derivatives")
-    limits = bounds.get(name, (0.0, 1.0)) if isinstance(bounds, Mapping) else bounds
+    limits = bounds.get(name) if isinstance(bounds, Mapping) else bounds
+    if limits is None:
+        limits = usual_bounds(params, name)
     return Variable(name, dr.detach(value), (float(limits[0]), float(limits[1])), keeping, shrunk)
 
 

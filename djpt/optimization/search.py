@@ -61,9 +61,9 @@ class Search:
         if isinstance(self.optimizer, GaussNewton):
             self.curvatures = Curvatures(list(self.pictures), self._measured)
 
-    def descend(self, iteration: int, rate: float, spp: int) -> float:
+    def descend(self, iteration: int, rates: Mapping[str, float], spp: int) -> float:
         """Take a step; returns the loss before it."""
-        self.optimizer.set_learning_rate(float(rate))
+        self.optimizer.set_learning_rate(rates)
         self._spp, views, total = spp, order(list(self.pictures), iteration, self.count, self.seed), 0.0
         self.images = {}
         measured = self._precondition(views)

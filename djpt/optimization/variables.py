@@ -16,6 +16,9 @@ __all__ = ["KINDS", "Variable"]
 KINDS = ("sigmoid", "projection", "free")
 """How parameters are kept in bounds."""
 
+ROUNDING = 1e-5
+"""How far out of its bounds a parameter may start."""
+
 INSIDE = 1e-3
 """The share of the range by which a sigmoid's start is kept off its ends, where derivatives vanish."""
 
@@ -37,7 +40,7 @@ class Variable:
         shrunk: for textures (H, W, C), how often width and height are halved at first.
 
     Raises:
-        ParameterError: Bounds or kind make no sense for this parameter.
+        ParameterError: Bounds or kind make no sense for this parameter, or it starts out of its bounds.
     """
 
     def __init__(self, key: str, value: Any, bounds: tuple[float, float], kind: str, shrunk: int = 0) -> None:
@@ -49,10 +52,24 @@ class Variable:
             raise ParameterError(f"{key}: only arrays of numbers can be optimised, found {type(value).__name__}")
         self.key, self.bounds, self.kind = key, bounds, kind
         self.type = type(value)
+        self._check_start(np.array(value, np.float64))
         self.shape: tuple[int, ...] = tuple(np.shape(np.array(value)))
         if shrunk and not (dr.is_tensor_v(value) and len(self.shape) == 3):
             raise ParameterError(f"{key}: only textures (height, width, channels) can begin coarse")
         self.start = self.inverse(coarse(np.array(value, np.float64), shrunk))
+
+    def _check_start(self, value: npt.NDArray[np.float64]) -> None:
+        """Raise `ParameterError` if the parameter isn't in its bounds, or these suit no sigmoid."""
+        low, high = self.bounds
+        if self.kind == "sigmoid" and not np.isfinite(high - low):
+            raise ParameterError(
+                f"{self.key}: a sigmoid needs finite bounds, found {self.bounds}: give 'bounds' for the parameter"
+            )
+        if self.kind != "free" and value.size and (value.min() < low - ROUNDING or value.max() > high + ROUNDING):
+            raise ParameterError(
+                f"{self.key}: starts at {value.min():g} .. {value.max():g}, out of its bounds {self.bounds}: "
+                "give 'bounds' for the parameter, or keeping='free'"
+            )
 
     @property
     def scale(self) -> float:
