@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import djpt  # noqa: F401, E402 isort: skip
 import drjit as dr  # noqa: E402
 
 from tests.kit.lanes import lanes_from_environment  # noqa: E402
+from tests.kit.registered import only_here  # noqa: E402
 
 skip_passes()
 lanes_from_environment()
@@ -73,6 +74,13 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
     report = yield
     report.sections = [(title, without_notes(text)) for title, text in report.sections]
     return report
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plugins_of_a_file() -> Iterator[None]:
+    """Keep the plugins that a file's tests register from those of other files."""
+    with only_here():
+        yield
 
 
 @pytest.fixture(scope="module")
