@@ -4,8 +4,9 @@
 
 Per scene and method: the gain, which is error times time of `path` over that of the method; in brackets the time of a
 sample and the error, both as shares of those of `path`. The error is the mean square over all pixels but those that see
-a lamp, the bias against the mean of `bdpt` included; the time is that of all processor cores, all that a method does
-before and after its samples included. Methods are those of `djpt ladder` that reach all light of most scenes.
+a lamp, directly, in mirrors or through glass, the bias against the mean of `bdpt` included; the time is that of all
+processor cores, all that a method does before and after its samples included. Methods are those of `djpt ladder` that
+reach all light of most scenes.
 """
 
 from __future__ import annotations
@@ -50,6 +51,14 @@ def with_mesh() -> dict[str, Any]:
     return scene
 
 
+def without_paint(node: dict[str, Any]) -> dict[str, Any]:
+    """A description whose diffuse surfaces are black: its image shows lamps, also through glass and in mirrors."""
+    copied = {key: without_paint(value) if isinstance(value, dict) else value for key, value in node.items()}
+    if node.get("type") == "scene":
+        copied["integrator"] = {"type": "path", "max_depth": 8}
+    return {**copied, "reflectance": 0.0} if node.get("type") == "diffuse" else copied
+
+
 @dataclass(frozen=True)
 class Runs:
     """The images of a method."""
@@ -86,9 +95,10 @@ def run(scene: Any, integrator: Any, spp: int, seeds: int, where: np.ndarray) ->
 
 def row(name: str, options: Any) -> str:
     """The row of a scene."""
-    scene = djpt.load_dict(scene_of(name, options.size))
-    straight = np.array(djpt.render(scene, integrator=djpt.load_dict({"type": "path", "max_depth": 1}), spp=256))
-    where = straight.max(axis=2) == 0
+    description = scene_of(name, options.size)
+    scene = djpt.load_dict(description)
+    lamps = np.array(djpt.render(djpt.load_dict(without_paint(description)), spp=256))
+    where = lamps.max(axis=2) == 0
     found = {}
     for step in (step for step in STEPS if step.title in options.methods):
         integrator = djpt.load_dict(step.description(scene))

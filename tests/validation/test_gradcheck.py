@@ -29,7 +29,7 @@ def check(fault: str, **options: Any) -> Any:
     return check_gradient(box(fault), KEY, **{"spp": 64, "seeds": 6, "most_seeds": 24, **options})
 
 
-@pytest.mark.sparse(4)
+@pytest.mark.sparse(10)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_planted_faults_are_caught(fault: str) -> None:
     result = check(fault)
