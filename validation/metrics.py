@@ -40,7 +40,7 @@ def rmse(image: Any, reference: Any) -> float:
 
 
 def mae(image: Any, reference: Any) -> float:
-    """The mean absolute error mean(|a - b|) over pixels and channels."""
+    """The mean absolute error ``mean(|a - b|)`` over pixels and channels."""
     a, b = pair(image, reference)
     return float(np.mean(np.abs(a - b)))
 
