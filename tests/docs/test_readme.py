@@ -59,7 +59,8 @@ MANY_KERNELS = ("gallery", "ladder")
 @pytest.mark.parametrize("command", commands())
 def test_the_commands_are_understood(command: str) -> None:
     name, *arguments = shlex.split(command, comments=True)[1:]
-    context = click.Context(app)
+    # Commands remember the names of the help option that they are first asked for.
+    context = click.Context(app, **app.context_settings)
     known = app.get_command(context, name)
     assert known is not None, name
     with known.make_context(name, arguments, parent=context) as parsed:
