@@ -13,7 +13,8 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.types import Float, Int32, UInt32, Vector3f
+from djpt.types import Float, Int32, Point2f, UInt32, Vector3f
+from djpt.warp.octahedron import direction_at, place_of
 
 __all__ = ["packed", "unpacked"]
 
@@ -26,13 +27,7 @@ HALF = 2 ** (DIGITS - 1) - 1
 
 def packed(d: Vector3f) -> Float:
     """A unit vector in the bits of a `Float`, which isn't a number to compute with."""
-    scale = dr.rcp(dr.abs(d.x) + dr.abs(d.y) + dr.abs(d.z))
-    x, y = d.x * scale, d.y * scale
-    # The lower half of the octahedron is folded outwards.
-    below = d.z < 0
-    u = dr.select(below, dr.mulsign(1 - dr.abs(y), x), x)
-    v = dr.select(below, dr.mulsign(1 - dr.abs(x), y), y)
-    low, high = (UInt32(Int32(dr.round(dr.fma(c, HALF, HALF)))) for c in (u, v))
+    low, high = (UInt32(Int32(dr.round(dr.fma(c, HALF, HALF)))) for c in place_of(d)[0])
     word: Any = dr.reinterpret_array(Float, low | (high << DIGITS))
     return Float(word)
 
@@ -41,6 +36,4 @@ def unpacked(word: Float) -> Vector3f:
     """The unit vector that `packed` has put into a word."""
     bits: Any = dr.reinterpret_array(UInt32, word)
     u, v = (dr.fma(Float(Int32(c)), 1 / HALF, -1) for c in (bits & (2**DIGITS - 1), bits >> DIGITS))
-    z = 1 - dr.abs(u) - dr.abs(v)
-    fold = dr.maximum(-z, 0)
-    return Vector3f(dr.normalize(Vector3f(u - dr.mulsign(fold, u), v - dr.mulsign(fold, v), z)))
+    return direction_at(Point2f(u, v))

@@ -1,6 +1,5 @@
 """Path guiding: what paths learn about the directions that light comes from.
 
-* `octahedron`: directions as points of a square.
 * `cells`: the places that are told apart, as leaves of a tree over the scene.
 * `guide`: a distribution of directions for each leaf, and how to draw from it.
 * `practice`: paths that are only followed to learn from.

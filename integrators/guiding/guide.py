@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.integrators.guiding.cells import Cells, Leaves
-from djpt.integrators.guiding.octahedron import direction_at, place_of
 from djpt.kernels import minimum, own_copy, own_floats
 from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.warp.octahedron import direction_at, place_of
 
 __all__ = ["SIDE", "SQUARES", "Guide", "Heading", "LocalGuide"]
 
