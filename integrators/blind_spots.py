@@ -6,13 +6,29 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from djpt.errors import RenderError
 from djpt.records import BSDFFlags, EmitterFlags, has_flag
 
 if TYPE_CHECKING:
     from djpt.integrators.base import Integrator
     from djpt.scene import Scene
 
-__all__ = ["warn_of_blind_spots"]
+__all__ = ["refuse_scattering_media", "warn_of_blind_spots"]
+
+
+def scattering_media(scene: Scene) -> list[str]:
+    """The names of a scene's media that scatter light."""
+    return [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
+
+
+def refuse_scattering_media(name: str, scene: Scene) -> None:
+    """Raise `RenderError` if a scene has media that the integrator of this name can't follow light through."""
+    found = scattering_media(scene)
+    if found:
+        raise RenderError(
+            f"'{name}' doesn't follow light through scattering media, found {', '.join(found)}; "
+            "possible: the integrator 'volpath'"
+        )
 
 
 def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
@@ -27,7 +43,7 @@ def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
             f"'{name}' without BSDF samples can't show mirrors, smooth glass or openings: "
             f"these lobes of {', '.join(delta)} stay black"
         )
-    unseen = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
+    unseen = scattering_media(scene)
     if unseen and integrator.needs_light and not (integrator.follows_media or integrator.from_script):
         warn(
             f"'{name}' doesn't follow light through media: it leaves out {', '.join(unseen)}; "

@@ -12,6 +12,7 @@ from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.bdpt import BidirectionalPath
+from djpt.integrators.blind_spots import refuse_scattering_media
 from djpt.integrators.markov_chains import Bootstrap, MarkovChains
 from djpt.integrators.one_strategy import OneStrategy, numbers_drawn
 from djpt.integrators.passes import PassIntegrator, Walks
@@ -75,12 +76,7 @@ class MultiplexedMetropolis(PassIntegrator):
         self.from_camera = Path(Properties("path", f"{props.node}.straight", {"max_depth": 1} | hide))
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        scattering = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
-        if scattering:
-            raise RenderError(
-                f"'mmlt' doesn't follow light through scattering media, found {', '.join(scattering)}; "
-                "possible: the integrator 'volpath'"
-            )
+        refuse_scattering_media("mmlt", scene)
         if recording():
             raise RenderError("'mmlt' reads the brightness of its first samples, which a frozen function can't record")
         super().check_scene(scene, sensor)

@@ -9,8 +9,8 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.errors import RenderError
 from djpt.integrators.bdpt import BidirectionalPath
+from djpt.integrators.blind_spots import refuse_scattering_media
 from djpt.integrators.both_ends import End, mis_weight
 from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.places import Place
@@ -64,12 +64,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         self._merging = Float(0)
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
-        scattering = [medium.id() for medium in scene.every_medium.plugins if medium.phase is not None]
-        if scattering:
-            raise RenderError(
-                f"'vcm' doesn't follow light through scattering media, found {', '.join(scattering)}; "
-                "possible: the integrator 'volpath'"
-            )
+        refuse_scattering_media("vcm", scene)
         super().check_scene(scene, sensor)
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
