@@ -6,7 +6,6 @@ import itertools
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import numpy as np
 import pytest
 
@@ -20,6 +19,7 @@ from tests.kit.devices import instances
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
+from tests.kit.repeating import assert_same_for_any_threads
 
 
 def check(scene: dict[str, Any], depth: int = 4, spp: int = 64, **keys: Any) -> None:
@@ -226,12 +226,7 @@ def test_image_is_the_same_for_any_threads_and_passes() -> None:
     def render(**arguments: Any) -> np.ndarray:
         return np.array(djpt.render(scene, integrator=plugin, spp=32, **{"seed": 4, **arguments}))
 
-    count, first = dr.thread_count(), render()
-    try:
-        dr.set_thread_count(1)
-        np.testing.assert_array_equal(render(), first)
-    finally:
-        dr.set_thread_count(count)
+    first = assert_same_for_any_threads(render)
     np.testing.assert_array_equal(render(pass_spp=5), first)
     assert (render(seed=5) != first).any()
 

@@ -12,16 +12,17 @@ import djpt
 from djpt.errors import RenderError, SceneError
 from djpt.integrators.guiding.cells import HALVINGS, SIDES, Cells, Leaves
 from djpt.integrators.guiding.guide import SQUARES, Guide
-from djpt.integrators.guiding.octahedron import direction_at, place_of
 from djpt.records import BSDFContext, Ray3f
 from djpt.rendering import make_job
 from djpt.samplers import SampleIndex
 from djpt.schedules.learning import JobLessons
 from djpt.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.warp.octahedron import direction_at, place_of
 from tests.kit.chi_squared import SPHERE, p_value, uniform
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
+from tests.kit.repeating import assert_same_for_any_threads
 
 LIMIT = 1e-5
 """The smallest p-value that passes."""
@@ -186,12 +187,7 @@ def test_image_is_the_same_for_any_threads_and_passes() -> None:
     def render(**arguments: Any) -> np.ndarray:
         return np.array(djpt.render(scene, integrator=plugin, spp=32, **{"seed": 4, **arguments}))
 
-    count, first = dr.thread_count(), render()
-    try:
-        dr.set_thread_count(1)
-        np.testing.assert_array_equal(render(), first)
-    finally:
-        dr.set_thread_count(count)
+    first = assert_same_for_any_threads(render)
     np.testing.assert_array_equal(render(pass_spp=5), first)
     assert (render(seed=5) != first).any()
 

@@ -16,6 +16,7 @@ from djpt.types import Float, Point2f
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
+from tests.kit.repeating import assert_same_for_any_threads
 
 CROP = {"width": 80, "height": 60, "crop_offset_x": 10, "crop_offset_y": 5, "crop_width": 40, "crop_height": 30}
 
@@ -127,15 +128,12 @@ def test_materials_and_normals() -> None:
 
 def test_image_is_the_same_for_any_number_of_threads() -> None:
     scene, light = djpt.load_dict(box(32)), djpt.load_dict({"type": "ptracer", "max_depth": 6})
-    count = dr.thread_count()
-    first = np.array(djpt.render(scene, integrator=light, spp=32, seed=4))
-    try:
-        dr.set_thread_count(1)
-        again = np.array(djpt.render(scene, integrator=light, spp=32, seed=4))
-    finally:
-        dr.set_thread_count(count)
-    np.testing.assert_array_equal(first, again)
-    assert (first != np.array(djpt.render(scene, integrator=light, spp=32, seed=5))).any()
+
+    def render(seed: int = 4) -> np.ndarray:
+        return np.array(djpt.render(scene, integrator=light, spp=32, seed=seed))
+
+    first = assert_same_for_any_threads(render)
+    assert (first != render(seed=5)).any()
 
 
 def test_depths() -> None:

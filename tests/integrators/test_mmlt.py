@@ -17,6 +17,7 @@ from tests.kit.convergence import assert_converges_to_path, assert_equal_means, 
 from tests.kit.emitters import entry
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
+from tests.kit.repeating import assert_same_for_any_threads
 
 SIZE, SPP = 16, 256
 
@@ -147,12 +148,7 @@ def test_image_is_the_same_for_any_threads_and_passes() -> None:
     def render(**arguments: Any) -> np.ndarray:
         return np.array(djpt.render(scene, integrator=plugin, spp=600, **{"seed": 4, **arguments}))
 
-    count, first = dr.thread_count(), render()
-    try:
-        dr.set_thread_count(1)
-        np.testing.assert_array_equal(render(), first)
-    finally:
-        dr.set_thread_count(count)
+    first = assert_same_for_any_threads(render)
     np.testing.assert_array_equal(render(pass_spp=177), first)
     assert (render(seed=5) != first).any()
 

@@ -17,6 +17,7 @@ from tests.integrators.test_bdpt import MATERIALS
 from tests.kit.emitters import NAMES, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box
+from tests.kit.repeating import assert_same_for_any_threads
 
 KINDS = ("sppm", "vcm")
 
@@ -165,12 +166,7 @@ def test_image_is_the_same_for_any_threads_passes_and_memory(kind: str, monkeypa
     def render(**arguments: Any) -> np.ndarray:
         return np.array(djpt.render(scene, integrator=plugin, spp=6, **{"seed": 4, **arguments}))
 
-    count, first = dr.thread_count(), render()
-    try:
-        dr.set_thread_count(1)
-        np.testing.assert_array_equal(render(), first)
-    finally:
-        dr.set_thread_count(count)
+    first = assert_same_for_any_threads(render)
     np.testing.assert_array_equal(render(pass_spp=3), first)
     done = []
     np.testing.assert_array_equal(render(progress=lambda k, n: done.append((k, n))), first)
