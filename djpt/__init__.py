@@ -60,10 +60,10 @@ if TYPE_CHECKING:
     from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
-    from djpt.dispatch.pointers import BSDFPtr as BSDFPtr
-    from djpt.dispatch.pointers import EmitterPtr as EmitterPtr
-    from djpt.dispatch.pointers import SensorPtr as SensorPtr
-    from djpt.dispatch.pointers import ShapePtr as ShapePtr
+    from djpt.materials.pointer import BSDFPtr as BSDFPtr
+    from djpt.emitters.pointer import EmitterPtr as EmitterPtr
+    from djpt.sensors.pointer import SensorPtr as SensorPtr
+    from djpt.shapes.pointer import ShapePtr as ShapePtr
     from djpt.display.live import show_passes as show_passes
     from djpt.emitters import Emitter as Emitter
     from djpt.errors import AmbiguityError as AmbiguityError
@@ -172,7 +172,10 @@ _EXPORTS = {
     "djpt.description.scene_files": "load_file load_string",
     "djpt.description.xml.writer": "to_xml write_dict",
     "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
-    "djpt.dispatch.pointers": "BSDFPtr EmitterPtr SensorPtr ShapePtr",
+    "djpt.emitters.pointer": "EmitterPtr",
+    "djpt.materials.pointer": "BSDFPtr",
+    "djpt.sensors.pointer": "SensorPtr",
+    "djpt.shapes.pointer": "ShapePtr",
     "djpt.emitters": "Emitter",
     "djpt.display.live": "show_passes",
     "djpt.long_renders.accumulation": "Accumulation",

@@ -21,7 +21,7 @@ from typing import Any
 
 __all__ = ["lazily"]
 
-LINE = re.compile(r"^    from (djpt\S*) import (\w+) as \2$", re.MULTILINE)
+LINE = re.compile(r"^    from (djpt\S*) import (\w+) as (\w+)$", re.MULTILINE)
 
 
 def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -31,12 +31,13 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
     """
     spec = find_spec(package)
     source = spec.loader.get_source(package) if spec is not None and spec.loader is not None else ""  # type: ignore[attr-defined]
-    homes = {name: module for module, name in LINE.findall(source)}
-    modules = {module.rpartition(".")[2]: module for module in homes.values()}
+    homes = {alias: (module, name) for module, name, alias in LINE.findall(source)}
+    modules = {module.rpartition(".")[2]: module for module, _ in homes.values()}
 
     def attribute(name: str) -> Any:
         if name in homes:
-            return getattr(importlib.import_module(homes[name]), name)
+            module, own_name = homes[name]
+            return getattr(importlib.import_module(module), own_name)
         if name in modules:
             return importlib.import_module(modules[name])
         raise AttributeError(f"module {package!r} has no attribute {name!r}")

@@ -18,7 +18,10 @@ from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.dispatch.lookup import Members
-from djpt.dispatch.pointers import BSDFPtr, EmitterPtr, SensorPtr, ShapePtr
+from djpt.emitters.pointer import EmitterPtr
+from djpt.materials.pointer import BSDFPtr
+from djpt.sensors.pointer import SensorPtr
+from djpt.shapes.pointer import ShapePtr
 from djpt.emitters import Emitter
 from djpt.emitters.choice.questions import LightQuestions
 from djpt.errors import SceneError

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.dispatch.pointers import EmitterPtr
+from djpt.emitters.pointer import EmitterPtr
 from djpt.integrators.kept_surface import KeptSurface
 from djpt.integrators.places import Matter, Place
 from djpt.kernels import maximum

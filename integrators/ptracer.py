@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.dispatch.pointers import at_fixed_direction
+from djpt.materials.pointer import at_fixed_direction
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.both_ends import scaled
@@ -25,7 +25,7 @@ from djpt.sensors.base import Sensor
 from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
-    from djpt.dispatch.pointers import EmitterPtr
+    from djpt.emitters.pointer import EmitterPtr
     from djpt.scene import Scene
 
 __all__ = ["LightVertex", "ParticleTracer", "leave_light"]

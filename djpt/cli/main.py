@@ -7,13 +7,13 @@ the progress bar to stderr; the bar only to a terminal.
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 
 import click
 
 import djpt
+from djpt.cli import commands
 from djpt.cli.console import ExitCode
 from djpt.files import reason
 
@@ -24,7 +24,7 @@ COMMANDS = (
     *("info", "scenes", "gallery", "doctor"),
     *("turntable", "animate", "ladder", "bounces", "spp", "strategies"),
 )
-"""The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``."""
+"""The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``: see `commands`."""
 
 
 class Commands(click.Group):
@@ -36,7 +36,7 @@ class Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(f"djpt.cli.{cmd_name}").command
+        command: click.Command = getattr(commands, cmd_name)
         return command
 
 

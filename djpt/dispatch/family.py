@@ -15,11 +15,11 @@ from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.followed import followed
 from djpt.dispatch.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, runs
 from djpt.errors import SceneError
-from djpt.records import Record
+from djpt.records import DirectionSample3f, Ray3f, Record
 from djpt.records.homes import Home, only
-from djpt.types import Bool, UInt32
+from djpt.types import Bool, Float, UInt32
 
-__all__ = ["ACQUAINTANCES", "NONE", "Family", "Pointer"]
+__all__ = ["ACQUAINTANCES", "NONE", "Family", "Pointer", "filled"]
 
 NONE = 0xFFFFFFFF
 """A number that no plugin has."""
@@ -248,6 +248,16 @@ class Pointer(Record, Generic[P]):
 
     def __repr__(self) -> str:
         return repr([self.at(lane) for lane in range(dr.width(self.index))])
+
+
+def filled(result: tuple[Any, Any], time: Any = None) -> tuple[Any, Any]:
+    """A sample and its weight, whose fields of which some records have none are made the same for all."""
+    sample, weight = result
+    if isinstance(sample, Ray3f):
+        return sample.replaced(times=(Float(time),), media=()), weight
+    if isinstance(sample, DirectionSample3f):
+        return sample.replaced(home={}), weight
+    return sample, weight
 
 
 def identity(plugin: Any) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -171,15 +170,16 @@ class HDRFilm(Film):
 
     def bitmap(self, raw: bool = False) -> Any:
         """The result of `develop` as a `djpt.Bitmap`."""
-        home = importlib.import_module("djpt.scripting.bitmap")
+        from djpt.scripting.bitmap import Bitmap  # rendering needs none
+
         image, names = self.develop(raw), self.developed_names()
         if raw:
             colors = self.base_channels_count()
             names = self._names or (*names[:colors], "W", *names[colors:])
-        formats = home.Bitmap.PixelFormat
+        formats = Bitmap.PixelFormat
         if raw or len(names) > self.base_channels_count():
-            return home.Bitmap(image, formats.MultiChannel, list(names))
-        return home.Bitmap(image, getattr(formats, "".join(names)))
+            return Bitmap(image, formats.MultiChannel, list(names))
+        return Bitmap(image, getattr(formats, "".join(names)))
 
     def write(self, path: str | Path) -> None:
         """Write the developed image to a file of the film's `file_format`, whose extension replaces that of `path`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -11,7 +10,7 @@ import drjit as dr
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.followed import prepare_followed
-from djpt.dispatch.pointers import ShapePtr
+from djpt.shapes.pointer import ShapePtr
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
@@ -154,7 +153,9 @@ class RayQuestions:
         moving = self.moving()
         if moving:
             self.own(si)
-            si = importlib.import_module("djpt.silhouettes.motion").attach(si, ray, flags, moving)
+            from djpt.silhouettes.motion import attach  # images of still shapes need none of it
+
+            si = attach(si, ray, flags, moving)
         make_ends(si)
         si.instances = pi.instances
         self.own(si)

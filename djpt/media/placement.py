@@ -25,7 +25,7 @@ from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.dispatch.phases import PhaseFunctionPtr
+    from djpt.phase.pointer import PhaseFunctionPtr
     from djpt.media.base import Medium
     from djpt.media.flight import Flight
     from djpt.samplers.base import SampleStream
@@ -188,7 +188,7 @@ class Media:
 
     def phases(self, medium: UInt32, lookup: Lookup) -> PhaseFunctionPtr:
         """The phase functions of media with the numbers `medium`."""
-        from djpt.dispatch.phases import PhaseFunctionPtr
+        from djpt.phase.pointer import PhaseFunctionPtr
 
         pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, lookup), self._phase_of.at(medium))
         return pointer

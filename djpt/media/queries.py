@@ -14,7 +14,7 @@ from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.types import Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.dispatch.media import MediumPtr
+    from djpt.media.pointer import MediumPtr
     from djpt.sensors.base import Sensor
 
 __all__ = ["MediaQueries"]
@@ -82,7 +82,7 @@ class MediaQueries:
         d = cos_theta if d is None else d
         direction = si.n * d if dr.depth_v(d) < 2 else Vector3f(d)
         from djpt.dispatch.family import Family
-        from djpt.dispatch.media import MediumPtr
+        from djpt.media.pointer import MediumPtr
 
         media = self.every_medium
         pointer: MediumPtr = MediumPtr.into(Family(media.ensemble, self.lookup), media.side(si, direction))

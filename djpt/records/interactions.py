@@ -28,22 +28,22 @@ class SceneView(Protocol):
     """What lengths and points are in the scene's description, if this is a scene in a working frame; else None."""
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
-        """The `djpt.dispatch.pointers.BSDFPtr` of the shape at `si`."""
+        """The `djpt.materials.pointer.BSDFPtr` of the shape at `si`."""
 
     def emitter_at(self, si: SurfaceInteraction3f) -> Any:
-        """The `djpt.dispatch.pointers.EmitterPtr` of what shines at `si`: the shape, or the environment on a miss."""
+        """The `djpt.emitters.pointer.EmitterPtr` of what shines at `si`: the shape, or the environment on a miss."""
 
     def shape_at(self, si: Any) -> Any:
-        """The `djpt.dispatch.pointers.ShapePtr` of the shape at `si`; null on a miss."""
+        """The `djpt.shapes.pointer.ShapePtr` of the shape at `si`; null on a miss."""
 
     def instance_at(self, si: Any) -> Any:
-        """The `djpt.dispatch.pointers.ShapePtr` of the instance that `si` lies on; null elsewhere."""
+        """The `djpt.shapes.pointer.ShapePtr` of the instance that `si` lies on; null elsewhere."""
 
     def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
         """The number of the emitter seen at `si`; the count of emitters means none."""
 
     def emitter_ptr(self, index: UInt32) -> Any:
-        """The `djpt.dispatch.pointers.EmitterPtr` of the emitters with the numbers `index`."""
+        """The `djpt.emitters.pointer.EmitterPtr` of the emitters with the numbers `index`."""
 
     def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
         """The primitive of its shape that `si` lies on, as Mitsuba counts."""
@@ -52,7 +52,7 @@ class SceneView(Protocol):
         """The medium of a ray that leaves `si` in the world direction `d`."""
 
     def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> Any:
-        """The `djpt.dispatch.media.MediumPtr` of the medium that a shape names for the side that `d` points to."""
+        """The `djpt.media.pointer.MediumPtr` of the medium that a shape names for the side that `d` points to."""
 
     def surface_interaction_of(
         self, pi: PreliminaryIntersection3f, ray: Ray3f, ray_flags: int, active: Bool | bool
@@ -107,7 +107,7 @@ class PreliminaryIntersection3f(Instanced):
 
     @property
     def shape(self) -> Any:
-        """The shape that was hit, a `djpt.dispatch.pointers.ShapePtr`, null on a miss; or what was assigned."""
+        """The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
         return self.__dict__["_shape"] if "_shape" in self.__dict__ else at_home(self).shape_at(self)
 
     @shape.setter
@@ -210,7 +210,7 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
 
     @property
     def shape(self) -> Any:
-        """The shape, a `djpt.dispatch.pointers.ShapePtr`, null on a miss; or what was assigned."""
+        """The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
         if "_shape" in self.__dict__:
             return self.__dict__["_shape"]
         return at_home(self).shape_at(self) if self.home else None
@@ -256,14 +256,14 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
         return self.scene.medium_beyond(self, d) if self.media else None
 
     def target_medium(self, d: Any = None, *, cos_theta: Float | float | None = None) -> Any:
-        """The medium, a `djpt.dispatch.media.MediumPtr`, that the shape names for the side that `d` points to.
+        """The medium, a `djpt.media.pointer.MediumPtr`, that the shape names for the side that `d` points to.
 
         `d` is a direction in world space, or its cosine with the normal; that can also be given as `cos_theta`.
         """
         return self.scene.target_medium(self, d, cos_theta)
 
     def bsdf(self, ray: Ray3f | None = None) -> Any:
-        """The BSDF at this point, a `djpt.dispatch.pointers.BSDFPtr`.
+        """The BSDF at this point, a `djpt.materials.pointer.BSDFPtr`.
 
         A `RayDifferential3f` is asked for the derivatives of uv, too: see `compute_uv_partials`.
         """
@@ -272,7 +272,7 @@ class SurfaceInteraction3f(Interaction3f, Instanced):
         return self.shape.bsdf() if "_shape" in self.__dict__ else self.scene.bsdf_at(self)
 
     def emitter(self, scene: SceneView | None = None, active: Bool | bool = True) -> Any:
-        """The light of the shape, or of the sky on a miss; a null `djpt.dispatch.pointers.EmitterPtr` without one."""
+        """The light of the shape, or of the sky on a miss; a null `djpt.emitters.pointer.EmitterPtr` without one."""
         return self.shape.emitter() if "_shape" in self.__dict__ else (scene or self.scene).emitter_at(self)
 
     def is_sensor(self) -> Bool:

@@ -51,7 +51,7 @@ class MediumInteraction3f(Interaction3f):
 
     @property
     def medium(self) -> Any:
-        """The medium, a `djpt.dispatch.media.MediumPtr`; None in a record that no medium has made."""
+        """The medium, a `djpt.media.pointer.MediumPtr`; None in a record that no medium has made."""
         return only(self.pointers)
 
     @medium.setter

@@ -158,7 +158,7 @@ class DirectionSample3f(PositionSample3f):
 
     @property
     def emitter(self) -> Any:
-        """The emitter, a `djpt.dispatch.pointers.EmitterPtr`; None in a record that belongs to no scene."""
+        """The emitter, a `djpt.emitters.pointer.EmitterPtr`; None in a record that belongs to no scene."""
         if "_emitter" in self.__dict__:
             return self.__dict__["_emitter"]
         return at_home(self).emitter_ptr(self.emitter_index) if self.home else None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-import importlib
 
+from djpt import schedules
 from djpt.errors import RenderError, near_miss
 from djpt.schedules.base import Schedule
 from djpt.schedules.job import Job
@@ -21,7 +21,7 @@ SCHEDULES = {
     "photons": "Photons",
     "wave": "Wave",
 }
-"""The modules of the schedules and their classes, the fastest first."""
+"""The schedules by name, with their classes; the fastest first."""
 FOR_LANES = {"wavefront": "Wavefront"}
 """The one for samplers that are nothing but a stream of lanes."""
 NAMES = ("auto", "flat", "machine", "wave")
@@ -76,5 +76,5 @@ def require_lanes(name: str, job: Job) -> None:
 @functools.cache
 def schedule(name: str) -> Schedule:
     """The schedule of a name; imported when it is first used."""
-    made: Schedule = getattr(importlib.import_module(f"djpt.schedules.{name}"), (SCHEDULES | FOR_LANES)[name])()
+    made: Schedule = getattr(schedules, (SCHEDULES | FOR_LANES)[name])()
     return made

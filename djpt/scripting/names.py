@@ -9,10 +9,10 @@ __all__ = ["EXPORTS", "SUBMODULES", "VARIANT_MODULES"]
 EXPORTS: dict[str, str] = {
     "djpt.description.endpoint": "Endpoint",
     "djpt.description.files": "FileResolver file_resolver set_file_resolver",
-    "djpt.dispatch.media": "MediumPtr",
-    "djpt.dispatch.mesh_pointers": "MeshPtr",
-    "djpt.dispatch.phases": "PhaseFunctionPtr",
-    "djpt.dispatch.texture_pointers": "TexturePtr",
+    "djpt.media.pointer": "MediumPtr",
+    "djpt.shapes.mesh_pointer": "MeshPtr",
+    "djpt.phase.pointer": "PhaseFunctionPtr",
+    "djpt.textures.pointer": "TexturePtr",
     "djpt.distributions.marginal_2d": (
         "MarginalContinuous2D0 MarginalContinuous2D1 MarginalContinuous2D2 MarginalContinuous2D3 MarginalDiscrete2D0 "
         "MarginalDiscrete2D1 MarginalDiscrete2D2 MarginalDiscrete2D3"

@@ -92,7 +92,7 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
             active_surface: Where it is that of `si`.
             scene: The scene.
             sampler: The direction takes a pair of its numbers, estimates of transmittances more.
-            medium: The medium that the paths run through, a `djpt.dispatch.media.MediumPtr`.
+            medium: The medium that the paths run through, a `djpt.media.pointer.MediumPtr`.
             channel: There for the signature: transmittances are those of all channels.
             active: Lanes that have a point.
             adj_emitted: In backward mode, what the sample contributes; else None.

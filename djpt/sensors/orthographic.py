@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -78,8 +77,9 @@ class Orthographic(ProjectiveCamera):
     def projection_transform(self) -> Any:
         film = self.film()
         window = (film.size(), film.crop_size(), film.crop_offset())
-        # For scripts only: the renderer needs no such matrix.
-        return importlib.import_module("djpt").orthographic_projection(*window, self._near_clip, self._far_clip)
+        from djpt.scripting.projections import orthographic_projection  # the renderer needs no such matrix
+
+        return orthographic_projection(*window, self._near_clip, self._far_clip)
 
     def near_share(self) -> float:
         # A scale moves the near plane, as it does in Mitsuba, but not the length of rays.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -166,9 +165,9 @@ class Central(ProjectiveCamera):
     def projection_transform(self) -> Any:
         film = self.film()
         window = (film.size(), film.crop_size(), film.crop_offset())
-        # For scripts only: the renderer needs no such matrix.
-        projection = importlib.import_module("djpt").perspective_projection
-        return projection(*window, self.x_fov, self._near_clip, self._far_clip)
+        from djpt.scripting.projections import perspective_projection  # the renderer needs no such matrix
+
+        return perspective_projection(*window, self.x_fov, self._near_clip, self._far_clip)
 
     def image_shift(self) -> NDArray[np.float64] | None:
         """The shift of the image's centre, in image widths and heights; None if there is none."""

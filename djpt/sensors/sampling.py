@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
@@ -91,8 +90,9 @@ class SampledRays:
         ray, weight = self.sample_ray(time, sample1, at, sample3, active)
         right, _ = self.sample_ray(time, sample1, Point2f(at.x + 1 / width, at.y), sample3, active)
         below, _ = self.sample_ray(time, sample1, Point2f(at.x, at.y + 1 / height), sample3, active)
-        # A record of scripts only: the renderer knows no differentials.
-        result = importlib.import_module("djpt").RayDifferential3f(ray)
+        from djpt.scripting.rays import RayDifferential3f  # the renderer knows no differentials
+
+        result = RayDifferential3f(ray)
         result.d_x, result.d_y = right.d, below.d
         result.o_x, result.o_y = (ray.o, ray.o) if self.is_pinhole else (right.o, below.o)
         result.has_differentials = self.has_neighbours

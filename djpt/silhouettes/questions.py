@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -29,16 +28,21 @@ class SilhouetteQuestions(Plugin):
     silhouette_weight: float = 1.0
 
     def _silhouette(self) -> Silhouette:
-        found: Silhouette = importlib.import_module("djpt.silhouettes.kinds").silhouette_of(self)
-        return found
+        from djpt.silhouettes.kinds import silhouette_of  # rendering needs no silhouettes
+
+        return silhouette_of(self)
 
     def _own(self, ss: SilhouetteSample3f) -> SilhouetteSample3f:
         """Make a sample one of this shape."""
-        return importlib.import_module("djpt.silhouettes.pointers").numbered(ss, [self], UInt32(0))
+        from djpt.silhouettes.lanes import numbered
+
+        return numbered(ss, [self], UInt32(0))
 
     def silhouette_discontinuity_types(self) -> int:
         """The `DiscontinuityFlags` of the silhouettes that the shape has; 0 if they aren't known."""
-        return int(importlib.import_module("djpt.silhouettes.kinds").types_of(self))
+        from djpt.silhouettes.kinds import types_of
+
+        return types_of(self)
 
     def silhouette_sampling_weight(self) -> float:
         """The weight with which `Scene.sample_silhouette` chooses the shape, by default 1."""

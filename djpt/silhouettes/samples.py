@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -66,9 +65,10 @@ class SilhouetteSample3f(PositionSample3f):
 
     @property
     def shape(self) -> Any:
-        """The shape that the point lies on, or none: a `djpt.dispatch.pointers.ShapePtr`."""
-        pointer = importlib.import_module("djpt.dispatch.pointers").ShapePtr
-        return pointer.holding(index=self.number, home={ACQUAINTANCES.of("shape"): ()})
+        """The shape that the point lies on, or none: a `djpt.shapes.pointer.ShapePtr`."""
+        from djpt.shapes.pointer import ShapePtr  # which asks shapes for such samples
+
+        return ShapePtr.holding(index=self.number, home={ACQUAINTANCES.of("shape"): ()})
 
     @shape.setter
     def shape(self, shape: Any) -> None:

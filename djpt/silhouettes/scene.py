@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
-from djpt.dispatch.pointers import ShapePtr
+from djpt.shapes.pointer import ShapePtr
 from djpt.distributions.weights import Weights
 from djpt.records import DiscontinuityFlags
 from djpt.types import Bool, Float, Point3f, UInt32, converting
@@ -68,7 +67,9 @@ class SceneSilhouettes:
         Shapes are chosen by their weights. If `flags` names both kinds of silhouettes, a shape that has both shows each
         with probability 1/2, and a shape that has one shows it.
         """
-        empty: SilhouetteSample3f = importlib.import_module("djpt.silhouettes.samples").SilhouetteSample3f()
+        from djpt.silhouettes.samples import SilhouetteSample3f  # rendering needs no silhouettes
+
+        empty = SilhouetteSample3f()
         found = self._silhouettes()
         if found is None:
             return empty

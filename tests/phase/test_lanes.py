@@ -12,7 +12,7 @@ import djpt
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Attached, Detached, Ensemble
 from djpt.dispatch.family import Family
-from djpt.dispatch.phases import PhaseFunctionPtr
+from djpt.phase.pointer import PhaseFunctionPtr
 from djpt.types import Float, Point2f, UInt32, Vector3f
 from tests.kit.arrays import floats, in_numpy
 from tests.kit.kernels import kernels

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.dispatch.pointers import EmitterPtr, observer
+from djpt.emitters.pointer import EmitterPtr, observer
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice import make_choice
 from djpt.emitters.choice.base import EmitterChoice

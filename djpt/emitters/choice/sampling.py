@@ -8,7 +8,7 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
-from djpt.dispatch.pointers import EmitterPtr
+from djpt.emitters.pointer import EmitterPtr
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice.base import EmitterChoice
 from djpt.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f

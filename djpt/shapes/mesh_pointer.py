@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.dispatch.family import NONE, Pointer
-from djpt.dispatch.pointers import ShapePtr
+from djpt.shapes.pointer import ShapePtr
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.types import Bool, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend

@@ -1,8 +1,4 @@
-"""Per-lane plugins: what `si.bsdf()`, `si.emitter()` and `si.shape` return.
-
-A pointer holds an index per lane and forwards each call through the scene's ensembles, so
-that scripts written against Mitsuba's `BSDFPtr`, `EmitterPtr` and `ShapePtr` run unchanged.
-"""
+"""The BSDF of each lane: what `si.bsdf()` returns."""
 
 from __future__ import annotations
 
@@ -13,26 +9,13 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
-from djpt.dispatch.questions import EmitterPtrQuestions, SensorPtrQuestions, ShapePtrQuestions
 from djpt.frame import Frame3f
 from djpt.kernels import mapped
 from djpt.materials.base import BSDF
-from djpt.records import (
-    BSDFContext,
-    BSDFFlags,
-    BSDFSample3f,
-    DirectionSample3f,
-    EmissionSample,
-    Observer,
-    PositionSample3f,
-    Reference,
-    SurfaceInteraction3f,
-    has_flag,
-)
-from djpt.shapes.base import Shape
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
+from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
-__all__ = ["BSDFPtr", "EmitterPtr", "SensorPtr", "ShapePtr", "at_fixed_direction", "observer"]
+__all__ = ["BSDFPtr", "at_fixed_direction"]
 
 
 class BSDFPtr(Pointer[BSDF]):
@@ -203,135 +186,3 @@ def flags_of(bsdf: BSDF, index: int | None) -> int:
 def zero_unless(valid: Bool, result: Any) -> Any:
     """The records, arrays and tuples `result` where they mean something, else zeros."""
     return dr.select(valid, result, mapped(result, lambda numbers: dr.zeros(type(numbers))))
-
-
-class EmitterPtr(EmitterPtrQuestions):
-    """The emitter of each lane, or none. Methods as in `djpt.emitters.base.Emitter`."""
-
-    def flags(self) -> UInt32:
-        """The `EmitterFlags` per lane; 0 where there is no emitter."""
-        if not self.plugins:
-            return UInt32(0)
-        return dr.select(self.is_valid(), self.number(lambda emitter: emitter.flags()), 0)
-
-    def is_environment(self) -> Bool:
-        """True where the emitter surrounds the scene."""
-        return self.holds(lambda emitter: emitter.is_environment())
-
-    def get_shape(self) -> ShapePtr:
-        """The shapes that the emitters stand in; none for those that stand alone."""
-        return self.related(ShapePtr, lambda emitter: emitter.get_shape())
-
-    def eval(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The emitted radiance; 0 where there is no emitter and on inactive lanes."""
-        value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval(si, active), Color3f(0))
-        return dr.select(active, value, 0)
-
-    def sample_direction(
-        self, it: Observer | Point3f, sample: Point2f, active: Bool | bool = True
-    ) -> tuple[DirectionSample3f, Color3f]:
-        """A direction towards the emitter; weight 0 where there is none."""
-        at = observer(it)
-        ds, weight = self.ensemble.call(self.index, self.lookup, lambda e: e.sample_direction(at, sample, active), None)
-        ds.emitter_index = self.index
-        return ds, dr.select(self.is_valid() & active, weight, 0)
-
-    def pdf_direction(self, it: Observer | Point3f, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
-        """The density of `sample_direction`, per unit solid angle; 0 where there is no emitter."""
-        at = observer(it)
-        pdf = self.ensemble.call(self.index, self.lookup, lambda e: e.pdf_direction(at, ds, active), Float(0))
-        return dr.select(active, pdf, 0)
-
-    def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
-        """The weight of `sample_direction` times its density, at `ds`; 0 where there is no emitter."""
-        value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval_direction(it, ds, active), Color3f(0))
-        return dr.select(active, value, 0)
-
-    def sample_emission(
-        self, position_sample: Point2f, direction_sample: Point2f, active: Bool | bool = True
-    ) -> EmissionSample:
-        """Sample a ray that leaves the emitter; weight 0 where there is none and on inactive lanes."""
-        es = self.ensemble.call(
-            self.index, self.lookup, lambda e: e.sample_emission(position_sample, direction_sample, active), None
-        )
-        es.weight = dr.select(self.is_valid() & active, es.weight, 0)
-        return es
-
-    def pdf_emission(self, d: Vector3f, n: Normal3f, uv: Point2f, active: Bool | bool = True) -> tuple[Float, Float]:
-        """The densities of `sample_emission` by position and direction; 0 where there is no emitter."""
-        position, direction = self.ensemble.call(
-            self.index, self.lookup, lambda e: e.pdf_emission(d, n, uv, active), (Float(0), Float(0))
-        )
-        return dr.select(active, position, 0), dr.select(active, direction, 0)
-
-
-class ShapePtr(ShapePtrQuestions):
-    """The shape of each lane, or none. Methods as in `djpt.shapes.base.Shape`; numbers are 0 where there is none."""
-
-    def bsdf(self) -> BSDFPtr:
-        """The BSDFs of the shapes."""
-        return self.related(BSDFPtr, lambda shape: shape.bsdf())
-
-    def emitter(self) -> EmitterPtr:
-        """The area lights of the shapes."""
-        return self.related(EmitterPtr, lambda shape: shape.emitter())
-
-    def sensor(self) -> SensorPtr:
-        """The sensors of the shapes."""
-        return self.related(SensorPtr, lambda shape: shape.sensor())
-
-    def is_emitter(self) -> Bool:
-        """True where the shape shines."""
-        return self.holds(lambda shape: shape.is_emitter())
-
-    def is_sensor(self) -> Bool:
-        """True where the shape carries a sensor."""
-        return self.holds(lambda shape: shape.is_sensor())
-
-    def is_mesh(self) -> Bool:
-        """True where the shape consists of triangles in memory."""
-        return self.holds(lambda shape: shape.is_mesh())
-
-    def surface_area(self) -> Float:
-        """The area."""
-        return self._ask(lambda shape: shape.surface_area(), Float(0))
-
-    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> PositionSample3f:
-        """Sample a point uniformly by area; the pdf is 0 where there is no shape."""
-        ps = self.ensemble.call(
-            self.index, self.lookup, lambda shape: shape.sample_position(time, Point2f(sample), active), None
-        )
-        ps.pdf = dr.select(self.is_valid() & active, ps.pdf, 0)
-        return ps
-
-    def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
-        """The density of `sample_position`, per unit area."""
-        return self._ask(lambda shape: shape.pdf_position(ps, active), Float(0))
-
-    def sample_direction(self, it: Observer, sample: Any, active: Bool | bool = True) -> DirectionSample3f:
-        """Sample a point of the shape as seen from `it`; the pdf is 0 where there is no shape."""
-        ds = self.ensemble.call(
-            self.index, self.lookup, lambda shape: shape.sample_direction(it, Point2f(sample), active), None
-        )
-        ds.pdf = dr.select(self.is_valid() & active, ds.pdf, 0)
-        return ds
-
-    def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
-        """The density of `sample_direction`, per unit solid angle."""
-        return self._ask(lambda shape: shape.pdf_direction(it, ps, active), Float(0))
-
-    def _ask(self, method: Callable[[Shape], Any], otherwise: Any) -> Any:
-        return self.ensemble.call(self.index, self.lookup, method, otherwise)
-
-
-class SensorPtr(SensorPtrQuestions):
-    """The sensor of each lane, or none. Methods as in `djpt.sensors.base.Sensor`."""
-
-    def get_shape(self) -> ShapePtr:
-        """The shapes that the sensors stand in; none for those that stand alone."""
-        return self.related(ShapePtr, lambda sensor: sensor.get_shape())
-
-
-def observer(it: Observer | Point3f) -> Observer:
-    """A point that light is sampled for, from a record or a mere point."""
-    return Reference(it, None) if isinstance(it, Point3f) else it

@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.family import Pointer
-from djpt.dispatch.phases import PhaseFunctionPtr
+from djpt.phase.pointer import PhaseFunctionPtr
 from djpt.media.base import Medium
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.records.media import MediumInteraction3f
