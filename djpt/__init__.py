@@ -60,12 +60,9 @@ if TYPE_CHECKING:
     from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
-    from djpt.materials.pointer import BSDFPtr as BSDFPtr
-    from djpt.emitters.pointer import EmitterPtr as EmitterPtr
-    from djpt.sensors.pointer import SensorPtr as SensorPtr
-    from djpt.shapes.pointer import ShapePtr as ShapePtr
     from djpt.display.live import show_passes as show_passes
     from djpt.emitters import Emitter as Emitter
+    from djpt.emitters.pointer import EmitterPtr as EmitterPtr
     from djpt.errors import AmbiguityError as AmbiguityError
     from djpt.errors import BackendError as BackendError
     from djpt.errors import DjptError as DjptError
@@ -92,6 +89,7 @@ if TYPE_CHECKING:
     from djpt.long_renders.passes import render_passes as render_passes
     from djpt.long_renders.to_file import render_to_file as render_to_file
     from djpt.materials import BSDF as BSDF
+    from djpt.materials.pointer import BSDFPtr as BSDFPtr
     from djpt.optimization.loop import optimize as optimize
     from djpt.parameters import SceneParameters as SceneParameters
     from djpt.parameters import traverse as traverse
@@ -109,13 +107,15 @@ if TYPE_CHECKING:
     from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
     from djpt.records import TransportMode as TransportMode
     from djpt.records import has_flag as has_flag
-    from djpt.rendering import channel_names as channel_names
-    from djpt.rendering import render as render
+    from djpt.rendering.image import channel_names as channel_names
+    from djpt.rendering.render import render as render
     from djpt.scene import Scene as Scene
     from djpt.scenes.cornell import cornell_box as cornell_box
+    from djpt.sensors.pointer import SensorPtr as SensorPtr
     from djpt.shapes import Mesh as Mesh
     from djpt.shapes.base import Shape as Shape
-    from djpt.shapes.questions import ShapeType as ShapeType
+    from djpt.shapes.pointer import ShapePtr as ShapePtr
+    from djpt.shapes.shape_type import ShapeType as ShapeType
     from djpt.transforms import ScalarTransform3f as ScalarTransform3f
     from djpt.transforms import ScalarTransform4f as ScalarTransform4f
     from djpt.transforms.lanes import AffineTransform3f as AffineTransform3f
@@ -200,7 +200,7 @@ _EXPORTS = {
     "djpt.scenes.cornell": "cornell_box",
     "djpt.shapes": "Mesh",
     "djpt.shapes.base": "Shape",
-    "djpt.shapes.questions": "ShapeType",
+    "djpt.shapes.shape_type": "ShapeType",
     "djpt.images.tone_mapping": "tonemap",
     "djpt.transforms": "ScalarTransform3f ScalarTransform4f",
     "djpt.transforms.lanes": "AffineTransform3f AffineTransform4f Transform3f Transform4f",

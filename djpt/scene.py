@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-import importlib
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import drjit as dr
 import numpy as np
@@ -14,22 +13,19 @@ from djpt.description.frozen import recording, require_editable
 from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.description.registry import register
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.dispatch.lookup import Members
-from djpt.emitters.pointer import EmitterPtr
-from djpt.materials.pointer import BSDFPtr
-from djpt.sensors.pointer import SensorPtr
-from djpt.shapes.pointer import ShapePtr
 from djpt.emitters import Emitter
 from djpt.emitters.choice.questions import LightQuestions
+from djpt.emitters.pointer import EmitterPtr
 from djpt.errors import SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
 from djpt.materials import BSDF
+from djpt.materials.pointer import BSDFPtr
 from djpt.media.visibility import VisibilityQueries
 from djpt.records import (
     BSDFFlags,
@@ -42,17 +38,34 @@ from djpt.records import (
 )
 from djpt.records.homes import note_latest
 from djpt.sensors import Sensor
+from djpt.sensors.pointer import SensorPtr
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.shapes.pointer import ShapePtr
 from djpt.silhouettes.scene import SceneSilhouettes
 from djpt.textures.uses import check_textures, reads_uv
-from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+from djpt.types import Bool, Float, Point3f, TensorXf, UInt32, Vector3f
 
-__all__ = ["Scene"]
+__all__ = ["Renderer", "Scene"]
 
 
 WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", "embree_use_robust_intersections")
 """Mitsuba's settings for ray queries of its own, which descriptions may hold."""
+
+
+class Renderer(Protocol):
+    """What renders a scene: `djpt.rendering`, which is built on scenes and gives itself to each that it makes."""
+
+    def prepare_to_record(self, scene: Scene) -> None:
+        """Make what can't be made while a frozen function is recorded that renders the scene."""
+
+    def film_image(self, scene: Scene, sensor: Any, integrator: Any, seed: Any, spp: int) -> TensorXf:
+        """The image (H, W, C) of an integrator, whose derivatives use the samples of the image."""
+
+    def image_derivative(
+        self, scene: Scene, integrator: Any, sensor: Any, seed: Any, spp: int, grad: TensorXf | None
+    ) -> TensorXf:
+        """The derivative of an image: see `djpt.rendering.image.image_derivative`."""
 
 
 class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, Plugin):
@@ -66,8 +79,9 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
     units: Any = None
     """Of a scene in a working frame: what lengths and points are in its description (`djpt.working_frame.units`)."""
 
-    def __init__(self, props: Properties) -> None:
+    def __init__(self, props: Properties, renderer: Renderer) -> None:
         super().__init__(props)
+        self.renderer = renderer
         for setting in WITHOUT_EFFECT:
             props.boolean(setting, False)
         self.named = [(key, plugin) for kind in KINDS for key, plugin in props.children(kind)]
@@ -201,7 +215,7 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
 
     def prepare_to_record(self) -> None:
         if not recording():
-            importlib.import_module("djpt.rendering").prepare_to_record(self)
+            self.renderer.prepare_to_record(self)
 
     def _view(self) -> Scene:
         """A shallow copy, to be changed in what makes it a view."""
@@ -388,5 +402,3 @@ KINDS = (
 
 
 TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission
-
-register("scene", "scene", Scene)

@@ -11,7 +11,7 @@ from typing import Any
 from djpt.files import as_path
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.parameters import SceneParameters, traverse
-from djpt.rendering import render
+from djpt.rendering.render import render
 from djpt.scenes.cornell import cornell_box
 from djpt.scripting.bitmap import Bitmap
 from djpt.scripting.structs import Type

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -15,6 +14,7 @@ from djpt.integrators.blind_spots import warn_of_blind_spots
 from djpt.integrators.walk import walk
 from djpt.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
+from djpt.scene_arguments import require_scene
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 
 if TYPE_CHECKING:
@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from djpt.sensors.base import Sensor
 
 __all__ = ["Integrator", "PathIntegrator", "PathState", "SamplingIntegrator", "Vertex", "mis_weight"]
-
-
-def rendering() -> Any:
-    """The module `djpt.rendering`, which imports this one."""
-    return importlib.import_module("djpt.rendering")
 
 
 class Integrator(Plugin):
@@ -144,18 +139,18 @@ class Integrator(Plugin):
             develop: Whether to return the image; else it is left to the film, see `djpt.films.HDRFilm.develop`.
             evaluate: Whether to compute it at once; always done here.
         """
-        image: TensorXf = rendering().film_image(scene, sensor, self, seed, spp, seed_grad=None)
+        image = require_scene(scene).renderer.film_image(scene, sensor, self, seed, spp)
         return image if develop else TensorXf()
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         """The change (H, W, C) of the image that the gradients set on the scene's parameters cause."""
-        return rendering().image_derivative(scene, self, sensor, seed, spp, None)
+        return require_scene(scene).renderer.image_derivative(scene, self, sensor, seed, spp, None)
 
     def render_backward(
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
-        rendering().image_derivative(scene, self, sensor, seed, spp, grad_in)
+        require_scene(scene).renderer.image_derivative(scene, self, sensor, seed, spp, grad_in)
 
     def skip_area_emitters(
         self, scene: Scene, ray: Ray3f, coherent: bool = False, active: Bool | bool = True

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.materials.pointer import at_fixed_direction
 from djpt.integrators.shadows import light_through_null
 from djpt.integrators.volpath import vertex_of
 from djpt.materials.adjoint import eval_pdf_light, sample_light
 from djpt.materials.base import BSDF
+from djpt.materials.pointer import at_fixed_direction
 from djpt.media.flight import of_channel
 from djpt.records import (
     BSDFContext,

@@ -9,7 +9,6 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.materials.pointer import at_fixed_direction
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.both_ends import scaled
@@ -19,6 +18,7 @@ from djpt.integrators.path import Path
 from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
 from djpt.materials.adjoint import eval_pdf_light, sample_light
 from djpt.materials.base import BSDF
+from djpt.materials.pointer import at_fixed_direction
 from djpt.records import BSDFSample3f, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor

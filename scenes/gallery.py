@@ -361,7 +361,7 @@ def render_panel(
     """Render one picture as bytes of sRGB."""
     from djpt.description.loader import load_dict
     from djpt.images.sheets import shown
-    from djpt.rendering import render
+    from djpt.rendering.render import render
 
     each = size * size * spp
 

@@ -153,7 +153,7 @@ def djpt_renderer(scene: Mapping[str, Any], schedule: str = "auto") -> Renderer:
 
 def loaded_in_djpt(scene: Any, schedule: str) -> Renderer:
     """Render a scene that djpt has loaded."""
-    from djpt.rendering import render
+    from djpt.rendering.render import render
 
     def renderer(spp: int, seed: int) -> npt.NDArray[np.float32]:
         return np.array(render(scene, spp=spp, seed=seed, schedule=schedule), np.float32)

@@ -13,7 +13,7 @@ import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.records import RAY_EPSILON, DiscontinuityFlags, Ray3f, RayFlags, SurfaceInteraction3f
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import PCG32, Bool, Float, Point3f, UInt32, UInt64
 

@@ -17,8 +17,10 @@ from djpt.images.image import check_writable, write
 from djpt.long_renders.fingerprint import difference, fingerprint
 from djpt.long_renders.rounds import round_seed
 from djpt.parameters import SceneParameters, traverse
-from djpt.rendering import check_count, check_seed, find_integrator, find_sensor, render
+from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.render import render
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 
 __all__ = ["JOB", "Moving", "render_frames"]
 

@@ -80,7 +80,7 @@ def animate(
     from djpt.animation.frames import render_frames
     from djpt.animation.movie import check_movie, write_movie
     from djpt.cli.tone import Tone
-    from djpt.rendering import find_sensor
+    from djpt.scene_arguments import find_sensor
 
     if movie is not None:
         check_movie(movie)

@@ -24,7 +24,7 @@ COMMANDS = (
     *("info", "scenes", "gallery", "doctor"),
     *("turntable", "animate", "ladder", "bounces", "spp", "strategies"),
 )
-"""The commands in the order of the help; each is the object `command` of the module ``djpt.cli.NAME``: see `commands`."""
+"""The commands in the order of the help, as `djpt.cli.commands` names them."""
 
 
 class Commands(click.Group):

@@ -101,7 +101,7 @@ def command(
     from djpt.cli.pictures import channels_for, layers
     from djpt.cli.tone import Tone
     from djpt.images.image import check_writable
-    from djpt.rendering import find_integrator
+    from djpt.rendering.arguments import find_integrator
 
     target = output or Path(f"{name}.exr")
     check_writable(target)

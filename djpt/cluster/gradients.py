@@ -13,7 +13,7 @@ from djpt.cluster.tasks import InOrder, require_client
 from djpt.cluster.work import differentiated
 from djpt.errors import ParameterError, RenderError
 from djpt.long_renders.rounds import round_seed
-from djpt.rendering import check_count, check_seed
+from djpt.rendering.arguments import check_count, check_seed
 
 __all__ = ["gradient"]
 

@@ -9,12 +9,12 @@ import djpt
 from djpt.cluster.bundle import Bundle
 from djpt.cluster.tasks import InOrder, require_client
 from djpt.cluster.work import rendered
+from djpt.description.numeric import whole
 from djpt.errors import RenderError
 from djpt.long_renders.accumulation import Accumulation
 from djpt.long_renders.even import EvenAccumulation
 from djpt.long_renders.passes import EvenImage, planned, rounds
 from djpt.long_renders.rounds import round_seed
-from djpt.rendering import whole
 
 __all__ = ["render_passes"]
 

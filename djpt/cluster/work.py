@@ -17,8 +17,9 @@ import djpt
 from djpt.cluster.bundle import Bundle
 from djpt.llvm.lanes import lane_count
 from djpt.long_renders.rounds import Rounds
-from djpt.rendering import find_integrator, find_sensor
+from djpt.rendering.arguments import find_integrator
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.version import __version__
 
 __all__ = ["Answer", "differentiated", "rendered", "software"]

@@ -14,9 +14,11 @@ from djpt.description.properties import Properties
 from djpt.integrators.base import Integrator
 from djpt.kernels import loop_traced_once, minimum, wide
 from djpt.records import BSDFContext, BSDFFlags, Ray3f, has_flag
-from djpt.rendering import find_integrator, find_sensor, make_job, primal
+from djpt.rendering.arguments import find_integrator
+from djpt.rendering.image import make_job, primal
 from djpt.samplers.base import SampleStream
 from djpt.samplers.seeds import Seed
+from djpt.scene_arguments import find_sensor
 from djpt.schedules.choice import choose
 from djpt.schedules.memory import check_memory
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +17,11 @@ from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters
 from djpt.images.image import write
-from djpt.rendering import channel_names, find_sensor, render
+from djpt.rendering.image import channel_names
 from djpt.rfilters.box import Box
 from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.sensors import Sensor
 from djpt.types import TensorXf
 
@@ -70,11 +71,11 @@ def write_raw(path: str | os.PathLike[str], pixels: Pixels, channels: tuple[str,
 
 
 def render_denoised(
-    scene: Scene, method: str, sensor: Any, integrator: Any, seed: Seed, spp: int, options: Mapping[str, Any]
+    scene: Scene, method: str, sensor: Any, integrator: Any, seed: Seed, render: Callable[[Sensor], TensorXf]
 ) -> TensorXf:
-    """The image of `render`, with the box filter and without its noise; the film keeps the noisy one.
+    """The image that `render` makes of a sensor with the box filter, without its noise; the film keeps the noisy one.
 
-    `options` are further arguments of `render`.
+    The other arguments are those that `render` was made with: see `djpt.render`.
     """
     camera = find_sensor(scene, sensor)
     if recording():
@@ -86,7 +87,7 @@ def render_denoised(
     eye = unmixed(camera)
     cleaner = Cleaner(scene, method, eye, integrator, seed)
     try:
-        noisy = render(scene, None, eye, integrator, seed, spp=spp, **options)
+        noisy = render(eye)
     finally:
         # A signal leaves what exists.
         found = eye.film()._image

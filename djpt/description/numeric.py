@@ -7,6 +7,7 @@ name the node: the caller knows it.
 
 from __future__ import annotations
 
+import operator
 import reprlib
 from typing import Any
 
@@ -29,6 +30,7 @@ __all__ = [
     "may_wait",
     "non_negative",
     "numbers_in",
+    "whole",
 ]
 
 FEW = 16
@@ -199,3 +201,13 @@ def numbers_in(text: str) -> list[float]:
         return [float(word) for word in text.replace(",", " ").split()]
     except ValueError as error:
         raise SceneError(f"must be numbers separated by commas, found {describe(text)} ({error})") from None
+
+
+def whole(value: Any) -> int | None:
+    """Python's or another library's integer, or a Dr.Jit array of one, as an int; None for anything else."""
+    if dr.is_array_v(value) and dr.is_integral_v(value) and dr.width(value) == 1:
+        value = value[0]
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None

@@ -29,8 +29,9 @@ PACKAGES = (
     "djpt.sensors",
     "djpt.integrators",
     "djpt.ad.integrators",
+    "djpt.rendering",
 )
-"""The packages that djpt's own plugins stand in, besides the scene. Usually a plugin's file bears its name."""
+"""The packages that djpt's own plugins stand in. Usually a plugin's file bears its name."""
 
 LINE = re.compile(r'^register_(\w+)\("(\w+)"', re.MULTILINE)
 
@@ -43,14 +44,9 @@ class Home:
     module: str
 
 
-SCENE = Home("scene", "djpt.scene")
-
-
 @functools.cache
 def home(name: str) -> Home | None:
     """The home of djpt's plugin of that name, or None. The file of that name is read first, and usually no other."""
-    if name == "scene":
-        return SCENE
     if name.isidentifier():
         for package, folder in folders().items():
             file = folder / f"{name}.py"
@@ -62,7 +58,7 @@ def home(name: str) -> Home | None:
 @functools.cache
 def homes() -> dict[str, Home]:
     """The homes of all of djpt's plugins, by name."""
-    found = {"scene": SCENE}
+    found: dict[str, Home] = {}
     for package, folder in folders().items():
         for file in sorted(folder.glob("*.py")):
             found |= homes_in(package, file)

@@ -34,6 +34,7 @@ __all__ = [
     "register_phase",
     "register_rfilter",
     "register_sampler",
+    "register_scene",
     "register_sensor",
     "register_shape",
     "register_texture",
@@ -118,6 +119,11 @@ def register_rfilter(name: str, constructor: Factory) -> None:
 def register_sampler(name: str, constructor: Factory) -> None:
     """Register a source of sample points; `constructor(props)` returns a `djpt.samplers.Sampler`."""
     register("sampler", name, constructor)
+
+
+def register_scene(name: str, constructor: Factory) -> None:
+    """Register a kind of scene; `constructor(props)` returns a `djpt.Scene`."""
+    register("scene", name, constructor)
 
 
 def register_sensor(name: str, constructor: Factory) -> None:
@@ -209,7 +215,6 @@ def _import_own_packages() -> None:
         for package in map(importlib.import_module, PACKAGES):
             for public in package.__all__:
                 getattr(package, public)
-        importlib.import_module("djpt.scene")
     except ImportError:
         _own_packages_imported = False  # so that the next call raises the same error
         raise

@@ -103,11 +103,23 @@ class Pointer(Record, Generic[P]):
 
     member_kind: ClassVar[str] = ""
     """The `Plugin.kind` of what it points to."""
+    kinds: ClassVar[dict[str, type[Pointer[Any]]]] = {}
+    """The class of pointers to each kind of plugins, as far as imported."""
 
     index: UInt32
     """The number of the plugin in the family; beyond the last: none."""
     home: Home
     """The `Family`."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "member_kind" in vars(cls):
+            cls.kinds[cls.member_kind] = cls
+
+    @staticmethod
+    def of_kind(kind: str) -> type[Pointer[Any]]:
+        """The class of pointers to a kind of plugins; the base, which asks them nothing, if none was imported yet."""
+        return Pointer.kinds.get(kind, Pointer)
 
     def __init__(self, plugins: Any = None, **fields: Any) -> None:
         if isinstance(plugins, Pointer):

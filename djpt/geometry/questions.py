@@ -10,11 +10,11 @@ import drjit as dr
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.followed import prepare_followed
-from djpt.shapes.pointer import ShapePtr
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
 from djpt.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.records.homes import note_latest
+from djpt.shapes.pointer import ShapePtr
 from djpt.silhouettes.moving import attached_place
 from djpt.types import Bool, Float, UInt32
 

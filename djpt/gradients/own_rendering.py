@@ -38,8 +38,8 @@ def image_by_itself(
     sensor: Any,
     seed: Seed,
     spp: int,
-    seed_grad: Seed,
-    spp_grad: int,
+    seed_grad: Seed = 0,
+    spp_grad: int = 0,
 ) -> TensorXf:
     """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
     if integrator.follows_media:

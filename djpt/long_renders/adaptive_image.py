@@ -9,9 +9,11 @@ from djpt.display.progress import Progress, watched
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters
 from djpt.long_renders.passes import render_passes
-from djpt.rendering import channel_names, find_sensor, noticing
+from djpt.process.interruption import noticing
+from djpt.rendering.image import channel_names
 from djpt.samplers.seeds import Seed
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.types import TensorXf
 
 __all__ = ["render_adaptively"]

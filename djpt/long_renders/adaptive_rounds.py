@@ -21,7 +21,7 @@ from djpt.long_renders.rounds import constant_of, inputs, round_seed
 from djpt.long_renders.tile_job import TileJob, film_sums, reason_against
 from djpt.long_renders.tiles import Tiles
 from djpt.process.interruption import Interruption
-from djpt.rendering import make_job, require_still
+from djpt.rendering.image import make_job, require_still
 from djpt.scene import Scene
 from djpt.schedules.choice import choose
 from djpt.schedules.job import Job

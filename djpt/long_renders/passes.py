@@ -21,8 +21,10 @@ from djpt.long_renders.even import EvenAccumulation
 from djpt.long_renders.fingerprint import fingerprint
 from djpt.long_renders.rounds import Rounds, round_seed
 from djpt.process.interruption import Interruption
-from djpt.rendering import channel_names, check_count, check_seed, find_integrator, find_sensor
+from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.image import channel_names
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.sensors import Sensor
 
 __all__ = ["ROUND_SPP", "Goal", "render_passes"]

@@ -18,13 +18,14 @@ import numpy.typing as npt
 from djpt.description.frozen import Holder, without_garbage
 from djpt.display.progress import Progress
 from djpt.gradients.leaves import attached_parameters
+from djpt.gradients.own_rendering import image_by_itself
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace
 from djpt.llvm.lanes import small_blocks
 from djpt.llvm.results import Results
 from djpt.long_renders.streaks import StreakJob, rows_by_streaks, streak
 from djpt.process.interruption import Interruption
-from djpt.rendering import centres, make_job, render, require_still
+from djpt.rendering.image import centres, make_job, require_still
 from djpt.scene import Scene
 from djpt.schedules.canvas import Summed
 from djpt.schedules.choice import choose
@@ -104,7 +105,7 @@ class Rounds:
         begin_trace()
         scene, sensor, integrator, spp = self._scene, self._sensor, self._integrator, self.spp
         if type(integrator).render is not Integrator.render:
-            return waiting_for_image(render(scene, None, sensor, integrator, seed, spp=spp), spp)
+            return waiting_for_image(image_by_itself(integrator, scene, None, sensor, seed, spp), spp)
         require_still(scene)
         job = make_job(scene, sensor, integrator, seed, spp, 0, progress, interruption)
         how = choose(self._schedule, job)

@@ -21,18 +21,11 @@ from djpt.images.srgb import strips
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace
 from djpt.process.interruption import Interruption, interruptible
-from djpt.rendering import (
-    centres,
-    channel_names,
-    check_count,
-    check_seed,
-    find_integrator,
-    find_sensor,
-    make_job,
-    render,
-    require_still,
-)
+from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.image import centres, channel_names, make_job, require_still
+from djpt.rendering.render import render
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.schedules.canvas import strips_of_rows
 from djpt.schedules.choice import choose
 from djpt.schedules.job import Job

@@ -25,9 +25,9 @@ from djpt.shapes.base import Shape
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.phase.pointer import PhaseFunctionPtr
     from djpt.media.base import Medium
     from djpt.media.flight import Flight
+    from djpt.phase.pointer import PhaseFunctionPtr
     from djpt.samplers.base import SampleStream
 
 __all__ = ["Media", "absorbing_sides", "all_sides"]

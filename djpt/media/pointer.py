@@ -7,8 +7,8 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.family import Pointer
-from djpt.phase.pointer import PhaseFunctionPtr
 from djpt.media.base import Medium
+from djpt.phase.pointer import PhaseFunctionPtr
 from djpt.records import Ray3f, SurfaceInteraction3f
 from djpt.records.media import MediumInteraction3f
 from djpt.types import Bool, Color3f, Float, UInt32

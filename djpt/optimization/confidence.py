@@ -14,7 +14,7 @@ import numpy.typing as npt
 from djpt.errors import ParameterError
 from djpt.long_renders.rounds import round_seed
 from djpt.parameters import SceneParameters, traverse
-from djpt.rendering import render
+from djpt.rendering.render import render
 from djpt.scene import Scene
 
 __all__ = ["MOST", "Confidence", "confidence"]

@@ -24,8 +24,9 @@ from djpt.optimization.search import Search
 from djpt.optimization.state import load_state, save_state
 from djpt.optimization.variables import Variable
 from djpt.parameters import SceneParameters, traverse
-from djpt.rendering import check_count, check_seed, find_sensor
+from djpt.rendering.arguments import check_count, check_seed
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 
 __all__ = ["Optimization", "Progressed", "optimize"]
 

@@ -18,7 +18,7 @@ from djpt.optimization.losses import Loss
 from djpt.optimization.priors import Prior
 from djpt.optimization.variables import Variable
 from djpt.parameters import SceneParameters
-from djpt.rendering import render
+from djpt.rendering.render import render
 from djpt.scene import Scene
 
 __all__ = ["Search", "order"]

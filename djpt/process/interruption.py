@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from djpt.files import remove_unfinished
 
-__all__ = ["Interruption", "Terminated", "ending_at_once", "interruptible"]
+__all__ = ["Interruption", "Terminated", "ending_at_once", "interruptible", "noticing"]
 
 
 class Terminated(SystemExit):
@@ -136,3 +136,8 @@ def end_at_once() -> NoReturn:
     remove_unfinished()
     print("djpt: error: interrupted at once", file=sys.stderr, flush=True)
     os._exit(128 + signal.SIGINT)
+
+
+def noticing(keep_partial: bool) -> contextlib.AbstractContextManager[Interruption | None]:
+    """Notice signals if something is to be kept then; otherwise they do what they do to any script."""
+    return interruptible(keeps=True) if keep_partial else contextlib.nullcontext()

@@ -14,9 +14,9 @@ from djpt.films.base import FilmFlags
 from djpt.gradients.leaves import attached_parameters, shape_parameters
 from djpt.gradients.own_rendering import attached_view
 from djpt.integrators.base import Integrator
-from djpt.rendering import find_sensor
 from djpt.samplers.base import Sampler
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.schedules.job import require_countable
 from djpt.sensors.base import Sensor
 from djpt.silhouettes.moving import exchanged

@@ -10,9 +10,9 @@ import drjit as dr
 from djpt.errors import RenderError
 from djpt.films.image_block import ImageBlock
 from djpt.integrators.base import Integrator
-from djpt.rendering import find_sensor
 from djpt.samplers.base import Sampler
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.sensors.base import Sensor
 from djpt.types import TensorXf
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,18 @@ from djpt.description.numeric import as_number
 from djpt.description.properties import Properties
 from djpt.scripting.transforms import ProjectiveTransform4f
 from djpt.sensors.projective import horizontal_fov
-from djpt.types import Matrix4f
+from djpt.types import Matrix4f, ScalarArray2u
 
 __all__ = ["orthographic_projection", "parse_fov", "perspective_projection"]
 
+Size: TypeAlias = Sequence[int] | ScalarArray2u
+"""Columns and rows of pixels."""
+
 
 def perspective_projection(
-    film_size: Sequence[int],
-    crop_size: Sequence[int],
-    crop_offset: Sequence[int],
+    film_size: Size,
+    crop_size: Size,
+    crop_offset: Size,
     fov_x: Any,
     near_clip: Any,
     far_clip: Any,
@@ -38,7 +41,7 @@ def perspective_projection(
 
 
 def orthographic_projection(
-    film_size: Sequence[int], crop_size: Sequence[int], crop_offset: Sequence[int], near_clip: Any, far_clip: Any
+    film_size: Size, crop_size: Sequence[int], crop_offset: Sequence[int], near_clip: Any, far_clip: Any
 ) -> ProjectiveTransform4f:
     """The projection of a camera with parallel rays along +z, which sees -1 <= x <= 1, to the crop window."""
     near, far = as_number(near_clip), as_number(far_clip)
@@ -55,7 +58,7 @@ def parse_fov(props: Properties, aspect: float) -> float:
     return horizontal_fov(props, aspect)
 
 
-def to_window(film_size: Sequence[int], crop_size: Sequence[int], crop_offset: Sequence[int]) -> NDArray[np.float64]:
+def to_window(film_size: Size, crop_size: Sequence[int], crop_offset: Sequence[int]) -> NDArray[np.float64]:
     """The map of an image plane with -1 <= x <= 1, x to the left and y up, to the crop window."""
     size, crop, offset = (np.array([int(n) for n in pair], np.float64) for pair in (film_size, crop_size, crop_offset))
     aspect = size[0] / size[1]

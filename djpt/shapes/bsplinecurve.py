@@ -6,7 +6,7 @@ from djpt.description.plugin import ParamFlags
 from djpt.description.registry import register_shape
 from djpt.geometry.pieces.cutting import Pieces, cubic_pieces
 from djpt.shapes.curve import Curves
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["BSplineCurve"]
 

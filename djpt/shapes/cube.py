@@ -19,7 +19,7 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector, maximum, minimum
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -17,9 +18,12 @@ from djpt.geometry.axes import AxisPool, ProjectedRay
 from djpt.kernels import as_float
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit
-from djpt.shapes.questions import ShapeType
 from djpt.shapes.revolution import Revolution, along
+from djpt.shapes.shape_type import ShapeType
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.silhouettes.base import Silhouette
 
 __all__ = ["Cylinder"]
 
@@ -111,6 +115,11 @@ class Cylinder(Revolution):
         across, z = self.across(p)
         uv = Point2f(self.turn(across), dr.fma(z, dr.rcp(self.length), 0.5))
         return uv, 2 * math.pi * self.around(across), self.axis_z * self.length
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.silhouettes.cylinder import CylinderSilhouette
+
+        return CylinderSilhouette
 
 
 register_shape("cylinder", Cylinder)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -17,9 +18,12 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Hit, Shape
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_disk_concentric
+
+if TYPE_CHECKING:
+    from djpt.silhouettes.base import Silhouette
 
 __all__ = ["Disk"]
 
@@ -141,6 +145,11 @@ class Disk(Shape):
         du = self.edge_u * cos + self.edge_v * sin
         dv = (2 * math.pi * r) * (self.edge_v * cos - self.edge_u * sin)
         return polar_uv(cos, sin, r), du, dv
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.silhouettes.disk import DiskSilhouette
+
+        return DiskSilhouette
 
 
 def polar_uv(x: Float, y: Float, r: Float) -> Point2f:

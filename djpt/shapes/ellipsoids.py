@@ -10,7 +10,7 @@ from djpt.description.registry import register_shape
 from djpt.geometry.axes import AxisPool
 from djpt.geometry.pieces.cutting import Pieces, ellipsoid_pieces
 from djpt.shapes.ellipsoid_cloud import Cloud
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.transforms import ScalarTransform4f
 
 __all__ = ["Ellipsoids"]

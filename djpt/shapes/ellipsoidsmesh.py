@@ -15,7 +15,7 @@ from djpt.description.registry import register_shape
 from djpt.shapes.ellipsoid_cloud import Cloud
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.meshes.data import MeshData
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["EllipsoidsMesh"]
 

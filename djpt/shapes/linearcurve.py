@@ -5,7 +5,7 @@ from __future__ import annotations
 from djpt.description.registry import register_shape
 from djpt.geometry.pieces.cutting import Pieces, linear_pieces
 from djpt.shapes.curve import Curves
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["LinearCurve"]
 

@@ -25,11 +25,12 @@ from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
 from djpt.shapes.meshes.measures import Measures, is_remote
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.geometry.mesh_set import MeshSet
+    from djpt.silhouettes.base import Silhouette
     from djpt.working_frame.contract import Frame
 
 __all__ = ["Mesh"]
@@ -385,3 +386,8 @@ class Mesh(MeshQueries, Shape):
         b1, b2 = square_to_triangle(Point2f(sample.x, y))
         p, n, uv = self.set.point(self.first_face + index, b1, b2)
         return PositionSample3f.of(p, n, uv, dr.rcp(self.area))
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.silhouettes.mesh import MeshSilhouette
+
+        return MeshSilhouette if self.shape_type() == ShapeType.Mesh else None

@@ -9,9 +9,9 @@ import drjit as dr
 
 from djpt.description.plugin import Plugin
 from djpt.dispatch.family import NONE, Pointer
-from djpt.shapes.pointer import ShapePtr
 from djpt.records import PreliminaryIntersection3f, Ray3f
 from djpt.shapes.meshes.queries import MeshQueries
+from djpt.shapes.pointer import ShapePtr
 from djpt.types import Bool, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import enum
 import weakref
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -25,28 +24,12 @@ from djpt.records import (
     RayFlags,
     SurfaceInteraction3f,
 )
+from djpt.shapes.shape_type import ShapeType
 from djpt.shapes.texture_attributes import TextureAttributes
 from djpt.silhouettes.questions import SilhouetteQuestions
 from djpt.types import Bool, Float, Point2f, UInt32
 
-__all__ = ["ShapeQuestions", "ShapeType"]
-
-
-class ShapeType(enum.IntFlag):
-    """The kinds of shapes; the values are Mitsuba's. djpt's own shapes are `Other`."""
-
-    Invalid = 0
-    Mesh = 1
-    Rectangle = 3
-    BSplineCurve = 4
-    LinearCurve = 8
-    Cylinder = 16
-    Disk = 32
-    SDFGrid = 64
-    Sphere = 128
-    Ellipsoids = 256
-    EllipsoidsMesh = 513
-    Other = 1024
+__all__ = ["ShapeQuestions"]
 
 
 class ShapeQuestions(TextureAttributes, SilhouetteQuestions):

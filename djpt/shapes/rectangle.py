@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -16,8 +17,11 @@ from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.kernels import as_float, as_vector
 from djpt.records import PositionSample3f
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
+
+if TYPE_CHECKING:
+    from djpt.silhouettes.base import Silhouette
 
 __all__ = ["Rectangle"]
 
@@ -112,6 +116,11 @@ class Rectangle(Shape):
     def triangle(self, face: UInt32, uv: Point2f) -> UInt32:
         # Two triangles, cut along the diagonal u + v = 1.
         return dr.select(uv.x + uv.y > 1, UInt32(1), UInt32(0))
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.silhouettes.rectangle import RectangleSilhouette
+
+        return RectangleSilhouette
 
 
 register_shape("rectangle", Rectangle)

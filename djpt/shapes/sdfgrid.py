@@ -19,7 +19,7 @@ from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
 from djpt.frame import Frame3f, coordinate_system
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.volumes.volume_grid import VolumeGrid
 

@@ -20,12 +20,13 @@ from djpt.geometry.large_sphere import intersect_large, is_large
 from djpt.kernels import as_float, as_vector
 from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
 from djpt.shapes.base import Hit, Shape
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 from djpt.transforms import ScalarTransform4f
 from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.warp import square_to_uniform_sphere
 
 if TYPE_CHECKING:
+    from djpt.silhouettes.base import Silhouette
     from djpt.working_frame.contract import Frame
 
 __all__ = ["Sphere"]
@@ -236,6 +237,11 @@ class Sphere(Shape):
         du = 2 * math.pi * (self.axis_y * local.x - self.axis_x * local.y)
         dv = math.pi * (self.axis_x * (local.z * cos_phi) + self.axis_y * (local.z * sin_phi) - self.axis_z * rim)
         return self._uv(unit), du, dv
+
+    def silhouette_class(self) -> type[Silhouette] | None:
+        from djpt.silhouettes.sphere import SphereSilhouette
+
+        return SphereSilhouette
 
 
 register_shape("sphere", Sphere)

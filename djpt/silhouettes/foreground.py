@@ -8,7 +8,6 @@ import drjit as dr
 
 from djpt.frame import Frame3f
 from djpt.records import RAY_EPSILON, Ray3f, RayFlags, SurfaceInteraction3f
-from djpt.silhouettes.kinds import silhouette_of
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import Bool, Normal3f, Point3f
 
@@ -35,7 +34,7 @@ def foreground(
     """
     p, n = Point3f(ss.p), Normal3f(ss.n)
     for number, shape in enumerate(shapes):
-        near, outer = silhouette_of(shape).foreground(ss, active)
+        near, outer = shape.silhouette().foreground(ss, active)
         mine = ss.scene_index == number
         p, n = dr.select(mine, near, p), dr.select(mine, outer, n)
     front = dr.dot(n, ss.d) <= 1e-3

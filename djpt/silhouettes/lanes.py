@@ -11,7 +11,6 @@ from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import ACQUAINTANCES, NONE
 from djpt.dispatch.lookup import choose
 from djpt.silhouettes.base import Silhouette
-from djpt.silhouettes.kinds import silhouette_of, types_of
 from djpt.silhouettes.samples import SilhouetteSample3f
 from djpt.types import UInt32
 
@@ -35,12 +34,12 @@ def ask(
     """
     result = otherwise
     for group in ensemble.groups:
-        if not types_of(group.plugins[0]):
+        if group.plugins[0].silhouette_class() is None:
             continue
         if group.plugins[0].of_triangles:
             for number, mesh in zip(group.indices, group.plugins, strict=True):
-                result = dr.select(index == number, question(silhouette_of(mesh)), result)
+                result = dr.select(index == number, question(mesh.silhouette()), result)
         else:
-            found = question(silhouette_of(group.at(ensemble.slots(group, index), lookup)))
+            found = question(group.at(ensemble.slots(group, index), lookup).silhouette())
             result = dr.select(ensemble.members(group, index), found, result)
     return result

@@ -10,7 +10,6 @@ import drjit as dr
 from djpt.frame import Frame3f
 from djpt.records import Ray3f, RayFlags, SurfaceInteraction3f
 from djpt.silhouettes.base import aligned, with_gradient
-from djpt.silhouettes.kinds import silhouette_of
 from djpt.types import Float, Normal3f
 
 __all__ = ["attach"]
@@ -38,7 +37,7 @@ def attach(si: SurfaceInteraction3f, ray: Ray3f, flags: int, moving: Sequence[tu
     t = Float(si.t)
     still = dr.detach(si)
     for index, shape in moving:
-        silhouette = silhouette_of(shape)
+        silhouette = shape.silhouette()
         mine = still.is_valid() & (still.shape_index == index)
         place, prim = silhouette.attached(), still.prim_index
         followed = silhouette.follow(prim, silhouette.texture_place(still.uv, still.prim_uv), mine)

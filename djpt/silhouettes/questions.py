@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.description.plugin import Plugin
+from djpt.errors import SceneError
 from djpt.records import SurfaceInteraction3f
 from djpt.silhouettes.moving import attached_place, motion_name
 from djpt.types import Bool, Float, Matrix4f, Point3f, UInt32, converting
@@ -27,10 +28,24 @@ class SilhouetteQuestions(Plugin):
 
     silhouette_weight: float = 1.0
 
-    def _silhouette(self) -> Silhouette:
-        from djpt.silhouettes.kinds import silhouette_of  # rendering needs no silhouettes
+    def silhouette_class(self) -> type[Silhouette] | None:
+        """The class of the shape's silhouettes; None (default) if they aren't known. Imported when it is asked for."""
+        return None
 
-        return silhouette_of(self)
+    def silhouette(self) -> Silhouette:
+        """The silhouettes of the shape, as projective sampling asks for them.
+
+        Raises:
+            SceneError: They aren't known.
+        """
+        kind = self.silhouette_class()
+        if kind is None:
+            found = type(self).__name__.lower()
+            raise SceneError(
+                f"{self.id()}: the silhouettes of a '{found}' aren't known; "
+                "those of meshes, rectangles, disks, cylinders and spheres are"
+            )
+        return kind(self)
 
     def _own(self, ss: SilhouetteSample3f) -> SilhouetteSample3f:
         """Make a sample one of this shape."""
@@ -40,9 +55,8 @@ class SilhouetteQuestions(Plugin):
 
     def silhouette_discontinuity_types(self) -> int:
         """The `DiscontinuityFlags` of the silhouettes that the shape has; 0 if they aren't known."""
-        from djpt.silhouettes.kinds import types_of
-
-        return types_of(self)
+        kind = self.silhouette_class()
+        return 0 if kind is None else kind.types
 
     def silhouette_sampling_weight(self) -> float:
         """The weight with which `Scene.sample_silhouette` chooses the shape, by default 1."""
@@ -57,11 +71,11 @@ class SilhouetteQuestions(Plugin):
             flags: `DiscontinuityFlags` of the kinds; for meshes also of the directions.
             active: the lanes that look up vertices.
         """
-        return self._own(self._silhouette().sample(sample, int(flags), active))
+        return self._own(self.silhouette().sample(sample, int(flags), active))
 
     def invert_silhouette_sample(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
         """The point that `sample_silhouette` takes to a segment."""
-        return self._silhouette().invert(ss, active)
+        return self.silhouette().invert(ss, active)
 
     @converting
     def primitive_silhouette_projection(
@@ -71,7 +85,7 @@ class SilhouetteQuestions(Plugin):
 
         `sample` chooses a point of an edge. Density and foreshortening aren't computed.
         """
-        return self._own(self._silhouette().project(viewpoint, si, int(flags), sample, active))
+        return self._own(self.silhouette().project(viewpoint, si, int(flags), sample, active))
 
     @converting
     def precompute_silhouette(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
@@ -79,21 +93,21 @@ class SilhouetteQuestions(Plugin):
 
         The parts of a mesh are edges; those of other shapes are `DiscontinuityFlags`.
         """
-        return self._silhouette().precompute(viewpoint)
+        return self.silhouette().precompute(viewpoint)
 
     @converting
     def sample_precomputed_silhouette(
         self, viewpoint: Point3f, sample1: UInt32, sample2: Float, active: Bool | bool = True
     ) -> SilhouetteSample3f:
         """A point of the part `sample1` of the silhouette, at the share `sample2`; `pdf` is per unit length."""
-        return self._own(self._silhouette().sample_precomputed(viewpoint, sample1, sample2, active))
+        return self._own(self.silhouette().sample_precomputed(viewpoint, sample1, sample2, active))
 
     def differential_motion(self, si: SurfaceInteraction3f, active: Bool | bool = True) -> Point3f:
         """The point `si.p`, attached to the parameters of the shape as if it stuck to the surface.
 
         The place is read from `si.uv`, for meshes barycentric weights, and `si.prim_index`.
         """
-        moved = self._silhouette().follow(UInt32(si.prim_index), si.uv, active)
+        moved = self.silhouette().follow(UInt32(si.prim_index), si.uv, active)
         if moved is None:
             return si.p
         attached: Any = dr.replace_grad(si.p, moved)  # type: ignore[func-returns-value]

@@ -66,9 +66,7 @@ class SilhouetteSample3f(PositionSample3f):
     @property
     def shape(self) -> Any:
         """The shape that the point lies on, or none: a `djpt.shapes.pointer.ShapePtr`."""
-        from djpt.shapes.pointer import ShapePtr  # which asks shapes for such samples
-
-        return ShapePtr.holding(index=self.number, home={ACQUAINTANCES.of("shape"): ()})
+        return Pointer.of_kind("shape").holding(index=self.number, home={ACQUAINTANCES.of("shape"): ()})
 
     @shape.setter
     def shape(self, shape: Any) -> None:

@@ -8,9 +8,9 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
-from djpt.shapes.pointer import ShapePtr
 from djpt.distributions.weights import Weights
 from djpt.records import DiscontinuityFlags
+from djpt.shapes.pointer import ShapePtr
 from djpt.types import Bool, Float, Point3f, UInt32, converting
 
 if TYPE_CHECKING:

@@ -8,7 +8,9 @@ from typing import Any
 import djpt
 from djpt.errors import RenderError, near_miss
 from djpt.integrators.base import Integrator
-from djpt.rendering import channel_names, find_integrator, find_sensor
+from djpt.rendering.arguments import find_integrator
+from djpt.rendering.image import channel_names
+from djpt.scene_arguments import find_sensor
 from djpt.sensors.held import HeldCamera
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import ProjectiveCamera

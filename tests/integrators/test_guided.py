@@ -13,7 +13,7 @@ from djpt.errors import RenderError, SceneError
 from djpt.integrators.guiding.cells import HALVINGS, SIDES, Cells, Leaves
 from djpt.integrators.guiding.guide import SQUARES, Guide
 from djpt.records import BSDFContext, Ray3f
-from djpt.rendering import make_job
+from djpt.rendering.image import make_job
 from djpt.samplers import SampleIndex
 from djpt.schedules.learning import JobLessons
 from djpt.types import Normal3f, Point2f, Point3f, UInt32, Vector3f

@@ -193,7 +193,7 @@ def test_an_edit_compiles_no_kernel(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "expected"), [("room of smoke", "machine"), ("fog", "flat"), ("no media", "flat")])
 def test_choice(name: str, expected: str, tmp_path: Path) -> None:
     """State machines where flights are tracked: elsewhere no lane waits for another."""
-    from djpt.rendering import make_job
+    from djpt.rendering.image import make_job
 
     scene = djpt.load_dict(SCENES[name](tmp_path))
     assert choose("auto", make_job(scene, 0, None, 0, 1)).name == expected

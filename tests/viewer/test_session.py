@@ -11,6 +11,7 @@ import djpt
 from djpt.description.overrides import described, override
 from djpt.errors import DjptError
 from djpt.long_renders.rounds import Rounds, round_seed
+from djpt.rendering.arguments import find_integrator
 from djpt.viewer.controls import controls
 from djpt.viewer.picture import Picture
 from djpt.viewer.session import Session, packed
@@ -57,7 +58,7 @@ def test_a_picture_is_the_sum_of_its_rounds() -> None:
 def test_rounds_of_any_size_give_the_error_of_the_mean() -> None:
     """The estimated error is that between pictures, though rounds have 1 to 4 samples."""
     scene = djpt.load_dict(box(rfilter="box"))
-    sensor, integrator = scene.sensors()[0], djpt.rendering.find_integrator(scene, None)
+    sensor, integrator = scene.sensors()[0], find_integrator(scene, None)
     means, estimates = [], []
     for run in range(24):
         picture = Picture(("R", "G", "B"))

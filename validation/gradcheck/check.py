@@ -15,7 +15,7 @@ import numpy.typing as npt
 from djpt.description.overrides import described, override
 from djpt.display.progress import Progress, watched
 from djpt.errors import BackendError
-from djpt.rendering import check_count, check_seed
+from djpt.rendering.arguments import check_count, check_seed
 from djpt.validation.gradcheck.differences import Difference, Step, choose_step
 from djpt.validation.gradcheck.directions import Direction, directions_of
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss

@@ -13,7 +13,7 @@ from djpt.description.loader import load_dict
 from djpt.description.overrides import override
 from djpt.errors import ParameterError
 from djpt.parameters import traverse
-from djpt.rendering import render
+from djpt.rendering.render import render
 from djpt.validation.bridge import mitsuba_scene
 from djpt.validation.metrics import ComparisonError
 

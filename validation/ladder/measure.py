@@ -25,7 +25,7 @@ from djpt.description.loader import load_dict
 from djpt.description.overrides import described, override
 from djpt.display.progress import Progress
 from djpt.errors import DjptError, RenderError, near_miss
-from djpt.rendering import render
+from djpt.rendering.render import render
 from djpt.scene import Scene
 from djpt.schedules.job import MAX_SAMPLES
 from djpt.validation.bridge import mitsuba_renderer

@@ -13,7 +13,8 @@ from djpt.display.progress import Progress
 from djpt.images.sheets import Tile, shown
 from djpt.images.tone_mapping import stops
 from djpt.integrators.strategies import strategies
-from djpt.rendering import channel_names, render
+from djpt.rendering.image import channel_names
+from djpt.rendering.render import render
 from djpt.validation.ladder.steps import STEPS
 
 __all__ = ["pyramid"]

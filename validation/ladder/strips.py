@@ -15,7 +15,8 @@ from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.images.sheets import Tile, shown
 from djpt.images.tone_mapping import stops
-from djpt.rendering import channel_names, render
+from djpt.rendering.image import channel_names
+from djpt.rendering.render import render
 from djpt.validation.ladder.measure import BATCHES, colors, seeds
 from djpt.validation.ladder.steps import STEPS
 from djpt.validation.statistics import Batches

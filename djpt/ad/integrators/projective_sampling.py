@@ -10,9 +10,9 @@ from djpt.ad.projective import ProjectiveDetail
 from djpt.description.properties import Properties
 from djpt.films.base import FilmFlags
 from djpt.records import DirectionSample3f, Interaction3f, SurfaceInteraction3f
-from djpt.rendering import find_sensor
 from djpt.samplers.base import Sampler
 from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
 from djpt.scripting.ad_integrators import RBIntegrator, attached, modes, propagate
 from djpt.sensors.base import Sensor
 from djpt.silhouettes.samples import SilhouetteSample3f

@@ -9,11 +9,11 @@ import drjit as dr
 import numpy as np
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.emitters.pointer import EmitterPtr, observer
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice import make_choice
 from djpt.emitters.choice.base import EmitterChoice
 from djpt.emitters.choice.sampling import LightSampling
+from djpt.emitters.pointer import EmitterPtr, observer
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.records import DirectionSample3f, Observer, Ray3f, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32

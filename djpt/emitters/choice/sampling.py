@@ -8,9 +8,9 @@ import drjit as dr
 
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
-from djpt.emitters.pointer import EmitterPtr
 from djpt.emitters.base import Emitter
 from djpt.emitters.choice.base import EmitterChoice
+from djpt.emitters.pointer import EmitterPtr
 from djpt.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
 from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 

@@ -1,0 +1,206 @@
+"""Images and their derivatives, from a scene and the integrator that djpt runs on it by a schedule."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.display.progress import Progress
+from djpt.errors import RenderError
+from djpt.gradients.leaves import attached_parameters, prepare_tables, unused_values
+from djpt.integrators.base import Integrator
+from djpt.kernels import begin_trace
+from djpt.process.interruption import Interruption
+from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.samplers import Sampler
+from djpt.samplers.seeds import Seed
+from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor, require_scene
+from djpt.schedules.base import Schedule
+from djpt.schedules.called_sums import prepare_sums
+from djpt.schedules.canvas import picture
+from djpt.schedules.choice import choose
+from djpt.schedules.job import Job, image_channels
+from djpt.schedules.memory import check_memory
+from djpt.types import TensorXf
+from djpt.working_frame.twin import carried, twin
+
+__all__ = [
+    "centres",
+    "channel_names",
+    "film_image",
+    "image_derivative",
+    "make_job",
+    "prepare_to_record",
+    "primal",
+    "require_still",
+]
+
+
+def film_image(
+    scene: Scene,
+    sensor: Any,
+    integrator: Integrator,
+    seed: Seed,
+    spp: int,
+    seed_grad: Seed | None = 0,
+    spp_grad: int = 0,
+    schedule: str = "auto",
+    pass_spp: int = 0,
+    progress: Progress | None = None,
+    interruption: Interruption | None = None,
+) -> TensorXf:
+    """The image of an integrator that djpt runs by a schedule; the film keeps it, too.
+
+    Arguments as for `render`; the `seed_grad` None is that of the image.
+    """
+    require_still(scene)
+    job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress, interruption)
+    how = choose(schedule, job)
+    parameters = attached_parameters(job.scene)
+    check_memory(job, attached=bool(parameters))
+    if not job.channel_names():
+        image = centres(job)
+        job.film.keep(image, channel_names(scene, sensor, integrator))
+        return image
+    unused = unused_values(job.scene, parameters)
+    if parameters or unused:
+        from djpt.gradients.derivatives import differentiable
+
+        image = differentiable(job, how, parameters, unused, seed_grad, spp_grad)
+    else:
+        image = primal(job, how)
+    if job.integrator.unfiltered_names():
+        image = dr.concat([image, centres(job)], axis=2)
+    job.film.keep(image, channel_names(scene, sensor, integrator))
+    return image
+
+
+def image_derivative(
+    scene: Scene, integrator: Integrator, sensor: Any, seed: Seed, spp: int, grad: TensorXf | None
+) -> TensorXf:
+    """The derivative of an image by samples of the seed itself, for `Integrator.render_forward` and `.._backward`.
+
+    Gradients of the image, `grad`, are propagated to the scene's parameters; if it is None, gradients of these are
+    propagated to the image, whose gradient (H, W, C) is returned.
+    """
+    from djpt.gradients.derivatives import attached_image, derivative_of
+
+    begin_trace()
+    require_still(scene)
+    job = make_job(scene, sensor, integrator, seed, spp)
+    width, height = job.film.crop_size()
+    shape = (height, width, job.channel_count())
+    parameters = attached_parameters(job.scene)
+    check_memory(job, attached=True)
+    if not parameters:
+        return dr.zeros(TensorXf, shape)
+    derivative = derivative_of(job, choose("auto", job), parameters)
+    image = attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative)
+    if grad is None:
+        dr.forward_to(image)
+        return dr.grad(image)
+    dr.set_grad(image, grad)
+    dr.enqueue(dr.ADMode.Backward, image)
+    dr.traverse(dr.ADMode.Backward)
+    return image
+
+
+def primal(job: Job, schedule: Schedule) -> TensorXf:
+    """The image of a job, without derivatives."""
+    with dr.suspend_grad():
+        return schedule.image(job)
+
+
+def centres(job: Job, first_row: int = 0, rows: int | None = None) -> TensorXf:
+    """The channels of an integrator that come from the centres of pixels, of some rows or all: (rows, W, C)."""
+    with dr.suspend_grad():
+        width, height = job.film.crop_size()
+        rows = height if rows is None else rows
+        values = job.integrator.unfiltered_channels(job.scene, job.centre_rays(first_row, rows))
+        dr.eval(values)
+        return picture(values, width, rows)
+
+
+def channel_names(scene: Scene, sensor: Any = 0, integrator: Any = None) -> tuple[str, ...]:
+    """Names of the channels of what `render` returns with the same arguments.
+
+    First those of the colour, such as ``("R", "G", "B")``, then those of the integrator's AOVs.
+    `djpt.write` takes them as `channels`.
+    """
+    film = find_sensor(scene, sensor).film()
+    estimator = find_integrator(scene, integrator)
+    return (*image_channels(film, estimator), *estimator.unfiltered_names(), *estimator.layer_names())
+
+
+def prepare_to_record(scene: Scene) -> None:
+    """Make what a frozen function can't make when it renders a scene, and what needs the values of parameters."""
+    integrator = find_integrator(scene, None)
+    for sensor in scene.sensors():
+        prepare_sums(sensor.film(), integrator)
+        sensor.film().reserve(channel_names(scene, sensor))
+        rendered, its_sensor = carried(scene, sensor) if integrator.fits_any_frame() else (scene, sensor)
+        for view in (rendered, rendered.with_media()):
+            view.seen_by(its_sensor)
+    prepare_tables(scene)
+    for shape in scene.shapes():
+        shape.make_parameters()
+    found = twin(scene)
+    for prepared in (scene,) if found is None else (scene, found[1]):
+        integrator.prepare_scene(prepared.choosing_emitters(integrator.emitter_choice))
+
+
+# ---- what is rendered -------------------------------------------------------------------------
+
+
+def make_job(
+    scene: Scene,
+    sensor: Any,
+    integrator: Any,
+    seed: Seed,
+    spp: int,
+    pass_spp: int = 0,
+    progress: Progress | None = None,
+    interruption: Interruption | None = None,
+) -> Job:
+    """Check the arguments of `render` and put the pieces together: views of the scene, never a change to it."""
+    sensor, integrator = find_sensor(scene, sensor), find_integrator(scene, integrator)
+    sampler = sensor.sampler()
+    spp, seed = check_count("spp", spp), check_seed("seed", seed)
+    shines = scene.emitters() or (integrator.follows_media and scene.every_medium.emit)
+    if integrator.needs_light and not shines:
+        raise RenderError("the scene has no emitter: the image would be black")
+    integrator.check_scene(scene, sensor)
+    integrator.resume()
+    if integrator.fits_any_frame():
+        scene, sensor = carried(scene, sensor)
+    spp = sampler.round_count(spp or sampler.sample_count())
+    if integrator.follows_media:
+        scene = scene.with_media()
+    scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
+    if integrator.measures_distance:
+        scene = scene.measured_from(sensor)
+    return job_of(sampler)(
+        scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp, interruption
+    )
+
+
+def job_of(sampler: Sampler) -> type[Job]:
+    """The kind of job that a sampler needs."""
+    if sampler.has_streams:
+        return Job
+    from djpt.schedules.wavefront import WavefrontJob
+
+    return WavefrontJob
+
+
+def require_still(scene: Scene) -> None:
+    """Raise `RenderError` if a parameter that places a shape has gradients, which few integrators can follow."""
+    require_scene(scene)
+    moving = next((shape for shape in scene.shapes() if shape.is_moving()), None)
+    if moving is not None:
+        able = "'volprim_rf_basic'" if moving.is_ellipsoids() else "'direct_projective' or 'prb_projective'"
+        raise RenderError(
+            f"'{moving.id()}' moves with parameters that have gradients: render with the integrator {able}"
+        )

@@ -1,0 +1,118 @@
+"""The verb `render`: from a scene to an image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.display.progress import Progress, watched
+from djpt.errors import RenderError
+from djpt.integrators.base import Integrator
+from djpt.kernels import begin_trace
+from djpt.process.interruption import noticing
+from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.image import film_image
+from djpt.samplers.seeds import Seed
+from djpt.scene import Scene
+from djpt.scene_arguments import find_sensor
+from djpt.sensors.base import Sensor
+from djpt.types import TensorXf
+
+__all__ = ["render"]
+
+
+def render(
+    scene: Scene,
+    params: Any = None,
+    sensor: Any = 0,
+    integrator: Any = None,
+    seed: Seed = 0,
+    seed_grad: Seed = 0,
+    spp: int = 0,
+    spp_grad: int = 0,
+    *,
+    schedule: str = "auto",
+    progress: Progress | bool | None = None,
+    pass_spp: int = 0,
+    keep_partial: bool = False,
+    denoise: bool | str = False,
+    adaptive: bool = False,
+) -> TensorXf:
+    """Render an image: TensorXf of shape (height, width, channels), linear float32, row 0 on top.
+
+    The image is a function of (scene, spp, seed) and nothing else: not of passes, threads or time.
+    If parameters of the scene have gradients enabled, the image is attached to them, in forward
+    and reverse mode.
+
+    Args:
+        scene: What `load_dict` returned.
+        params: What `traverse(scene)` returned; accepted as in Mitsuba. Gradients reach every
+            attached parameter of the scene, listed here or not.
+        sensor: Index into ``scene.sensors()``, or a sensor.
+        integrator: An integrator in place of the scene's (default: the scene's, else `path`).
+        seed: Seed of the image, 0 <= seed < 2^32: a number, or an array of one.
+        seed_grad: Seed of the samples that estimate the gradient; 0 derives one from `seed`.
+        spp: Samples per pixel; 0 takes the sampler's `sample_count`.
+        spp_grad: Samples per pixel for the gradient; 0 takes `spp`.
+        schedule: `flat` (lanes are pixels), `machine` (lanes walk through a BVH, or track rays through
+            media, each at its own pace), both for integrators that advance vertex by vertex; `wave` (lanes are
+            samples); or `auto`: the fastest.
+        progress: Called with (samples done, samples in all) after each pass; True shows a bar, in notebooks
+            and in terminals.
+        pass_spp: Samples per pixel of one pass; 0 chooses. Changes time and memory, never the image.
+        keep_partial: What a signal leaves, SIGINT (Ctrl-C) or SIGTERM: with True the film keeps the image of the
+            samples that have been computed until the pass at hand has ended, ``sensor.film().develop()``. Integrators
+            of scripts that render by themselves keep nothing.
+        denoise: True or a method of `djpt.denoise`: remove the noise. Samples are counted with the box filter then,
+            because denoisers need pixels whose noise is independent; albedo and normals are rendered along; and
+            the film keeps the noisy image, ``sensor.film().develop()``. Such images have no derivatives.
+        adaptive: Take more samples where there is more noise, `spp` on average, without bias: the last image of
+            `render_passes`, which says more. Such images have no derivatives, and `pass_spp` has no effect.
+
+    Raises:
+        BackendError: The denoiser isn't installed.
+        RenderError: Nothing to render, or arguments out of range.
+        KeyboardInterrupt: SIGINT, after the pass at hand. With `keep_partial`, `djpt.Terminated` (a `SystemExit`) for
+            SIGTERM.
+    """
+    if dr.flag(dr.JitFlag.SymbolicScope):
+        raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
+    if denoise:
+        from djpt.denoising.rendered import render_denoised
+
+        def noisy(eye: Sensor) -> TensorXf:
+            return render(
+                scene,
+                None,
+                eye,
+                integrator,
+                seed,
+                spp=spp,
+                schedule=schedule,
+                progress=progress,
+                pass_spp=pass_spp,
+                keep_partial=keep_partial,
+                adaptive=adaptive,
+            )
+
+        return render_denoised(scene, "oidn" if denoise is True else denoise, sensor, integrator, seed, noisy)
+    if adaptive:
+        from djpt.long_renders.adaptive_image import render_adaptively
+
+        return render_adaptively(scene, sensor, integrator, seed, spp, schedule, progress, keep_partial)
+    begin_trace()
+    seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
+    estimator = find_integrator(scene, integrator)
+    if type(estimator).render is not Integrator.render:
+        from djpt.gradients.own_rendering import image_by_itself
+
+        camera, (seed, spp) = find_sensor(scene, sensor), (check_seed("seed", seed), check_count("spp", spp))
+        return image_by_itself(estimator, scene, params, camera, seed, spp, seed_grad, spp_grad)
+    with watched(progress, "rendering", "samples") as shown, noticing(keep_partial) as interruption:
+        image = film_image(
+            scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, shown, interruption
+        )
+        if interruption is not None:
+            interruption.leave("the film keeps what exists")
+        return image
