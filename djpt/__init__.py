@@ -18,6 +18,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
+from djpt.lazy import lazily as _lazily
 from djpt.llvm.finder import prepare as _prepare
 from djpt.scripting.names import EXPORTS as _FOR_SCRIPTS
 from djpt.scripting.names import SUBMODULES as _MODULES_FOR_SCRIPTS
@@ -143,78 +144,13 @@ if TYPE_CHECKING:
     from djpt.types import Vector3f as Vector3f
 
 
-_SUBMODULES = {
-    name: f"djpt.{name}"
-    for name in (
-        "ad",
-        "errors",
-        "integrators",
-        "materials",
-        "optimization",
-        "scenes",
-        "types",
-        "util",
-        "validation",
-        "warp",
-        "xml",
-    )
-} | _MODULES_FOR_SCRIPTS
+_SUBMODULES = _MODULES_FOR_SCRIPTS
 
-_EXPORTS = {
-    "djpt.denoising.filtering": "denoise",
-    "djpt.description.loader": "load_dict",
-    "djpt.description.plugin": "ParamFlags Plugin",
-    "djpt.description.properties": "Properties",
-    "djpt.description.registry": (
-        "register_bsdf register_emitter register_film register_integrator register_medium register_phase "
-        "register_rfilter register_sampler register_sensor register_shape register_texture register_volume"
-    ),
-    "djpt.description.scene_files": "load_file load_string",
-    "djpt.description.xml.writer": "to_xml write_dict",
-    "djpt.errors": "AmbiguityError BackendError DjptError FileError ParameterError RenderError SceneError",
-    "djpt.emitters.pointer": "EmitterPtr",
-    "djpt.materials.pointer": "BSDFPtr",
-    "djpt.sensors.pointer": "SensorPtr",
-    "djpt.shapes.pointer": "ShapePtr",
-    "djpt.emitters": "Emitter",
-    "djpt.display.live": "show_passes",
-    "djpt.long_renders.accumulation": "Accumulation",
-    "djpt.long_renders.passes": "render_passes",
-    "djpt.long_renders.to_file": "render_to_file",
-    "djpt.optimization.loop": "optimize",
-    "djpt.frame": "Frame3f coordinate_system",
-    "djpt.geometry.bounding_box": "BoundingBox2f BoundingBox3f ScalarBoundingBox2f ScalarBoundingBox3f",
-    "djpt.geometry.bounding_sphere": "BoundingSphere3f ScalarBoundingSphere3f",
-    "djpt.images.image": "Image read read_metadata write",
-    "djpt.integrators": "Integrator",
-    "djpt.integrators.moment": "variance",
-    "djpt.process.interruption": "Terminated",
-    "djpt.materials": "BSDF",
-    "djpt.parameters": "SceneParameters traverse",
-    "djpt.records": (
-        "BSDFContext BSDFFlags BSDFSample3f DirectionSample3f EmitterFlags Interaction3f PositionSample3f "
-        "PreliminaryIntersection3f Ray3f RayFlags SurfaceInteraction3f TransportMode has_flag"
-    ),
-    "djpt.rendering": "channel_names render",
-    "djpt.scene": "Scene",
-    "djpt.scenes.cornell": "cornell_box",
-    "djpt.shapes": "Mesh",
-    "djpt.shapes.base": "Shape",
-    "djpt.shapes.shape_type": "ShapeType",
-    "djpt.images.tone_mapping": "tonemap",
-    "djpt.transforms": "ScalarTransform3f ScalarTransform4f",
-    "djpt.transforms.lanes": "AffineTransform3f AffineTransform4f Transform3f Transform4f",
-    "djpt.types": (
-        "PCG32 Bool Color3f Float Float64 Int Int32 Mask Matrix4f Normal3f Point2f Point3f Spectrum TensorXf UInt "
-        "UInt32 UInt64 Vector2f Vector3f"
-    ),
-    "djpt.backends": "set_variant variant variants",
-}
-"""The modules of the public names. The imports above say the same to type checkers."""
+_own_name, _, _own_names = _lazily(__name__)
 
-_HOME = {name: module for module, names in (_FOR_SCRIPTS | _EXPORTS).items() for name in names.split()}
+_HOME = {name: module for module, names in _FOR_SCRIPTS.items() for name in names.split() if name not in _own_names}
 
-__all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
+__all__ = sorted([*_own_names, *_HOME, *_SUBMODULES, "__version__"])
 
 # The variant is chosen for the process: Mitsuba's modules of one variant are this module.
 sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_MODULES})
@@ -223,7 +159,9 @@ sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_M
 _prepare()
 
 if "IPython" in sys.modules:
-    importlib.import_module("djpt.display.notebooks").show_images()
+    from djpt.display.notebooks import show_images
+
+    show_images()
 
 
 def __getattr__(name: str) -> Any:
@@ -232,9 +170,12 @@ def __getattr__(name: str) -> Any:
         return sys.modules[__name__]
     if name in _SUBMODULES:
         return importlib.import_module(_SUBMODULES[name])
-    if name not in _HOME:
+    if name in _own_names:
+        value = _own_name(name)
+    elif name in _HOME:
+        value = getattr(importlib.import_module(_HOME[name]), name)
+    else:
         raise AttributeError(f"module 'djpt' has no attribute {name!r}{_hint(name)}")
-    value = getattr(importlib.import_module(_HOME[name]), name)
     globals()[name] = value
     return value
 
@@ -243,7 +184,9 @@ def _hint(name: str) -> str:
     """Why Mitsuba's name is left out, or which name is like it."""
     if name.startswith(("_", "DRJIT_")):  # protocols that others look for, Dr.Jit in each call of a frozen function
         return ""
-    why = importlib.import_module("djpt.scripting.exclusions").reason(name)
+    from djpt.scripting.exclusions import reason
+
+    why = reason(name)
     if why:
         return f", which is left out: {why}"
     close = difflib.get_close_matches(name, __all__, n=1)

@@ -8,7 +8,7 @@ A package that holds many plugins lists them under ``if TYPE_CHECKING``, where e
         __getattr__, __dir__, __all__ = lazily(__name__)
 
 `lazily` reads the same lines from the package's source: nothing has to be listed twice, and a scene
-imports the plugins that it has.
+imports the plugins that it has. A name may be that of a module.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]],
     def attribute(name: str) -> Any:
         if name in homes:
             module, own_name = homes[name]
-            return getattr(importlib.import_module(module), own_name)
+            # The package itself is asked for modules only.
+            found = None if module == package else getattr(importlib.import_module(module), own_name, None)
+            return importlib.import_module(f"{module}.{own_name}") if found is None else found
         if name in modules:
             return importlib.import_module(modules[name])
         raise AttributeError(f"module {package!r} has no attribute {name!r}")

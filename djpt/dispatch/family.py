@@ -103,8 +103,6 @@ class Pointer(Record, Generic[P]):
 
     member_kind: ClassVar[str] = ""
     """The `Plugin.kind` of what it points to."""
-    kinds: ClassVar[dict[str, type[Pointer[Any]]]] = {}
-    """The class of pointers to each kind of plugins, as far as imported."""
 
     index: UInt32
     """The number of the plugin in the family; beyond the last: none."""
@@ -114,12 +112,12 @@ class Pointer(Record, Generic[P]):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "member_kind" in vars(cls):
-            cls.kinds[cls.member_kind] = cls
+            POINTERS[cls.member_kind] = cls
 
     @staticmethod
     def of_kind(kind: str) -> type[Pointer[Any]]:
         """The class of pointers to a kind of plugins; the base, which asks them nothing, if none was imported yet."""
-        return Pointer.kinds.get(kind, Pointer)
+        return POINTERS.get(kind, Pointer)
 
     def __init__(self, plugins: Any = None, **fields: Any) -> None:
         if isinstance(plugins, Pointer):
@@ -276,6 +274,9 @@ def identity(plugin: Any) -> int:
     """A number that a plugin shares with the copies of it that are made to be asked alone."""
     return id(getattr(plugin, "original", None) or plugin)
 
+
+POINTERS: dict[str, type[Pointer[Any]]] = {}
+"""The class of pointers to each kind of plugins, as far as imported: each enters itself, as plugins do."""
 
 NOBODY: Ensemble[Any] = Ensemble([])
 """The family of pointers that were made of nothing."""

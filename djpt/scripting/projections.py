@@ -41,7 +41,7 @@ def perspective_projection(
 
 
 def orthographic_projection(
-    film_size: Size, crop_size: Sequence[int], crop_offset: Sequence[int], near_clip: Any, far_clip: Any
+    film_size: Size, crop_size: Size, crop_offset: Size, near_clip: Any, far_clip: Any
 ) -> ProjectiveTransform4f:
     """The projection of a camera with parallel rays along +z, which sees -1 <= x <= 1, to the crop window."""
     near, far = as_number(near_clip), as_number(far_clip)
@@ -58,7 +58,7 @@ def parse_fov(props: Properties, aspect: float) -> float:
     return horizontal_fov(props, aspect)
 
 
-def to_window(film_size: Size, crop_size: Sequence[int], crop_offset: Sequence[int]) -> NDArray[np.float64]:
+def to_window(film_size: Size, crop_size: Size, crop_offset: Size) -> NDArray[np.float64]:
     """The map of an image plane with -1 <= x <= 1, x to the left and y up, to the crop window."""
     size, crop, offset = (np.array([int(n) for n in pair], np.float64) for pair in (film_size, crop_size, crop_offset))
     aspect = size[0] / size[1]

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import djpt
-from djpt.scripting.names import EXPORTS, SUBMODULES
 from tests.kit.processes import run_python
 
 DESIGN = """
@@ -34,11 +33,13 @@ def type_checking_imports() -> dict[str, str]:
     return names
 
 
-def test_the_table_agrees_with_the_type_checkers_imports() -> None:
-    """Names for scripts are left out: `djpt.__getattr__` tells type checkers that there are more."""
-    table = {name: module for name, module in djpt._HOME.items() if module not in EXPORTS}
-    table.update(dict.fromkeys(djpt._SUBMODULES.keys() - SUBMODULES, "djpt"))
-    assert type_checking_imports() == table
+HOME = {name: module for name, module in type_checking_imports().items() if module != "djpt"} | djpt._HOME
+"""The module of each public name, modules left out."""
+
+
+def test_names_for_scripts_are_no_others() -> None:
+    assert not set(type_checking_imports()) & (set(djpt._HOME) | set(djpt._SUBMODULES))
+    assert {*type_checking_imports(), *djpt._HOME, *djpt._SUBMODULES, "__version__"} == set(djpt.__all__)
 
 
 @pytest.mark.parametrize("name", djpt.__all__)
@@ -46,9 +47,9 @@ def test_every_public_name_resolves(name: str) -> None:
     assert getattr(djpt, name) is getattr(djpt, name)
 
 
-@pytest.mark.parametrize("name", djpt._HOME)
+@pytest.mark.parametrize("name", HOME)
 def test_every_public_name_is_public_where_it_lives(name: str) -> None:
-    assert name in importlib.import_module(djpt._HOME[name]).__all__
+    assert name in importlib.import_module(HOME[name]).__all__
 
 
 def test_the_names_of_the_design_exist() -> None:
@@ -60,7 +61,7 @@ def test_no_submodule_has_the_name_of_a_public_object() -> None:
     """Importing such a submodule would replace the object in the package."""
     folder = Path(djpt.__file__).parent
     submodules = {p.stem for p in folder.iterdir() if p.suffix == ".py" or p.is_dir()}
-    assert not submodules & set(djpt._HOME)
+    assert not submodules & set(HOME)
 
 
 def test_an_unknown_name() -> None:
