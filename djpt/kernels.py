@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.frozen import hold_garbage, recording
-from djpt.description.numeric import may_wait
 from djpt.errors import ArgumentError
 from djpt.types import Bool, Float, UInt32, Vector3f
 
@@ -32,6 +31,7 @@ __all__ = [
     "loop_traced_once",
     "mapped",
     "maximum",
+    "may_wait",
     "minimum",
     "numbers_of",
     "one_by_one",
@@ -61,6 +61,11 @@ def begin_trace() -> None:
 
 
 # ---- inputs ----------------------------------------------------------------------------------
+
+
+def may_wait() -> Any:
+    """A context in which the host may wait for kernels, although `dr.JitFlag.ForbidSynchronization` is set."""
+    return dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False)
 
 
 def opaque(value: T) -> T:

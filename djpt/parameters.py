@@ -12,9 +12,10 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import Held, Structure, hold_garbage, recording
-from djpt.description.numeric import as_array, as_integer, as_number, describe, may_wait
+from djpt.description.numeric import as_array, as_integer, as_number, describe
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
+from djpt.kernels import may_wait
 from djpt.transforms import ScalarTransform4f
 
 __all__ = ["SceneParameters", "traverse"]

@@ -10,7 +10,6 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording, require_editable
-from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
@@ -24,6 +23,7 @@ from djpt.geometry.aggregate import Geometry
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.geometry.parity import is_inside
 from djpt.geometry.questions import RayQuestions
+from djpt.kernels import may_wait
 from djpt.materials import BSDF
 from djpt.materials.pointer import BSDFPtr
 from djpt.media.visibility import VisibilityQueries

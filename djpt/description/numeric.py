@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from djpt.description.frozen import recording
 from djpt.description.limits import LARGEST
 from djpt.errors import SceneError
+from djpt.kernels import may_wait
 
 __all__ = [
     "as_array",
@@ -27,7 +28,6 @@ __all__ = [
     "as_vector",
     "cross_product",
     "describe",
-    "may_wait",
     "non_negative",
     "numbers_in",
     "whole",
@@ -51,11 +51,6 @@ def describe(value: Any) -> str:
         text = ""
     name = type(value).__name__
     return text if text.startswith(name) else f"{name} {text}".rstrip()
-
-
-def may_wait() -> Any:
-    """A context in which the host may wait for kernels, although `dr.JitFlag.ForbidSynchronization` is set."""
-    return dr.scoped_set_flag(dr.JitFlag.ForbidSynchronization, False)
 
 
 def as_array(value: Any) -> NDArray[np.float64]:

@@ -23,11 +23,10 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording
-from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin
 from djpt.dispatch.lookup import Flat, Members, Numbers, Rows
 from djpt.dispatch.tables import Buffer, channels_of
-from djpt.kernels import if_stmt, opaque
+from djpt.kernels import if_stmt, may_wait, opaque
 from djpt.types import Bool, UInt32
 
 __all__ = [

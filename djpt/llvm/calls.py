@@ -17,8 +17,8 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import SHARED
-from djpt.description.numeric import may_wait
 from djpt.errors import DjptError
+from djpt.kernels import may_wait
 from djpt.llvm.lanes import core_path, lane_count
 from djpt.types import Float, UInt32
 

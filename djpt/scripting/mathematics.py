@@ -11,6 +11,7 @@ import numpy as np
 from djpt.distributions.search import find_interval
 from djpt.scripting.forms import forms
 from djpt.scripting.statistics import chi2
+from djpt.srgb import linear_to_srgb, srgb_to_linear
 from djpt.types import Bool, Float, UInt32, backend, converting
 
 __all__ = [
@@ -187,25 +188,3 @@ def gathered(x: UInt32, gap: int) -> UInt32:
     for (distance, _), (_, places) in zip(reversed(steps), reversed([(0, first), *steps[:-1]]), strict=True):
         x = (x | (x >> distance)) & places
     return x
-
-
-# ---- encoding --------------------------------------------------------------------------------
-
-
-def linear_to_srgb(arg: Any, /) -> Any:
-    """The encoding of sRGB, not clipped: of a number, of three numbers (a `drjit.scalar.Array3f`) or of an array."""
-    x = plain(arg)
-    return dr.select(x <= 0.0031308, 12.92 * x, 1.055 * dr.power(dr.maximum(x, 0.0031308), 1 / 2.4) - 0.055)
-
-
-def srgb_to_linear(arg: Any, /) -> Any:
-    """The inverse of `linear_to_srgb`."""
-    x = plain(arg)
-    return dr.select(x <= 0.04045, x / 12.92, dr.power((dr.maximum(x, 0.04045) + 0.055) / 1.055, 2.4))
-
-
-def plain(value: Any) -> Any:
-    """A number, a vector of three of them, or an array as it is."""
-    if dr.is_array_v(value) or isinstance(value, (int, float)):
-        return value
-    return dr.scalar.Array3f(value)

@@ -6,7 +6,7 @@ import copy
 from typing import TYPE_CHECKING, Any
 
 from djpt.description.frozen import recording
-from djpt.description.numeric import may_wait
+from djpt.kernels import may_wait
 from djpt.working_frame.contract import Rooted
 from djpt.working_frame.frame import working_frame
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.ad.integrators.common import mis_weight
 from djpt.ad.integrators.projective_sampling import PSIntegrator
 from djpt.ad.integrators.reattach import attached_light, attached_wi, bsdf_weight
+from djpt.ad.integrators.weights import mis_weight
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.records import (

@@ -6,7 +6,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.ad.integrators.common import solid_angle_to_area_jacobian
+from djpt.ad.integrators.weights import solid_angle_to_area_jacobian
 from djpt.records import BSDFContext, DirectionSample3f, EmitterFlags, SurfaceInteraction3f, has_flag
 from djpt.types import Bool, Color3f, Vector3f
 

@@ -7,12 +7,11 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.ad.integrators.common import RBIntegrator
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.math import srgb_to_linear
 from djpt.records import Ray3f
-from djpt.scripting.ad_integrators import UNBOUNDED
+from djpt.scripting.ad_integrators import UNBOUNDED, RBIntegrator
+from djpt.srgb import srgb_to_linear
 from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f, backend
 
 __all__ = ["BasicVolumetricPrimitiveRadianceFieldIntegrator"]
