@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import drjit as dr
@@ -19,7 +18,8 @@ import numpy as np
 from djpt.description.frozen import SHARED
 from djpt.errors import DjptError
 from djpt.kernels import may_wait
-from djpt.llvm.lanes import core_path, lane_count
+from djpt.llvm.drjit_internals import function
+from djpt.llvm.lanes import lane_count
 from djpt.types import Float, UInt32
 
 __all__ = ["WIDTHS", "CallError", "Code", "call", "reason_against"]
@@ -49,60 +49,34 @@ class Code:
             CallError: Dr.Jit copies the code, though it is to share the memory.
         """
         word = UInt32(np.ctypeslib.as_array((ctypes.c_uint32 * 1).from_address(address)))
-        if core().address_of(word) != address:
+        if address_of(word) != address:
             raise CallError("Dr.Jit doesn't share the memory of functions")
         SHARED.append(word)
         return Code(word)
 
 
-class Core:
-    """The functions of Dr.Jit's core that make calls."""
-
-    def __init__(self) -> None:
-        try:
-            # With the interpreter's lock held: these functions use Dr.Jit's state of the thread.
-            library = ctypes.PyDLL(core_path())
-            self.ray_trace = library["_Z18jit_llvm_ray_tracejjiPKjPj"]
-            self.pointer = library["_Z15jit_var_pointer10JitBackendPKvji"]
-            self.data = library["_Z12jit_var_datajPPv"]
-            self.release = library["_Z20jit_var_dec_ref_implj"]
-        except (OSError, AttributeError) as error:
-            raise CallError(f"this version of Dr.Jit has no calls of functions: {error}") from None
-        word, words = ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint32)
-        self.ray_trace.argtypes, self.ray_trace.restype = [word, word, ctypes.c_int, words, words], None
-        self.pointer.argtypes = [ctypes.c_int, ctypes.c_void_p, word, ctypes.c_int]
-        self.pointer.restype = word
-        self.data.argtypes, self.data.restype = [word, ctypes.POINTER(ctypes.c_void_p)], word
-        self.release.argtypes, self.release.restype = [word], None
-
-    def call(
-        self, code: Code, memory: UInt32 | Float, inputs: Sequence[Any], outputs: list[Any], any_hit: bool
-    ) -> list[Any]:
-        """See the function of this name."""
-        pointers = [self.pointer_to(array) for array in (code.memory, memory)]
-        made = (ctypes.c_uint32 * OUTPUTS)()
-        self.ray_trace(*pointers, int(any_hit), (ctypes.c_uint32 * INPUTS)(*(x.index for x in inputs)), made)
-        results: Any = dr.detail.update_indices(outputs, list(made)[: len(outputs)])
-        for index in (*made, *pointers):
-            if index:
-                self.release(index)
-        return list(results)
-
-    def pointer_to(self, array: UInt32 | Float) -> int:
-        """A variable that holds the address of an array's memory and keeps it alive."""
-        return int(self.pointer(dr.JitBackend.LLVM.value, self.address_of(array), array.index, 0))
-
-    def address_of(self, array: UInt32 | Float) -> int:
-        """The address of an array's memory; the array is evaluated if need be."""
-        address = ctypes.c_void_p()
-        self.release(self.data(array.index, ctypes.byref(address)))
-        return address.value or 0
+def pointer_to(array: UInt32 | Float) -> int:
+    """A variable that holds the address of an array's memory and keeps it alive."""
+    return int(bound("pointer")(dr.JitBackend.LLVM.value, address_of(array), array.index, 0))
 
 
-@cache
-def core() -> Core:
-    """Dr.Jit's core, opened at the first call."""
-    return Core()
+def address_of(array: UInt32 | Float) -> int:
+    """The address of an array's memory; the array is evaluated if need be."""
+    address = ctypes.c_void_p()
+    bound("release")(bound("data")(array.index, ctypes.byref(address)))
+    return address.value or 0
+
+
+def bound(name: str) -> Any:
+    """A function of Dr.Jit's core.
+
+    Raises:
+        CallError: This version of Dr.Jit lacks it.
+    """
+    try:
+        return function(name)
+    except (OSError, AttributeError) as error:
+        raise CallError(f"this version of Dr.Jit has no calls of functions: {error}") from None
 
 
 def call(
@@ -118,7 +92,14 @@ def call(
         outputs: Arrays of the results' types.
         any_hit: Whether there is one result alone: where the greatest distance has become negative.
     """
-    return core().call(code, memory, inputs, outputs, any_hit)
+    pointers = [pointer_to(array) for array in (code.memory, memory)]
+    made = (ctypes.c_uint32 * OUTPUTS)()
+    bound("ray_trace")(*pointers, int(any_hit), (ctypes.c_uint32 * INPUTS)(*(x.index for x in inputs)), made)
+    results: Any = dr.detail.update_indices(outputs, list(made)[: len(outputs)])
+    for index in (*made, *pointers):
+        if index:
+            bound("release")(index)
+    return list(results)
 
 
 def reason_against(proved: Callable[[], bool], otherwise: str) -> str | None:

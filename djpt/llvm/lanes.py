@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import drjit as dr
@@ -15,12 +12,11 @@ import drjit as dr
 from djpt.backends import VARIANTS, variant
 from djpt.description.frozen import recording
 from djpt.errors import BackendError
+from djpt.llvm.drjit_internals import function, missing
 
 __all__ = [
     "BLOCK",
     "INSTRUCTION_SETS",
-    "core",
-    "core_path",
     "force_lanes",
     "instruction_set",
     "lane_count",
@@ -39,28 +35,9 @@ BLOCK = 1024
 """Lanes that a thread usually takes at a time in `small_blocks`."""
 
 
-@cache
-def core() -> ctypes.CDLL:
-    """Dr.Jit's core library, which the running process has loaded already.
-
-    Its functions have C++ linkage: LLVM's have the mangled names of `jit_llvm_vector_width()` and so on.
-
-    Raises:
-        OSError: The library isn't where the wheels put it.
-    """
-    return ctypes.CDLL(core_path())
-
-
-def core_path() -> str:
-    """The file of Dr.Jit's core library, where the wheels put it."""
-    suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
-    prefix = "" if sys.platform == "win32" else "lib"
-    return str(Path(dr.__file__).parent / f"{prefix}drjit-core{suffix}")
-
-
 def lane_count() -> int:
     """The lanes of a vector: 16 with AVX-512, 8 with AVX2, 4 with NEON. The LLVM backend must have been loaded."""
-    return int(core()._Z21jit_llvm_vector_widthv())
+    return int(function("vector_width")())
 
 
 @contextmanager
@@ -70,16 +47,11 @@ def small_blocks(lanes: int = BLOCK) -> Iterator[None]:
     The portions of Dr.Jit, 2^14 lanes, suit lanes that all take the same time. GPUs have no such portions. While
     `dr.freeze` records, the portions become small for good: Dr.Jit will launch the same kernels without asking.
     """
-    if VARIANTS[variant()] != "llvm":
+    # Without these functions only the threads' shares are less even.
+    if VARIANTS[variant()] != "llvm" or missing("block_size", "set_block_size"):
         yield
         return
-    try:
-        library = core()
-        usual, set_size = library._Z19jit_llvm_block_sizev(), library._Z23jit_llvm_set_block_sizej
-    except (OSError, AttributeError):
-        # Only the threads' shares are less even then.
-        yield
-        return
+    usual, set_size = function("block_size")(), function("set_block_size")
     set_size(lanes)
     try:
         yield
@@ -106,11 +78,7 @@ def target() -> Target:
     Ask for it before functions are compiled in other threads: while Dr.Jit records a frozen function it answers this
     thread alone, and others would wait for ever.
     """
-    library = core()
-    questions = library._Z19jit_llvm_target_cpuv, library._Z24jit_llvm_target_featuresv
-    for ask in questions:
-        ask.restype = ctypes.c_char_p
-    name, listed = (str((ask() or b"").decode()) for ask in questions)
+    name, listed = (str((function(ask)() or b"").decode()) for ask in ("target_cpu", "target_features"))
     return Target(name, tuple(listed.split(",")), str(dr.detail.llvm_version()))
 
 
@@ -137,9 +105,7 @@ def force_lanes(count: int) -> None:
     if needed not in target().features:
         raise ValueError(f"{count} lanes: this processor lacks {needed[1:]}")
     kept = [f"-{name[1:]}" if name[1:].startswith(WIDER[count]) else name for name in target().features]
-    set_target = core()._Z19jit_llvm_set_targetPKcS0_j
-    set_target.argtypes, set_target.restype = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32], None
-    set_target(PROCESSORS[count].encode(), ",".join(kept).encode(), count)
+    function("set_target")(PROCESSORS[count].encode(), ",".join(kept).encode(), count)
     target.cache_clear()
     if lane_count() != count:
         raise RuntimeError(f"Dr.Jit has {lane_count()} lanes and not {count}")

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.llvm.calls import CallError, core
+from djpt.llvm.calls import CallError, address_of
 from djpt.types import Event, Float
 
 __all__ = ["Results"]
@@ -36,7 +36,7 @@ class Results:
         if dr.backend_v(Float) != dr.JitBackend.LLVM or array.state != dr.VarState.Evaluated:
             return array.numpy()
         try:
-            address = core().address_of(array)
+            address = address_of(array)
         except CallError:
             return array.numpy()
         self._computed.wait()
