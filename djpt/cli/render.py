@@ -130,7 +130,7 @@ def command(
         from djpt.long_renders.to_file import facts
 
         with ending_at_once():
-            found, rounds, leave = in_rounds.render(
+            found, taken, leave = in_rounds.render(
                 loaded, description, sensor, seed, spp or 0, schedule, keep_partial, quiet
             )
             of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
@@ -140,7 +140,7 @@ def command(
             leave()
         if not quiet:
             (columns, rows), seconds = found.size, time.perf_counter() - start
-            speed = f"{short(rounds * found.round_spp * columns * rows / seconds)}samples/s"
+            speed = f"{short(taken * columns * rows / seconds)}samples/s"
             what = f"{columns} x {rows}, {found.spp} spp, error {found.error().overall:.2%}"
             print(f"{target}: {what}, {seconds:.2f} s, {speed}")
         return

@@ -126,11 +126,11 @@ def test_adaptive_renders_of_the_command_line() -> None:
 def test_the_line_says_why_a_render_will_stop() -> None:
     found = last(box(), spp=16, round_spp=4)
     error = found.error().overall
-    assert status(found, 4, 2.0, 160, None, None).endswith("18 s left until 160 spp")
-    assert status(found, 4, 2.0, 160, error / 2, None).endswith(f"6 s left until an error of {error / 2:.3g}")
-    assert status(found, 4, 2.0, 160, error / 2, 5.0).endswith("3 s left until 5 s")
-    assert status(found, 4, 2.0, 0, None, None) == f"16 spp, error {error:.2%}, 1.15 ksamples/s"
-    assert "error unknown" in status(last(box(), spp=4), 1, 1.0, 8, 0.1, None)
+    assert status(found, 16, 2.0, 160, None, None).endswith("18 s left until 160 spp")
+    assert status(found, 16, 2.0, 160, error / 2, None).endswith(f"6 s left until an error of {error / 2:.3g}")
+    assert status(found, 16, 2.0, 160, error / 2, 5.0).endswith("3 s left until 5 s")
+    assert status(found, 16, 2.0, 0, None, None) == f"16 spp, error {error:.2%}, 1.15 ksamples/s"
+    assert "error unknown" in status(last(box(), spp=4), 4, 1.0, 8, 0.1, None)
 
 
 def test_times_and_shares() -> None:
