@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.long_renders.accumulation import Accumulation, Doubles, Floats, luminance, versions
-from djpt.long_renders.allocation import half_of, is_survey, shares, surveys
+from djpt.long_renders.allocation import MOST, half_of, is_survey, shares, surveys
 from djpt.long_renders.fingerprint import Fingerprint
 from djpt.long_renders.tiles import Tiles
 from djpt.types import TensorXf
@@ -239,7 +239,8 @@ class AdaptiveAccumulation(Accumulation):
     def check(self) -> None:
         super().check()
         places = sum(max(1, round(self.tiles.count * count / self.round_spp)) for count in self.counts)
-        least = min(places, self.tiles.count)  # a round may leave out what would be too much for one tile
+        # Where there are very many tiles, a round may leave out what would be too much for one.
+        least = places if self.tiles.count <= MOST else min(places, self.tiles.count)
         if (self.taken < 0).any() or not least <= self.taken.sum() <= places:
             raise ValueError(f"its tiles were sampled {self.taken.sum()} times, by its rounds {places} times")
 

@@ -106,17 +106,15 @@ def test_the_image_is_the_mean_of_the_rounds() -> None:
 def test_a_last_round_is_smaller(sampler: str, rfilter: str) -> None:
     """It is an image of `render`, and rendered anew in full by a render that goes on."""
     scene = box(sampler, rfilter)
-    found = last(scene, spp=41, round_spp=16, seed=3)
-    smaller = scene.sensors()[0].sampler().round_count(9)
-    assert (found.counts, found.spp) == ((16, 16, smaller), 32 + smaller)
+    whole, smaller = (scene.sensors()[0].sampler().round_count(spp) for spp in (16, 9))
+    found = last(scene, spp=2 * whole + 9, round_spp=16, seed=3)
+    assert (found.counts, found.spp) == ((whole, whole, smaller), 2 * whole + smaller)
     assert found.samples().numpy().max() == found.samples().numpy().min() == found.spp
     parts = [last(scene, spp=spp, seed=round_seed(3, number)) for number, spp in enumerate(found.counts)]
     np.testing.assert_array_equal(found.sums, sum(part.sums for part in parts))
-    np.testing.assert_array_equal(
-        parts[2].image().numpy(), djpt.render(scene, spp=9, seed=round_seed(3, 2)).numpy()
-    )
-    longer = last(box(sampler, rfilter), spp=64, seed=3, resume_from=found)
-    at_once = last(scene, spp=64, round_spp=16, seed=3)
+    np.testing.assert_array_equal(parts[2].image().numpy(), djpt.render(scene, spp=9, seed=round_seed(3, 2)).numpy())
+    longer = last(box(sampler, rfilter), spp=4 * whole, seed=3, resume_from=found)
+    at_once = last(scene, spp=4 * whole, round_spp=16, seed=3)
     assert longer.counts == at_once.counts
     np.testing.assert_array_equal(longer.image().numpy(), at_once.image().numpy())
     assert longer.error().overall == at_once.error().overall
@@ -265,9 +263,7 @@ def test_arrays_of_another_image_are_refused(adaptive: bool) -> None:
     """Also if the fingerprint is the right one."""
     found, other = (last(box(size=size), spp=8, round_spp=4, adaptive=adaptive) for size in (12, 20))
     with pytest.raises(RenderError, match=r"its size is \(20, 20\), not \(12, 12\)"):
-        djpt.render_passes(
-            box(), spp=16, resume_from=replace(other, fingerprint=found.fingerprint), adaptive=adaptive
-        )
+        djpt.render_passes(box(), spp=16, resume_from=replace(other, fingerprint=found.fingerprint), adaptive=adaptive)
 
 
 # ---- errors ------------------------------------------------------------------------------
