@@ -20,7 +20,13 @@ __all__ = ["command"]
 @click.command("render", cls=Command, epilog=options.SCENE)
 @options.scene
 @options.output("exr hdr pfm npy (linear), png jpg (sRGB). Default: SCENE.exr")
-@click.option("--spp", type=int, help="Samples per pixel. Default: the scene's.")
+@click.option(
+    "--spp",
+    type=int,
+    help="Samples per pixel. Default: the scene's. With --checkpoint, --target-error, --time-budget, --preview, "
+    "--cluster or --adaptive they are rendered in rounds of 64, each with a seed of its own: beyond 64 they are "
+    "others than without.",
+)
 @options.seed
 @options.width
 @options.height
@@ -39,7 +45,7 @@ __all__ = ["command"]
 @click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Write what exists to this file now and then.")
 @click.option("--every", default="60s", help="How often the checkpoint is written: 90s, 10m, 1h30m.")
-@click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists.")
+@click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists: of the same scene, seed and schedule, by the same versions.")
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
 @click.option("--preview", type=click.Path(path_type=Path), help="Write a picture of what exists again and again.")

@@ -91,6 +91,22 @@ def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
     assert (code, "the film" in error) == (ExitCode.BAD_INPUT, True)
 
 
+def test_the_samples_are_those_that_were_asked_for() -> None:
+    """Also if they aren't whole rounds; and the file says so."""
+    options = ["--checkpoint", "a.djpt", "--resume", "-o", "a.exr"]
+    code, out, error = run(*SMALL, "--spp", "200", *options)
+    assert (code, out.startswith("a.exr: 16 x 16, 200 spp, error ")) == (ExitCode.DONE, True), error
+    assert read_metadata("a.exr")["spp"] == "200"
+    assert Accumulation.load("a.djpt").counts == (64, 64, 64, 8)
+    code, _, error = run(*SMALL, "--spp", "256", *options, "--schedule", "wave")
+    assert (code, "its schedule is 'auto', not 'wave'" in error) == (ExitCode.BAD_INPUT, True)
+    code, out, _ = run(*SMALL, "--spp", "256", *options)
+    assert (code, out.startswith("a.exr: 16 x 16, 256 spp, error ")) == (ExitCode.DONE, True)
+    expected = last(box(size=16, rfilter="gaussian"), spp=256)
+    np.testing.assert_array_equal(read_pixels("a.exr"), expected.image().numpy())
+    assert Accumulation.load("a.djpt").counts == (64, 64, 64, 64)
+
+
 def test_checkpoints_of_different_seeds_are_merged() -> None:
     for seed in ("0", "1"):
         run(*SMALL, "--spp", "64", "--seed", seed, "--checkpoint", f"{seed}.djpt", "-o", f"{seed}.npy", "-q")
