@@ -48,7 +48,7 @@ class Passes:
     """A picture that is written again as rounds come."""
 
     def check(self) -> None:
-        """Raise an error if the checkpoint can't be written, or would be lost by a new render."""
+        """Raise an error if options contradict each other, or the checkpoint would be lost by a new render."""
         if self.resume and self.checkpoint is None:
             raise RenderError("--resume needs --checkpoint FILE: what to go on with")
         if self.cluster is not None and self.adaptive:

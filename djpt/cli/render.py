@@ -12,6 +12,7 @@ import djpt
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, progress_bar, require_positive, short
 from djpt.errors import RenderError
+from djpt.files import require_different
 from djpt.process.interruption import ending_at_once
 
 __all__ = ["command"]
@@ -45,7 +46,11 @@ __all__ = ["command"]
 @click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Write what exists to this file now and then.")
 @click.option("--every", default="60s", help="How often the checkpoint is written: 90s, 10m, 1h30m.")
-@click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists: of the same scene, seed and schedule, by the same versions.")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on with the checkpoint, if it exists: of the same scene, seed and schedule, by the same versions.",
+)
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
 @click.option("--preview", type=click.Path(path_type=Path), help="Write a picture of what exists again and again.")
@@ -83,6 +88,7 @@ def command(
     quiet: bool,
 ) -> None:
     """Render SCENE to an image file."""
+    from djpt.description.named_files import files_of
     from djpt.description.overrides import described, override
 
     require_positive(spp=spp, width=width, height=height)
@@ -111,6 +117,11 @@ def command(
 
     target = output or Path(f"{name}.exr")
     check_writable(target)
+    written = {"--output": target, "--checkpoint": checkpoint, "--preview": preview, "--raw": raw}
+    require_different(written)
+    for path in files_of(description):
+        for option, output_file in written.items():
+            require_different({"the scene": path, option: output_file})
     toned = tonemap is not None or exposure != "0" or white_balance is not None
     tone = Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
     if denoise and rfilter is None:
