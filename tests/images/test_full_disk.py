@@ -18,7 +18,6 @@ import djpt
 from djpt.animation.movie import write_movie
 from djpt.errors import FileError
 from djpt.images.formats import FORMATS
-from djpt.optimization.state import save
 from tests.long_renders.test_passes import box, last
 
 resource = pytest.importorskip("resource")
