@@ -132,10 +132,13 @@ def check_target(target: Path) -> Path:
     return real
 
 
-def require_different(files: Mapping[str, Path | None]) -> None:
-    """Raise `FileError` if two files, given by what messages call them, are the same one; links are followed."""
-    known: dict[str, Path] = {}
-    for name, path in files.items():
+def require_different(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
+    """Raise `FileError` if an output is an input or another output; links are followed.
+
+    Files are given by what messages call them; None stands for an option that isn't used.
+    """
+    known = {name: path for name, path in (inputs or {}).items() if path is not None}
+    for name, path in outputs.items():
         if path is None:
             continue
         for other, before in known.items():

@@ -49,7 +49,7 @@ def command(
 
     target = output or image.with_name(f"{image.stem}_denoised{image.suffix}")
     check_writable(target)
-    require_different({"IMAGE": image, "--output": target})
+    require_different({"--output": target}, {"IMAGE": image})
     check_method(denoiser)
     pixels, names = channels_of(image)
     colours = colour_count(pixels, names or None)

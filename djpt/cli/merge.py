@@ -31,8 +31,7 @@ def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> 
         raise RenderError("where shall it be written? -o image.exr, or -o all.djpt to go on adding")
     if output.suffix.lower() != ".djpt":
         check_writable(output)
-    for number, path in enumerate(checkpoints, 1):
-        require_different({f"checkpoint {number}": path, "--output": output})
+    require_different({"--output": output}, {f"checkpoint {n}": path for n, path in enumerate(checkpoints, 1)})
     total = djpt.Accumulation.load(checkpoints[0])
     for path in checkpoints[1:]:
         total += djpt.Accumulation.load(path)

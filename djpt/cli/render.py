@@ -117,11 +117,10 @@ def command(
 
     target = output or Path(f"{name}.exr")
     check_writable(target)
-    written = {"--output": target, "--checkpoint": checkpoint, "--preview": preview, "--raw": raw}
-    require_different(written)
-    for path in files_of(description):
-        for option, output_file in written.items():
-            require_different({"the scene": path, option: output_file})
+    require_different(
+        {"--output": target, "--checkpoint": checkpoint, "--preview": preview, "--raw": raw},
+        {f"the scene's '{path}'": path for path in files_of(description)},
+    )
     toned = tonemap is not None or exposure != "0" or white_balance is not None
     tone = Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
     if denoise and rfilter is None:

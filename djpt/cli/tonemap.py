@@ -33,7 +33,7 @@ def command(
 
     target = output or image.with_suffix(".png")
     check_writable(target)
-    require_different({"IMAGE": image, "--output": target})
+    require_different({"--output": target}, {"IMAGE": image})
     tone = Tone(target, operator, exposure, white_balance)
     pixels = read_pixels(image)
     # The first channels of an image with layers are the colour.
