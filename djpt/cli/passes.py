@@ -96,6 +96,9 @@ class Passes:
                 saved, last = found, time.perf_counter()
 
         def leave() -> None:
+            if spp and found is not None:
+                # A round that was left has added nothing.
+                interruption.begin_part(found.spp / spp, 0)
             interruption.leave(
                 f"'{self.checkpoint}' has what exists" if self.checkpoint else "the image has what exists"
             )

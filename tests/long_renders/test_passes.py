@@ -167,6 +167,26 @@ def test_a_signal_ends_a_round_that_is_watched() -> None:
             interruption.check()
 
 
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_a_signal_says_what_share_of_all_samples_was_taken(adaptive: bool) -> None:
+    """Not of the samples of a round."""
+    for options, share in (({"spp": 1600}, " after 2 % of the samples"), ({"target_error": 1e-9}, "")):
+        with interruptible(keeps=False) as interruption:
+            passes = djpt.render_passes(box(), round_spp=16, adaptive=adaptive, interruption=interruption, **options)
+            assert [next(passes).spp for _ in range(2)] == [16, 32]
+            signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt, match=f"interrupted{share}: the image has what exists"):
+                interruption.leave("the image has what exists")
+
+
+def test_a_signal_in_a_round_says_what_share_of_all_samples_was_taken() -> None:
+    with interruptible(keeps=False) as interruption:
+        passes = djpt.render_passes(box(), spp=1600, round_spp=16, interruption=interruption)
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt, match="interrupted after 1 % of the samples: nothing is kept"):
+            next(passes)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

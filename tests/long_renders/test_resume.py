@@ -75,7 +75,9 @@ def test_signals_write_the_checkpoint(number: int, code: int) -> None:
     assert process.returncode == code
     assert "'job.djpt' has what exists" in text
     assert not Path("a.npy").exists()
-    assert Accumulation.load("job.djpt").rounds > 0
+    found = Accumulation.load("job.djpt")
+    assert found.rounds > 0
+    assert f"ed after {100 * found.spp / 8192:.3g} % of the samples: " in text
 
 
 def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
