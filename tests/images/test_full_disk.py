@@ -96,6 +96,17 @@ def test_checkpoints(tmp_path: Path) -> None:
     require_refused(tmp_path, lambda: found.save(tmp_path / "a.djpt"), "a.djpt")
 
 
+def test_streams(tmp_path: Path) -> None:
+    """Whatever notices that the disk is full, bytes that are held back included."""
+    path = tmp_path / "a.bin"
+    for room, end in ((10, "close"), (10, "flush"), (10**5, "write")):
+        stream = djpt.FileStream(str(path), djpt.FileStream.ETruncReadWrite)
+        with full_disk(room), pytest.raises(FileError, match=r"can't write '.*a\.bin'"):
+            stream.write(bytes(2000))
+            stream.write(bytes(10**6 if end == "write" else 1))
+            getattr(stream, end)()
+
+
 @pytest.mark.parametrize("suffix", ["gif", "mp4"])
 def test_movies(suffix: str, tmp_path: Path) -> None:
     if suffix == "mp4":
