@@ -57,7 +57,7 @@ def end_daemons() -> None:
     """End the daemon threads that render, and wait until they have."""
     ending.set()
     threading.excepthook = without_noted(threading.excepthook)
-    threads = [thread.ident for thread in noted if thread.ident is not None]
+    threads = [thread.ident for thread in list(noted) if thread.ident is not None]
     for number in threads:
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(number), ctypes.py_object(SystemExit))
     end = time.monotonic() + LONGEST

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -253,6 +254,20 @@ def test_accumulations_of_different_seeds_add_up() -> None:
         both + parts[1]
     with pytest.raises(RenderError, match="several seeds"):
         djpt.render_passes(box(rfilter="gaussian"), spp=64, resume_from=both)
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_smaller_rounds_add_up(tmp_path: Path, adaptive: bool) -> None:
+    parts = [last(box(size=24), spp=26, round_spp=4, seed=seed, adaptive=adaptive) for seed in (0, 1)]
+    both = parts[0] + parts[1]
+    assert both.spp == 52
+    assert both.counts.count(2) == 2
+    assert both.samples().numpy().mean() == pytest.approx(52, abs=1 if adaptive else 0)
+    assert both.error().overall < max(part.error().overall for part in parts)
+    both.save(tmp_path / "both.djpt")
+    np.testing.assert_array_equal(djpt.Accumulation.load(tmp_path / "both.djpt").image().numpy(), both.image().numpy())
+    with pytest.raises(RenderError, match="several seeds"):
+        djpt.render_passes(box(size=24), spp=64, resume_from=both, adaptive=adaptive)
 
 
 def test_accumulations_of_different_images_do_not() -> None:
