@@ -25,8 +25,8 @@ __all__ = ["command"]
     "--spp",
     type=int,
     help="Samples per pixel. Default: the scene's. With --checkpoint, --target-error, --time-budget, --preview, "
-    "--cluster or --adaptive they are rendered in rounds of 64, each with a seed of its own: beyond 64 they are "
-    "others than without.",
+    "--cluster or --adaptive they are rendered in rounds of 64, each with a seed of its own: beyond 64 the samples "
+    "differ from those of a plain render.",
 )
 @options.seed
 @options.width
@@ -49,7 +49,7 @@ __all__ = ["command"]
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on with the checkpoint, if it exists: of the same scene, seed and schedule, by the same versions.",
+    help="Continue from the checkpoint, if it exists; it must have the same scene, seed, schedule and versions.",
 )
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
