@@ -12,7 +12,7 @@ import os
 import secrets
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
@@ -30,6 +30,7 @@ __all__ = [
     "reason",
     "remove_unfinished",
     "replacing",
+    "require_different",
     "require_regular",
     "shortened",
     "writing",
@@ -129,6 +130,29 @@ def check_target(target: Path) -> Path:
     if not os.access(real.parent, os.W_OK | os.X_OK):
         raise FileError(f"can't write '{target}': no permission to write in '{real.parent}'")
     return real
+
+
+def require_different(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
+    """Raise `FileError` if an output is an input or another output; links are followed.
+
+    Files are given by what messages call them; None stands for an option that isn't used.
+    """
+    known = {name: path for name, path in (inputs or {}).items() if path is not None}
+    for name, path in outputs.items():
+        if path is None:
+            continue
+        for other, before in known.items():
+            if is_same(path, before):
+                raise FileError(f"{other} and {name} are the same file, '{shortened(path)}'")
+        known[name] = path
+
+
+def is_same(a: Path, b: Path) -> bool:
+    """Whether two paths, which needn't exist, are of the same file."""
+    try:
+        return os.path.realpath(a) == os.path.realpath(b) or os.path.samefile(a, b)
+    except (OSError, ValueError):
+        return False
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from djpt.description.frozen import hold_garbage, recording
 from djpt.errors import ArgumentError
+from djpt.process.daemons import note_thread
 from djpt.types import Bool, Float, UInt32, Vector3f
 
 __all__ = [
@@ -56,6 +57,7 @@ def begin_trace() -> None:
     its own, a kernel would share literals with whatever happens to be alive, and the same
     render would compile twice: once with and once without them.
     """
+    note_thread()
     hold_garbage()
     dr.detail.new_scope(dr.backend_v(Float))
 

@@ -68,6 +68,13 @@ def write_mp4(target: Path, frames: Sequence[Path], fps: float) -> None:
             sink.send(np.ascontiguousarray(even(pixels)))
     finally:
         sink.close()
+    # The program that writes isn't asked whether it could.
+    try:
+        written, _ = ffmpeg().count_frames_and_secs(str(target))
+    except RuntimeError:
+        written = 0
+    if written != len(frames):
+        raise OSError(f"{written} of {len(frames)} frames were written; is the disk full?")
 
 
 def write_gif(target: Path, frames: Sequence[Path], fps: float) -> None:

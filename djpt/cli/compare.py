@@ -10,6 +10,7 @@ import click
 
 from djpt.cli import options
 from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive
+from djpt.files import require_different
 
 if TYPE_CHECKING:
     from djpt.validation.comparison import Comparison
@@ -90,6 +91,7 @@ def command(
     changes: dict[str, Any] = {"width": width, "height": height, "rfilter": rfilter, "integrator": integrator}
     if store is not None:
         refuse_beside_store(b, report, as_json)
+        require_different({"--store": store}, {"A": Path(a)})
         keep(store, a, spp, seed, schedule, changes, define, quiet)
         return
     target = output or Path(f"{Path(a).stem}_comparison.png")
@@ -99,6 +101,10 @@ def command(
         check_picture(target)
     if report is not None:
         check_page(report)
+    require_different(
+        {"--output": target if drawn else None, "--report": report},
+        {"A": Path(a), "B": None if b is None else Path(b)},
+    )
     from djpt.validation.compare import compare
 
     with progress_bar("comparing", "renders", quiet or as_json) as progress:

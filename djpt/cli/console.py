@@ -73,7 +73,8 @@ def readable_errors() -> Iterator[None]:
     except BrokenPipeError:
         raise  # whoever reads the output has seen enough: Click ends quietly
     except OSError as error:  # files have errors of their own
-        fail(f"can't write to the standard output: {reason(error)}", ExitCode.BAD_INPUT)
+        what = "can't write to the standard output" if error.filename is None else f"'{error.filename}'"
+        fail(f"{what}: {reason(error)}", ExitCode.BAD_INPUT)
     except MemoryError:
         fail("out of memory", ExitCode.BAD_INPUT)
     except KeyboardInterrupt as end:

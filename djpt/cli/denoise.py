@@ -12,6 +12,7 @@ import djpt
 from djpt.cli import options
 from djpt.cli.console import Command
 from djpt.errors import FileError, near_miss
+from djpt.files import require_different
 
 if TYPE_CHECKING:
     from djpt.denoising.filtering import Guides, Pixels
@@ -48,6 +49,7 @@ def command(
 
     target = output or image.with_name(f"{image.stem}_denoised{image.suffix}")
     check_writable(target)
+    require_different({"--output": target}, {"IMAGE": image})
     check_method(denoiser)
     pixels, names = channels_of(image)
     colours = colour_count(pixels, names or None)

@@ -8,7 +8,8 @@ import click
 
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, progress_bar, require_positive
-from djpt.errors import FileError, RenderError
+from djpt.errors import RenderError
+from djpt.files import check_target, writing
 
 __all__ = ["command"]
 
@@ -47,8 +48,7 @@ def command(
     require_positive(spp=spp, reference_spp=reference_spp, size=size)
     if output.suffix.lower() not in (".html", ".htm"):
         raise RenderError(f"the page is written as html, found '{output}'")
-    if not output.parent.is_dir():
-        raise FileError(f"can't write '{output}': there is no folder '{output.parent}'")
+    check_target(output)
     name, description = described(scene, parameters(define))
     with progress_bar("measuring", "algorithms", quiet) as progress:
         found = measure(
@@ -62,7 +62,8 @@ def command(
             name=name,
             progress=progress,
         )
-    output.write_text(html(found), encoding="utf-8")
+    with writing(output) as temporary:
+        temporary.write_text(html(found), encoding="utf-8")
     if not quiet:
         for rung in found.measured:
             last, floor = rung.last, ", at its floor" if rung.at_floor else ""

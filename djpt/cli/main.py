@@ -55,6 +55,21 @@ def app() -> None:
     """A differentiable path tracer in pure Python over Dr.Jit that reads Mitsuba 3's scenes."""
 
 
+def open_standard_streams() -> None:
+    """Let standard streams that are missing (``2>&-``) lead to nowhere.
+
+    The next file that is opened would take the number of one, and with it what is printed.
+    """
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest free number is taken.
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - as long as the process
+
+
 def main() -> int:
     """Run the command line and return the exit code."""
     try:
@@ -80,6 +95,7 @@ def flushed() -> bool:
 
 def run() -> None:
     """Run `main`, and end the process with its exit code."""
+    open_standard_streams()
     code = main()
     if code == ExitCode.UNUSABLE:
         # Without an LLVM, Dr.Jit's own shutdown has been seen to hang.

@@ -11,6 +11,7 @@ from djpt.cli import options
 from djpt.cli.console import Command
 from djpt.cli.pictures import channels_for, layers
 from djpt.errors import RenderError
+from djpt.files import require_different
 
 __all__ = ["command"]
 
@@ -30,6 +31,7 @@ def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> 
         raise RenderError("where shall it be written? -o image.exr, or -o all.djpt to go on adding")
     if output.suffix.lower() != ".djpt":
         check_writable(output)
+    require_different({"--output": output}, {f"checkpoint {n}": path for n, path in enumerate(checkpoints, 1)})
     total = djpt.Accumulation.load(checkpoints[0])
     for path in checkpoints[1:]:
         total += djpt.Accumulation.load(path)

@@ -48,7 +48,7 @@ class Passes:
     """A picture that is written again as rounds come."""
 
     def check(self) -> None:
-        """Raise an error if the checkpoint can't be written, or would be lost by a new render."""
+        """Raise an error if options contradict each other, or the checkpoint would be lost by a new render."""
         if self.resume and self.checkpoint is None:
             raise RenderError("--resume needs --checkpoint FILE: what to go on with")
         if self.cluster is not None and self.adaptive:
@@ -74,7 +74,7 @@ class Passes:
         keep_partial: bool,
         quiet: bool,
     ) -> tuple[Accumulation, int, Callable[[], None]]:
-        """What exists, the rounds of it that were rendered now, and a function to be called once it is written.
+        """What exists, the samples per pixel of it that are new, and a function to be called once it is written.
 
         The function ends a process that a signal ends. Signals write the checkpoint before they end a render.
         """
@@ -84,18 +84,21 @@ class Passes:
         begun = None
         if self.resume and self.checkpoint is not None and self.checkpoint.exists():
             begun = djpt.Accumulation.load(self.checkpoint)
-        found, first = begun, 0 if begun is None else begun.rounds
-        saved = first
+        found, first = begun, 0 if begun is None else begun.whole.spp
+        saved = begun
         start = last = shown = time.perf_counter()
         line = Line(quiet)
 
         def save() -> None:
             nonlocal saved, last
-            if self.checkpoint is not None and found is not None and saved != found.rounds:
+            if self.checkpoint is not None and found is not None and saved is not found:
                 found.save(self.checkpoint)
-                saved, last = found.rounds, time.perf_counter()
+                saved, last = found, time.perf_counter()
 
         def leave() -> None:
+            if spp and found is not None:
+                # A round that was left has added nothing.
+                interruption.begin_part(found.spp / spp, 0)
             interruption.leave(
                 f"'{self.checkpoint}' has what exists" if self.checkpoint else "the image has what exists"
             )
@@ -128,7 +131,7 @@ class Passes:
                     if time.perf_counter() - shown >= PREVIEW_SECONDS:
                         show()
                     if line.visible:
-                        done, elapsed = found.rounds - first, time.perf_counter() - start
+                        done, elapsed = found.spp - first, time.perf_counter() - start
                         line.show(status(found, done, elapsed, spp, self.target_error, self.time_budget))
                     if time.perf_counter() - last >= self.every:
                         save()
@@ -142,7 +145,7 @@ class Passes:
             if not keep_partial:
                 leave()
         assert found is not None
-        return found, found.rounds - first, leave
+        return found, 0 if found is begun else found.spp - first, leave
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[Any]:
@@ -163,13 +166,13 @@ class Passes:
 
 
 def status(
-    found: Accumulation, rounds: int, elapsed: float, spp: int, target_error: float | None, time_budget: float | None
+    found: Accumulation, taken: int, elapsed: float, spp: int, target_error: float | None, time_budget: float | None
 ) -> str:
     """A line about a render: what exists, how fast it is, how long it takes and why it will stop.
 
     Args:
         found: What exists.
-        rounds: How many rounds of it were rendered in `elapsed` seconds.
+        taken: The samples per pixel of it that were taken in `elapsed` seconds.
         elapsed: The time since the start.
         spp: The samples per pixel to stop at; 0: no limit.
         target_error: The relative RMSE to stop at.
@@ -178,8 +181,8 @@ def status(
     error = found.error().overall
     width, height = found.size
     texts = [f"{found.spp} spp", f"error {error:.2%}" if math.isfinite(error) else "error unknown"]
-    if rounds and elapsed > 0:
-        speed = rounds * found.round_spp / elapsed
+    if taken and elapsed > 0:
+        speed = taken / elapsed
         texts.append(f"{short(speed * width * height)}samples/s")
         ends = []
         if spp:

@@ -12,6 +12,7 @@ import djpt
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, progress_bar, require_positive, short
 from djpt.errors import RenderError
+from djpt.files import require_different
 from djpt.process.interruption import ending_at_once
 
 __all__ = ["command"]
@@ -20,7 +21,13 @@ __all__ = ["command"]
 @click.command("render", cls=Command, epilog=options.SCENE)
 @options.scene
 @options.output("exr hdr pfm npy (linear), png jpg (sRGB). Default: SCENE.exr")
-@click.option("--spp", type=int, help="Samples per pixel. Default: the scene's.")
+@click.option(
+    "--spp",
+    type=int,
+    help="Samples per pixel. Default: the scene's. With --checkpoint, --target-error, --time-budget, --preview, "
+    "--cluster or --adaptive they are rendered in rounds of 64, each with a seed of its own: beyond 64 the samples "
+    "differ from those of a plain render.",
+)
 @options.seed
 @options.width
 @options.height
@@ -39,7 +46,11 @@ __all__ = ["command"]
 @click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Write what exists to this file now and then.")
 @click.option("--every", default="60s", help="How often the checkpoint is written: 90s, 10m, 1h30m.")
-@click.option("--resume", is_flag=True, help="Go on with the checkpoint, if it exists.")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Continue from the checkpoint, if it exists; it must have the same scene, seed, schedule and versions.",
+)
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
 @click.option("--preview", type=click.Path(path_type=Path), help="Write a picture of what exists again and again.")
@@ -77,6 +88,7 @@ def command(
     quiet: bool,
 ) -> None:
     """Render SCENE to an image file."""
+    from djpt.description.named_files import files_of
     from djpt.description.overrides import described, override
 
     require_positive(spp=spp, width=width, height=height)
@@ -105,6 +117,10 @@ def command(
 
     target = output or Path(f"{name}.exr")
     check_writable(target)
+    require_different(
+        {"--output": target, "--checkpoint": checkpoint, "--preview": preview, "--raw": raw},
+        {f"the scene's '{path}'": path for path in files_of(description)},
+    )
     toned = tonemap is not None or exposure != "0" or white_balance is not None
     tone = Tone(target, tonemap or "srgb", exposure, white_balance) if toned else None
     if denoise and rfilter is None:
@@ -130,7 +146,7 @@ def command(
         from djpt.long_renders.to_file import facts
 
         with ending_at_once():
-            found, rounds, leave = in_rounds.render(
+            found, taken, leave = in_rounds.render(
                 loaded, description, sensor, seed, spp or 0, schedule, keep_partial, quiet
             )
             of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
@@ -140,7 +156,7 @@ def command(
             leave()
         if not quiet:
             (columns, rows), seconds = found.size, time.perf_counter() - start
-            speed = f"{short(rounds * found.round_spp * columns * rows / seconds)}samples/s"
+            speed = f"{short(taken * columns * rows / seconds)}samples/s"
             what = f"{columns} x {rows}, {found.spp} spp, error {found.error().overall:.2%}"
             print(f"{target}: {what}, {seconds:.2f} s, {speed}")
         return

@@ -9,6 +9,7 @@ import click
 import djpt
 from djpt.cli import options
 from djpt.cli.console import Command
+from djpt.files import require_different
 
 __all__ = ["command"]
 
@@ -32,6 +33,7 @@ def command(
 
     target = output or image.with_suffix(".png")
     check_writable(target)
+    require_different({"--output": target}, {"IMAGE": image})
     tone = Tone(target, operator, exposure, white_balance)
     pixels = read_pixels(image)
     # The first channels of an image with layers are the colour.

@@ -13,7 +13,7 @@ from djpt.description.numeric import whole
 from djpt.errors import RenderError
 from djpt.long_renders.accumulation import Accumulation
 from djpt.long_renders.even import EvenAccumulation
-from djpt.long_renders.passes import EvenImage, planned, rounds
+from djpt.long_renders.passes import EvenImage, begun, planned, rounds
 from djpt.long_renders.rounds import round_seed
 
 __all__ = ["render_passes"]
@@ -44,7 +44,7 @@ def render_passes(
             here as well. Edits by `djpt.traverse` don't travel.
         sensor: The number of the scene's sensor.
         seed: As for `djpt.render_passes`, and so are the arguments that follow.
-        spp: Samples per pixel, rounded up to whole rounds.
+        spp: Samples per pixel.
         round_spp: Samples per pixel of a round. Rounds are what workers share: as many as there are workers at least.
         target_error: Stop at this relative RMSE.
         time_budget: Stop after so many seconds.
@@ -62,14 +62,14 @@ def render_passes(
     number = whole(sensor)
     if number is None:
         raise RenderError(f"'sensor' must be the number of a sensor of the scene, found {sensor!r}")
-    plan = planned(scene, number, None, seed, spp, round_spp, target_error, time_budget, False, resume_from)
-    image = SharedImage(scene, plan.sensor, plan.integrator, plan.seed, plan.of_round, schedule, None, None)
-    first = resume_from or image.empty()
+    plan = planned(scene, number, None, seed, spp, round_spp, target_error, time_budget, False, resume_from, schedule)
+    image = SharedImage(scene, plan.sensor, plan.integrator, plan.seed, plan.goal, schedule, None, None)
+    first = begun(image, resume_from)
 
     def arguments(number_of_round: int) -> tuple[Any, ...]:
-        return number, plan.of_round, schedule, round_seed(plan.seed, number_of_round)
+        return number, image.count(number_of_round), schedule, round_seed(plan.seed, number_of_round)
 
-    image.results = InOrder(client, bundle, rendered, arguments).results(first.rounds, plan.goal.rounds)
+    image.results = InOrder(client, bundle, rendered, arguments).results(first.whole.rounds, plan.goal.rounds)
     return closing(rounds(first, plan.goal, image), image.results)
 
 
@@ -79,8 +79,8 @@ class SharedImage(EvenImage):
     results: Iterator[Any]
 
     def begin(self, found: EvenAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
-        seed = round_seed(self.seed, number)
-        return lambda found: found.with_round(seed, next(self.results))
+        seed, count = round_seed(self.seed, number), self.count(number)
+        return lambda found: found.with_round(seed, count, next(self.results))
 
     def overlaps(self, number: int) -> bool:
         # Workers are ahead anyway.

@@ -9,7 +9,7 @@ from typing import Any
 
 from djpt.description.document import Document
 
-__all__ = ["named_files", "with_files"]
+__all__ = ["files_of", "named_files", "with_files"]
 
 
 def named_files(description: Mapping[str, Any]) -> dict[str, Path]:
@@ -21,6 +21,13 @@ def named_files(description: Mapping[str, Any]) -> dict[str, Path]:
         if places:
             found[name] = places[0]
     return found
+
+
+def files_of(description: Mapping[str, Any]) -> list[Path]:
+    """The files that a description came from, and those that its nodes name; none for a dict that names none."""
+    places = description.places.values() if isinstance(description, Document) else ()
+    written = [Path(place.rpartition(":")[0]) for place in places]
+    return [path for path in dict.fromkeys([*written, *named_files(description).values()]) if path.is_file()]
 
 
 def with_files(description: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:

@@ -38,6 +38,7 @@ __all__ = [
     "pfm_header",
     "png_metadata",
     "to_rgbe",
+    "write_npy",
 ]
 
 Pixels = npt.NDArray[np.float32]
@@ -209,8 +210,15 @@ def _read_pfm(path: Path) -> Pixels:
 
 
 def _write_npy(path: Path, image: Pixels, labels: Labels) -> None:
+    write_npy(path, image)
+
+
+def write_npy(path: Path, array: npt.NDArray[Any]) -> None:
+    """Write an array in NumPy's format. NumPy's own writing to files doesn't say why it failed."""
+    array = np.ascontiguousarray(array)
     with path.open("wb") as file:
-        np.save(file, image, allow_pickle=False)
+        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(array))
+        file.write(array.data)
 
 
 def _read_npy(path: Path) -> Pixels:

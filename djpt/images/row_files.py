@@ -55,10 +55,11 @@ def writing_rows(target: Path, shape: Shape, labels: Labels) -> Iterator[RowFile
     with replacing(target) as temporary:
         with errors_of_writing(target):
             file = STREAMED.get(target.suffix.lower(), Whole)(temporary, shape, labels)
+        guarded = Guarded(target, file)
         try:
-            yield Guarded(target, file)
+            yield guarded
         finally:
-            file.release()
+            guarded.release()
 
 
 def is_streamed(target: Path) -> bool:
@@ -81,7 +82,9 @@ class Guarded:
             self._file.close(labels)
 
     def release(self) -> None:
-        self._file.release()
+        # What a full disk didn't take is tried once more at the end: the error that matters has been raised.
+        with contextlib.suppress(OSError):
+            self._file.release()
 
 
 # ---- formats -------------------------------------------------------------------------------

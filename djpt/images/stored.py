@@ -17,7 +17,7 @@ import numpy.typing as npt
 from djpt.errors import FileError
 from djpt.files import writing
 from djpt.images.exr import ORDER, RESERVED, read_layers, write_layers
-from djpt.images.formats import FORMATS, Labels, encode_jpg, encode_png, png_metadata
+from djpt.images.formats import FORMATS, Labels, encode_jpg, encode_png, png_metadata, write_npy
 from djpt.images.image import check_writable, reading
 from djpt.images.png16 import encode_png16
 
@@ -201,12 +201,15 @@ def encode(path: Path, image: Stored, suffix: str, quality: int) -> None:
         quality = 100 if quality < 0 else quality
         encode_jpg(path, pixels, quality, full_chroma=quality == 100)
     elif suffix == ".npy":
-        with path.open("wb") as file:
-            np.save(file, pixels, allow_pickle=False)
+        write_npy(path, pixels)
     else:
         named = path.with_suffix(suffix)
-        FORMATS[suffix].encode(named, pixels, Labels(None, {}))
-        named.replace(path)
+        try:
+            FORMATS[suffix].encode(named, pixels, Labels(None, {}))
+            named.replace(path)
+        except BaseException:
+            named.unlink(missing_ok=True)
+            raise
 
 
 def exr_attribute(value: Any) -> Any:

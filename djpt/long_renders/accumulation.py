@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import version
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,8 +16,9 @@ import numpy.typing as npt
 from djpt.errors import RenderError
 from djpt.long_renders.fingerprint import Fingerprint, difference
 from djpt.types import TensorXf
+from djpt.version import __version__
 
-__all__ = ["Accumulation", "Doubles", "Error", "Floats", "luminance"]
+__all__ = ["Accumulation", "Doubles", "Error", "Floats", "luminance", "versions"]
 
 Doubles = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -42,18 +44,26 @@ class Accumulation:
 
     `djpt.render_passes` makes them: `djpt.long_renders.even.EvenAccumulation`, and with `adaptive` those of
     `djpt.long_renders.adaptive.AdaptiveAccumulation`. An accumulation doesn't change: the next round makes another
-    one. Sums are of 64 bits and are added up in the order of rounds, so that the image is a function of scene, seed,
-    round size and count.
+    one. Sums are of 64 bits and are added up in the order of rounds, so that the image is a function of
+    (scene, spp, seed, round_spp).
     """
 
+    software: str
+    """The versions of djpt and Dr.Jit that its rounds come from: see `versions`."""
     fingerprint: Fingerprint
     """What is rendered: see `djpt.long_renders.fingerprint`."""
     channels: tuple[str, ...]
     """The names of the image's channels."""
     round_spp: int
-    """Samples per pixel of each round, on average."""
+    """Samples per pixel of each whole round, on average."""
+    schedule: str
+    """How lanes are filled: the `schedule` of `render`."""
     seeds: tuple[int, ...]
     """The seed of each round."""
+    counts: tuple[int, ...]
+    """The samples per pixel of each round, on average: `round_spp`, or fewer in a last one."""
+    beginning: Accumulation | None
+    """The whole rounds, if a last one is smaller: a render goes on from them."""
     constant: Floats
     """The channels that come from the centres of pixels, (height, width, channels)."""
 
@@ -72,13 +82,31 @@ class Accumulation:
     @property
     def spp(self) -> int:
         """Samples per pixel that the image consists of, on average."""
-        return self.rounds * self.round_spp
+        return sum(self.counts)
+
+    @property
+    def share(self) -> float:
+        """Samples per pixel in units of whole rounds."""
+        return self.spp / self.round_spp
+
+    @property
+    def whole(self: Same) -> Same:
+        """The accumulation that a render goes on from: this one, without a last round that is smaller."""
+        if self.beginning is None:
+            return self
+        assert isinstance(self.beginning, type(self))
+        return self.beginning
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
         height, width, _ = self.constant.shape
         return width, height
+
+    @property
+    def layout(self) -> Any:
+        """How the arrays follow from the size: the numbers of channels and of those from the centres of pixels."""
+        return len(self.channels), self.constant.shape[2]
 
     def image(self) -> TensorXf:
         """The image, (height, width, channels), as `render` returns it."""
@@ -124,12 +152,12 @@ class Accumulation:
         """The sum of two accumulations of one image, with rounds of one size and different seeds.
 
         Raises:
-            RenderError: They are of different images, or share rounds, or only one is adaptive.
+            RenderError: They are of different images or versions, or share rounds, or only one is adaptive.
         """
         if not isinstance(other, Accumulation):
             return NotImplemented
         problem = "accumulations can't be added"
-        self.require_same(other.fingerprint, problem)
+        self.require_same(other.software, other.fingerprint, problem)
         if type(other) is not type(self):
             raise RenderError(f"{problem}: one is adaptive")
         for name in ("size", "channels", "round_spp"):
@@ -142,10 +170,13 @@ class Accumulation:
                 f"{problem}: both have the round of seed {min(shared)}; render them with seeds that differ"
             )
         sums: dict[str, Any] = {name: getattr(self, name) + getattr(other, name) for name in self.added}
-        return replace(self, seeds=self.seeds + other.seeds, **sums)
+        seeds, counts = self.seeds + other.seeds, self.counts + other.counts
+        return replace(self, seeds=seeds, counts=counts, beginning=None, **sums)
 
-    def require_same(self, fingerprint: Fingerprint, problem: str) -> None:
-        """Raise `RenderError` if a fingerprint isn't this one."""
+    def require_same(self, software: str, fingerprint: Fingerprint, problem: str) -> None:
+        """Raise `RenderError` if versions or a fingerprint aren't these."""
+        if software != self.software:
+            raise RenderError(f"{problem}: its rounds come from {self.software}, others would from {software}")
         differing = difference(self.fingerprint, fingerprint)
         if differing:
             raise RenderError(f"{problem}: what is rendered differs in {differing}")
@@ -177,6 +208,11 @@ class Accumulation:
         """What files say besides the arrays, and besides what all accumulations have: texts and whole numbers."""
         return {}
 
+    def check(self) -> None:
+        """Raise `ValueError` if the arrays of a file contradict each other, or the rounds."""
+        if not self.rounds and any(getattr(self, name).any() for name in self.stored):
+            raise ValueError("it has sums, but no rounds")
+
     @classmethod
     def shapes(cls, header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
         """The shapes of the arrays of a file with a header whose common entries have been checked.
@@ -191,6 +227,11 @@ class Accumulation:
     def further(cls, header: Mapping[str, Any]) -> dict[str, Any]:
         """The attributes that a header holds in its `facts`."""
         return {}
+
+
+def versions() -> str:
+    """The versions that the bits of a round depend on."""
+    return f"djpt {__version__}, drjit {version('drjit')}"
 
 
 def luminance(image: npt.NDArray[np.floating], channels: Sequence[str]) -> npt.NDArray[np.floating]:

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from djpt.long_renders.accumulation import Accumulation, Doubles, Floats, luminance
-from djpt.long_renders.allocation import half_of, is_survey, shares, surveys
+from djpt.long_renders.accumulation import Accumulation, Doubles, Floats, luminance, versions
+from djpt.long_renders.allocation import MOST, half_of, is_survey, shares, surveys
 from djpt.long_renders.fingerprint import Fingerprint
 from djpt.long_renders.tiles import Tiles
 from djpt.types import TensorXf
@@ -93,15 +93,25 @@ class AdaptiveAccumulation(Accumulation):
 
     @classmethod
     def empty(
-        cls, fingerprint: Fingerprint, channels: Sequence[str], constant: int, tiles: Tiles, round_spp: int
+        cls,
+        fingerprint: Fingerprint,
+        channels: Sequence[str],
+        constant: int,
+        tiles: Tiles,
+        round_spp: int,
+        schedule: str,
     ) -> AdaptiveAccumulation:
         """The accumulation of no rounds; `constant` channels aren't filtered."""
         width, height = (n - 2 * tiles.border for n in tiles.grid)
         return cls(
+            software=versions(),
             fingerprint=fingerprint,
             channels=tuple(channels),
             round_spp=round_spp,
+            schedule=schedule,
             seeds=(),
+            counts=(),
+            beginning=None,
             constant=np.zeros((height, width, constant), np.float32),
             tiles=tiles,
             even=np.zeros((len(channels) - constant + 1, tiles.count, *tiles.film)),
@@ -113,6 +123,10 @@ class AdaptiveAccumulation(Accumulation):
         )
 
     # ---- the image ----------------------------------------------------------------------------
+
+    @property
+    def layout(self) -> Any:
+        return super().layout, self.tiles
 
     def samples(self) -> TensorXf:
         return TensorXf(self.tiles.spread(self.taken.sum(0) * self.round_spp).astype(np.float32))
@@ -164,19 +178,27 @@ class AdaptiveAccumulation(Accumulation):
 
     # ---- sums ----------------------------------------------------------------------------------
 
-    def places(self, number: int) -> Counts:
-        """The tiles that a round is to sample, in order: see `TileSums`."""
+    def places(self, number: int, count: int) -> Counts:
+        """The tiles that a round of `count` samples per pixel is to sample, in order: see `TileSums`.
+
+        A smaller round samples fewer tiles.
+        """
         half = half_of(number)
         every = np.arange(self.tiles.count)
         known = surveys(self.rounds, 1 - half) - 1
-        if is_survey(number) or known < 1:
+        if self._is_survey(number, count) or known < 1:
             return every
-        return np.repeat(every, shares(self.tiles, self.taken[half], self.changes[1 - half] / known))
+        places = max(1, round(self.tiles.count * count / self.round_spp))
+        return np.repeat(every, shares(self.tiles, self.taken[half], self.changes[1 - half] / known, places))
 
-    def with_round(self, seed: int, part: TileSums) -> AdaptiveAccumulation:
-        """This accumulation and one more round."""
-        half = half_of(self.rounds)
-        last, changes = self._surveyed(half, part) if is_survey(self.rounds) else (self.last, self.changes)
+    def _is_survey(self, number: int, count: int) -> bool:
+        """Whether a round samples all tiles alike: a smaller one can't."""
+        return is_survey(number) and count == self.round_spp
+
+    def with_round(self, seed: int, count: int, part: TileSums) -> AdaptiveAccumulation:
+        """This accumulation and one more round, of `count` samples per pixel."""
+        half, survey = half_of(self.rounds), self._is_survey(self.rounds, count)
+        last, changes = self._surveyed(half, part) if survey else (self.last, self.changes)
         films, products, taken = self._films[half].copy(), self.products.copy(), self.taken.copy()
         for places, sums in part.by_tiles():
             bright, weight = luminance(sums[:-1], self.channels).astype(np.float64), sums[-1].astype(np.float64)
@@ -188,6 +210,8 @@ class AdaptiveAccumulation(Accumulation):
         return replace(
             self,
             seeds=(*self.seeds, seed),
+            counts=(*self.counts, count),
+            beginning=self if count < self.round_spp else None,
             constant=part.constant,
             even=self.even if half else films,
             odd=films if half else self.odd,
@@ -211,6 +235,14 @@ class AdaptiveAccumulation(Accumulation):
 
     def facts(self) -> dict[str, Any]:
         return {"tiles": {"border": self.tiles.border, "reach": self.tiles.reach}}
+
+    def check(self) -> None:
+        super().check()
+        places = sum(max(1, round(self.tiles.count * count / self.round_spp)) for count in self.counts)
+        # Where there are very many tiles, a round may leave out what would be too much for one.
+        least = places if self.tiles.count <= MOST else min(places, self.tiles.count)
+        if (self.taken < 0).any() or not least <= self.taken.sum() <= places:
+            raise ValueError(f"its tiles were sampled {self.taken.sum()} times, by its rounds {places} times")
 
     @classmethod
     def further(cls, header: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from djpt.long_renders.tiles import Tiles
 
-__all__ = ["MOST", "half_of", "is_survey", "shares", "surveys"]
+__all__ = ["FIRST", "MOST", "half_of", "is_survey", "shares", "surveys"]
 
 Doubles = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -47,8 +47,8 @@ def surveys(rounds: int, half: int) -> int:
     return sum(is_survey(number) for number in range(half, rounds, 2))
 
 
-def shares(tiles: Tiles, taken: Counts, variances: Doubles) -> Counts:
-    """How often a round of a half samples each tile; as often in all as there are tiles.
+def shares(tiles: Tiles, taken: Counts, variances: Doubles, places: int) -> Counts:
+    """How often a round of a half samples each tile.
 
     The mean squared error of the image, the sum of variance / count over the tiles, is least for counts in proportion
     to the standard deviations: tiles are sampled that have less than this share.
@@ -57,14 +57,16 @@ def shares(tiles: Tiles, taken: Counts, variances: Doubles) -> Counts:
         tiles: Those of the image.
         taken: How often the half has sampled each tile.
         variances: The variance of a pixel's luminance in a round, mean over each tile, by the other half's surveys.
+        places: The sum of these numbers: in a whole round that of the tiles.
     """
     deviations = np.sqrt(smoothed(variances.reshape(tiles.rows, tiles.columns)).ravel())
     deviations = np.maximum(deviations, LEAST * deviations.mean())
-    if not deviations.any():
-        return np.ones_like(taken)
-    wanted = deviations * ((taken.sum() + tiles.count) / deviations.sum())
-    missing = np.cumsum(np.maximum(wanted - taken, 0))
-    ends = np.floor(missing * (tiles.count / missing[-1]) + 0.5).astype(np.int64)
+    if deviations.any():
+        wanted = deviations * ((taken.sum() + places) / deviations.sum())
+        missing = np.cumsum(np.maximum(wanted - taken, 0))
+    else:
+        missing = np.arange(1.0, tiles.count + 1)
+    ends = np.floor(missing * (places / missing[-1]) + 0.5).astype(np.int64)
     counts: Counts = np.minimum(np.diff(ends, prepend=0), MOST)
     return counts
 

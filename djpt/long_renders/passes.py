@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, Protocol
 from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
-from djpt.long_renders.accumulation import Accumulation
+from djpt.long_renders.accumulation import Accumulation, versions
 from djpt.long_renders.adaptive import AdaptiveAccumulation
 from djpt.long_renders.adaptive_rounds import AdaptiveRounds
-from djpt.long_renders.allocation import is_survey
+from djpt.long_renders.allocation import FIRST, is_survey
 from djpt.long_renders.even import EvenAccumulation
 from djpt.long_renders.fingerprint import fingerprint
 from djpt.long_renders.rounds import Rounds, round_seed
@@ -35,6 +35,9 @@ ROUND_SPP = 64
 ADAPTIVE_ROUNDS = 16
 """The rounds that an adaptive render of few samples is divided into."""
 
+ADAPTIVE_SPP = 4
+"""The samples per pixel of such a round at least."""
+
 LEAST_ROUNDS = 4
 """The rounds that an error must come from to stop a render."""
 
@@ -46,16 +49,23 @@ SLOW = 2.0
 class Goal:
     """When a render stops: at whatever is reached first."""
 
-    rounds: int | None
-    """The number of rounds, those of an earlier render included; None: no limit."""
+    spp: int
+    """Samples per pixel, those of an earlier render included; 0: no limit."""
+    of_round: int
+    """Samples per pixel of a whole round."""
     error: float | None
     """The relative RMSE: see `djpt.long_renders.accumulation.Error`."""
     seconds: float | None
     """The time from the start of this render."""
 
+    @property
+    def rounds(self) -> int | None:
+        """The number of rounds, a smaller one included; None: no limit."""
+        return -(-self.spp // self.of_round) if self.spp else None
+
     def is_reached(self, found: Accumulation, elapsed: float, of_round: float) -> bool:
         """Whether a render is to stop after a round, when the next one takes about `of_round` seconds."""
-        if self.rounds is not None and found.rounds >= self.rounds:
+        if self.spp and found.spp >= self.spp:
             return True
         if self.seconds is not None and elapsed + of_round > self.seconds:
             return True
@@ -80,18 +90,22 @@ def render_passes(
 ) -> Iterator[Accumulation]:
     """Render in rounds, and give what exists after each: a `djpt.Accumulation`. The last one is the result.
 
-    Round r is the image of ``render(scene, spp=n, seed=s)`` with n = `round_spp` and the seed s of
-    `djpt.long_renders.rounds.round_seed`; round 0 has the seed itself. So up to one round the image is that of
-    `render`, bit for bit, and a render that goes on has the bits of one that was asked for more from the start, for
-    every sampler. Samplers of low discrepancy are stratified within each round, not from round to round.
+    Round r is the image of ``render(scene, spp=n, seed=s)`` with n = `round_spp`, in a last round what is left of
+    `spp`, and with the seed s of `djpt.long_renders.rounds.round_seed`; round 0 has the seed itself. So the image is a
+    function of (scene, spp, seed, round_spp). Up to one round it is that of `render`, bit for bit; beyond, it has
+    other samples than ``render(scene, spp=spp, seed=seed)``, whose numbers depend on `spp`, as in Mitsuba.
+
+    A render that goes on has the bits of one that was asked for more from the start, for every sampler; a last round
+    that is smaller is rendered anew then. Samplers of low discrepancy are stratified within each round, not from round
+    to round.
 
     Args:
         scene: What `load_dict` returned.
         sensor: As for `render`.
         integrator: In place of the scene's.
         seed: Of the image, 0 <= seed < 2^32.
-        spp: Samples per pixel, rounded up to whole rounds; 0: no limit if there is another one, else the sampler's
-            `sample_count`.
+        spp: Samples per pixel; samplers may round up those of the last round. 0: no limit if there is another one,
+            else the sampler's `sample_count`.
         round_spp: Samples per pixel of a round; 0 takes those of `resume_from`, else 64, or `spp` if that is less.
             Samplers may round it up.
         target_error: Stop when the relative RMSE is estimated to be less, after 4 rounds at least: 0.01 is 1 %.
@@ -99,10 +113,10 @@ def render_passes(
             is always rendered if none exists.
         adaptive: Take more samples in tiles of 8 x 8 pixels that have more noise, without bias: see
             `djpt.long_renders.allocation`. The numbers of samples are means over the image then; `samples` says
-            how many each pixel has. By default a round has a sixteenth of the `spp`. Only integrators that follow
-            paths from the camera can.
-        resume_from: What to go on with: of the same scene, seed, sensor and integrator. If nothing is left to be done
-            it is given as it is.
+            how many each pixel has. By default a round has a sixteenth of the `spp`; the first four are whole. Only
+            integrators that follow paths from the camera can.
+        resume_from: What to go on with: of the same scene, seed, sensor, integrator and schedule, by the same versions
+            of djpt and Dr.Jit. If nothing is left to be done it is given as it is.
         schedule: As for `render`.
         progress: Called with (samples done, samples of the round) after each pass of rounds that take long.
         interruption: Signals that end a round after the pass at hand.
@@ -112,10 +126,12 @@ def render_passes(
     Raises:
         RenderError: Arguments are out of range, `resume_from` is another render's, or the render can't be adaptive.
     """
-    plan = planned(scene, sensor, integrator, seed, spp, round_spp, target_error, time_budget, adaptive, resume_from)
+    plan = planned(
+        scene, sensor, integrator, seed, spp, round_spp, target_error, time_budget, adaptive, resume_from, schedule
+    )
     kind = AdaptiveImage if adaptive else EvenImage
-    image = kind(scene, plan.sensor, plan.integrator, plan.seed, plan.of_round, schedule, progress, interruption)
-    return rounds(resume_from or image.empty(), plan.goal, image)
+    image = kind(scene, plan.sensor, plan.integrator, plan.seed, plan.goal, schedule, progress, interruption)
+    return rounds(begun(image, resume_from), plan.goal, image)
 
 
 class Plan(NamedTuple):
@@ -124,8 +140,6 @@ class Plan(NamedTuple):
     sensor: Sensor
     integrator: Integrator
     seed: int
-    of_round: int
-    """Samples per pixel of a round."""
     goal: Goal
 
 
@@ -140,6 +154,7 @@ def planned(
     time_budget: float | None,
     adaptive: bool,
     resume_from: Accumulation | None,
+    schedule: str,
 ) -> Plan:
     """Check the arguments of `render_passes`, and replace those that were left out."""
     camera, estimator, seed = find_sensor(scene, sensor), find_integrator(scene, integrator), check_seed("seed", seed)
@@ -152,15 +167,19 @@ def planned(
         spp = sampler.sample_count()
     of_round = sampler.round_count(round_spp or usual_spp(spp, adaptive))
     if resume_from is not None:
-        require_resumable(resume_from, fingerprint(scene, camera, estimator), seed, round_spp and of_round, adaptive)
+        current = fingerprint(scene, camera, estimator)
+        require_resumable(resume_from, current, seed, round_spp and of_round, adaptive, schedule)
         of_round = resume_from.round_spp
-    goal = Goal(-(-spp // of_round) if spp else None, target_error, time_budget)
-    return Plan(camera, estimator, seed, of_round, goal)
+    return Plan(camera, estimator, seed, Goal(spp, of_round, target_error, time_budget))
 
 
 def usual_spp(spp: int, adaptive: bool) -> int:
     """The samples per pixel of a round, if nobody says how many."""
-    return min(max(4, -(-spp // ADAPTIVE_ROUNDS)) if spp and adaptive else spp or ROUND_SPP, ROUND_SPP)
+    if not (spp and adaptive):
+        return min(spp or ROUND_SPP, ROUND_SPP)
+    # The first rounds of an adaptive render are whole: small numbers must consist of them.
+    least = ADAPTIVE_SPP if spp >= ADAPTIVE_SPP * FIRST or spp % ADAPTIVE_SPP == 0 else 1
+    return min(max(least, -(-spp // ADAPTIVE_ROUNDS)), ROUND_SPP)
 
 
 class Image(Protocol):
@@ -185,6 +204,9 @@ class Image(Protocol):
     def overlaps(self, number: int) -> bool:
         """Whether the next round may begin before a round has ended."""
 
+    def tell(self, found: Accumulation, number: int | None) -> None:
+        """Tell the signals what share of all samples has been taken, and what share of them a round will be."""
+
 
 @dataclass(frozen=True)
 class RoundImage:
@@ -194,8 +216,7 @@ class RoundImage:
     sensor: Sensor
     integrator: Integrator
     seed: int
-    spp: int
-    """Samples per pixel of a round."""
+    goal: Goal
     schedule: str
     progress: Progress | None
     interruption: Interruption | None
@@ -203,6 +224,21 @@ class RoundImage:
     @property
     def is_watched(self) -> bool:
         return self.progress is not None or self.interruption is not None
+
+    @property
+    def spp(self) -> int:
+        """Samples per pixel of a whole round."""
+        return self.goal.of_round
+
+    def count(self, number: int) -> int:
+        """Samples per pixel of a round: in the last one what is left."""
+        return min(self.spp, self.goal.spp - number * self.spp) if self.goal.spp else self.spp
+
+    def tell(self, found: Accumulation, number: int | None) -> None:
+        if self.interruption is not None:
+            limit = self.goal.spp
+            share = found.spp / limit if limit else None
+            self.interruption.begin_part(share, self.count(number) / limit if limit and number is not None else 0)
 
     def watch(self, watched: bool) -> tuple[Progress | None, Interruption | None]:
         """Who is told of passes."""
@@ -224,12 +260,15 @@ class EvenImage(RoundImage):
 
     def empty(self) -> EvenAccumulation:
         width, height = self.sensor.film().crop_size()
-        return EvenAccumulation.empty(*self.description(), (int(width), int(height)), self.spp)
+        return EvenAccumulation.empty(*self.description(), (int(width), int(height)), self.spp, self.schedule)
+
+    def count(self, number: int) -> int:
+        return self.sensor.sampler().round_count(super().count(number))
 
     def begin(self, found: EvenAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
-        seed = round_seed(self.seed, number)
-        result = self._rounds.begin(seed, *self.watch(watched))
-        return lambda found: found.with_round(seed, result())
+        seed, count = round_seed(self.seed, number), self.count(number)
+        result = self._rounds.begin(seed, *self.watch(watched), count)
+        return lambda found: found.with_round(seed, count, result())
 
     def overlaps(self, number: int) -> bool:
         # Larger ones would take the memory twice.
@@ -244,12 +283,16 @@ class AdaptiveImage(RoundImage):
         return AdaptiveRounds(self.scene, self.sensor, self.integrator, self.spp, self.schedule)
 
     def empty(self) -> AdaptiveAccumulation:
-        return AdaptiveAccumulation.empty(*self.description(), self._rounds.tiles, self.spp)
+        return AdaptiveAccumulation.empty(*self.description(), self._rounds.tiles, self.spp, self.schedule)
+
+    def count(self, number: int) -> int:
+        # Each half must know all tiles before a round can leave some out.
+        return self.spp if number < FIRST else super().count(number)
 
     def begin(self, found: AdaptiveAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
-        seed = round_seed(self.seed, number)
-        result = self._rounds.begin(self.seed, number, found.places(number), *self.watch(watched))
-        return lambda found: found.with_round(seed, result())
+        seed, count = round_seed(self.seed, number), self.count(number)
+        result = self._rounds.begin(self.seed, number, found.places(number, count), *self.watch(watched))
+        return lambda found: found.with_round(seed, count, result())
 
     def overlaps(self, number: int) -> bool:
         # What the next round samples follows from the surveys, and from the counts of its own half.
@@ -266,7 +309,9 @@ def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulati
     if found.rounds and goal.is_reached(found, 0.0, 0.0):
         yield found
         return
+    found = found.whole
     for number in itertools.count(found.rounds):
+        image.tell(found, number)
         result = waiting or image.begin(found, number, of_round > SLOW or not of_round)
         waiting = None
         elapsed = time.perf_counter() - start
@@ -275,6 +320,7 @@ def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulati
         if ahead and image.overlaps(number) and (goal.seconds is None or elapsed + 2 * of_round <= goal.seconds):
             waiting = image.begin(found, number + 1, False)
         found = result(found)
+        image.tell(found, None)
         now = time.perf_counter()
         of_round, before = max(now - before, 1e-6), now
         yield found
@@ -282,10 +328,28 @@ def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulati
             return
 
 
-def require_resumable(found: Accumulation, current: dict[str, str], seed: int, round_spp: int, adaptive: bool) -> None:
+def begun(image: Image, resume_from: Accumulation | None) -> Any:
+    """What an image begins with: no rounds, or those of an earlier render.
+
+    Raises:
+        RenderError: Their arrays aren't those of the image, whatever its fingerprint says.
+    """
+    empty = image.empty()
+    if resume_from is None:
+        return empty
+    for name in ("channels", "size", "layout"):
+        if getattr(resume_from, name) != getattr(empty, name):
+            expected, stored = getattr(empty, name), getattr(resume_from, name)
+            raise RenderError(f"the render can't go on: its {name} is {stored}, not {expected}")
+    return resume_from
+
+
+def require_resumable(
+    found: Accumulation, current: dict[str, str], seed: int, round_spp: int, adaptive: bool, schedule: str
+) -> None:
     """Raise `RenderError` unless an accumulation is the beginning of a render."""
     problem = "the render can't go on"
-    found.require_same(current, problem)
+    found.require_same(versions(), current, problem)
     if isinstance(found, AdaptiveAccumulation) != adaptive:
         raise RenderError(f"{problem}: it was {'not ' if adaptive else ''}begun with adaptive=True")
     if round_spp and round_spp != found.round_spp:
@@ -293,3 +357,7 @@ def require_resumable(found: Accumulation, current: dict[str, str], seed: int, r
     if found.seeds != tuple(round_seed(seed, number) for number in range(found.rounds)):
         reason = f"its seed is {found.seeds[0]}, not {seed}" if found.seeds[0] != seed else "it has several seeds"
         raise RenderError(f"{problem}: {reason}")
+    if any(count != found.round_spp for count in found.whole.counts):
+        raise RenderError(f"{problem}: it has rounds of {found.round_spp} spp and of {min(found.counts)} spp")
+    if schedule != found.schedule:
+        raise RenderError(f"{problem}: its schedule is '{found.schedule}', not '{schedule}'")

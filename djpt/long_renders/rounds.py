@@ -1,8 +1,10 @@
 """Rounds: the parts that a render which can go on at any time consists of.
 
 A round is the image of `render` with a number of samples per pixel that all rounds of a render share, and with a seed
-of its own. So the first rounds of a long render are those of a short one. The streams of samplers depend on the count
-that is asked for; rounds ask for the same one each, whatever the render is extended to.
+of its own. So the first rounds of a long render are those of a short one. A last round may be smaller.
+
+Parts of the samples of one seed wouldn't do: as in Mitsuba the numbers of sample k of a pixel depend on how many the
+pixel has in all, which nobody knows who renders until an error is small or the time is up, or goes on later.
 """
 
 from __future__ import annotations
@@ -80,7 +82,7 @@ class Rounds:
     def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
         self._scene, self._sensor, self._integrator = scene, sensor, integrator
         self.spp, self._schedule = spp, schedule
-        """Samples per pixel of each round, and how lanes are filled."""
+        """Samples per pixel of a whole round, and how lanes are filled."""
         self._job: Job | None = None
         """The job of a round that was computed in one band."""
         self._constant: Floats | None = None
@@ -95,15 +97,18 @@ class Rounds:
         """Whether a round is known to be small enough to be computed in one band."""
         return self._job is not None
 
-    def begin(self, seed: int, progress: Progress | None, interruption: Interruption | None) -> Callable[[], RoundSums]:
-        """Launch the kernels of a round; the result waits for them.
+    def begin(
+        self, seed: int, progress: Progress | None, interruption: Interruption | None, spp: int = 0
+    ) -> Callable[[], RoundSums]:
+        """Launch the kernels of a round of `spp` samples per pixel, 0: of a whole one; the result waits for them.
 
         Kernels run meanwhile, unless there is something to be told after each pass.
         """
-        if self._job is not None and progress is None and interruption is None:
+        spp = spp or self.spp
+        if self._job is not None and progress is None and interruption is None and spp == self.spp:
             return self._launched_again(self._job, seed)
         begin_trace()
-        scene, sensor, integrator, spp = self._scene, self._sensor, self._integrator, self.spp
+        scene, sensor, integrator = self._scene, self._sensor, self._integrator
         if type(integrator).render is not Integrator.render:
             return waiting_for_image(image_by_itself(integrator, scene, None, sensor, seed, spp), spp)
         require_still(scene)
@@ -117,7 +122,7 @@ class Rounds:
             if job.channel_names() and not how.in_bands:
                 return waiting_for_image(how.image(job), spp, constant)
             summed = list(how.rows(job)) if job.channel_names() else []
-        if len(summed) == 1 and can_be_recorded(job):
+        if len(summed) == 1 and can_be_recorded(job) and spp == self.spp:
             self._job, self._streak = job, streak(job, how)
             self._inputs = inputs(scene, sensor, integrator)
 

@@ -76,7 +76,7 @@ class LiveSearch:
             return
         if running_notebook():
             self._handle = displayed(markup(done, self._losses), self._handle)
-        elif sys.stderr.isatty():
+        elif sys.stderr is not None and sys.stderr.isatty():
             print(self._line(done), end="", file=sys.stderr, flush=True)
         self._shown = time.perf_counter()
 
@@ -84,7 +84,7 @@ class LiveSearch:
         """Show the last iteration, and leave the line of the terminal."""
         if self._done is not None and running_notebook():
             displayed(markup(self._done, self._losses), self._handle)
-        elif self._done is not None and sys.stderr.isatty():
+        elif self._done is not None and sys.stderr is not None and sys.stderr.isatty():
             print(self._line(self._done), file=sys.stderr)
 
     def _line(self, done: Iteration) -> str:

@@ -41,7 +41,10 @@ class Interruption:
         self.signal: int | None = None
         """The signal that has come."""
         self.done, self.total = 0, 0
-        """Samples that are computed, and all of them."""
+        """Samples that are computed, and all of them: those of a part, if the render has several."""
+        self._before: float | None = 0.0
+        self._part = 1.0
+        """The share of all samples that earlier parts have taken, None: nobody knows; and that of the part at hand."""
 
     @property
     def requested(self) -> bool:
@@ -52,6 +55,19 @@ class Interruption:
     def ends_kept(self) -> bool:
         """Whether the render is to end with what exists."""
         return self.keeps and self.requested
+
+    @property
+    def share(self) -> float | None:
+        """The share of the samples that are computed; None if nobody knows."""
+        if self._before is None or not (self._before or self.total):
+            return None
+        # Samplers may round up.
+        return min(1.0, self._before + (self._part * self.done / self.total if self.total else 0))
+
+    def begin_part(self, before: float | None, part: float) -> None:
+        """Begin a part of a render: `part` is its share of all samples, after a share `before`; None: nobody knows."""
+        self.done, self.total = 0, 0
+        self._before, self._part = before, part
 
     def note(self, number: int) -> None:
         """Note a signal. A second SIGINT raises `KeyboardInterrupt`."""
@@ -68,7 +84,7 @@ class Interruption:
         """Raise the exception of the signal that has come, if one has; `what` is kept, for its message."""
         if self.signal is None:
             return
-        share = f" after {100 * self.done / self.total:.3g} % of the samples" if self.total else ""
+        share = "" if self.share is None else f" after {100 * self.share:.3g} % of the samples"
         if self.signal == signal.SIGINT:
             raise KeyboardInterrupt(f"interrupted{share}: {what}")
         raise Terminated(f"terminated{share}: {what}")

@@ -41,7 +41,8 @@ def render(
 ) -> TensorXf:
     """Render an image: TensorXf of shape (height, width, channels), linear float32, row 0 on top.
 
-    The image is a function of (scene, spp, seed) and nothing else: not of passes, threads or time.
+    The image is a function of (scene, spp, seed) and nothing else: not of passes, threads or time. (Of
+    `render_passes`, and with `adaptive`, it depends on the size of rounds as well.)
     If parameters of the scene have gradients enabled, the image is attached to them, in forward
     and reverse mode.
 

@@ -138,7 +138,8 @@ class StreamAppender(Appender):
 
     def append(self, level: LogLevel, text: str) -> None:
         if self._file is None:
-            print(text, file=sys.stderr)
+            if sys.stderr is not None:  # a process may have none
+                print(text, file=sys.stderr)
         else:
             with self._file.open("a") as file:
                 file.write(text + "\n")

@@ -11,11 +11,12 @@ import os
 import struct
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import IO, Any
 
 from djpt.description.plugin import Plugin
 from djpt.errors import FileError
-from djpt.files import as_path
+from djpt.files import as_path, errors_of_writing
 
 __all__ = ["DummyStream", "FileStream", "MemoryStream", "Stream"]
 
@@ -91,9 +92,9 @@ class Stream(Plugin):
 
     def close(self) -> None:
         """End the use of the stream; a second call does nothing."""
-        if self._file is not None:
-            self._file.close()
-        self._file = None
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
     @property
     def closed(self) -> bool:
@@ -270,7 +271,7 @@ class FileStream(Stream):
         mode: `ERead` (default), `EReadWrite` (of a file that exists), or `ETruncReadWrite` (of a new, empty file).
 
     Raises:
-        FileError: the file can't be opened.
+        FileError: the file can't be opened; and later on, it can't be written, as on a full disk.
     """
 
     EMode = Mode
@@ -287,6 +288,27 @@ class FileStream(Stream):
     def path(self) -> str:
         """The path."""
         return self._path
+
+    def write(self, arg: bytes, /) -> int:
+        with errors_of_writing(Path(self._path)):
+            return super().write(arg)
+
+    def truncate(self, arg: int, /) -> None:
+        with errors_of_writing(Path(self._path)):
+            super().truncate(arg)
+
+    def seek(self, arg: int, whence: int = os.SEEK_SET, /) -> int:
+        if self.can_write():
+            self.flush()  # seeking would write what is held back
+        return super().seek(arg, whence)
+
+    def flush(self) -> None:
+        with errors_of_writing(Path(self._path)):
+            super().flush()
+
+    def close(self) -> None:
+        with errors_of_writing(Path(self._path)):
+            super().close()
 
     def _details_first(self) -> dict[str, Any]:
         return {"path": f'"{self._path}"'}

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from djpt.description.named_files import files_of
 from djpt.errors import DjptError, RenderError
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
 from djpt.long_renders.rounds import Rounds, round_seed
 from djpt.viewer.picture import Picture
 from djpt.viewer.stage import LAYERS, Stage
-from djpt.viewer.watch import Watch, files_of
+from djpt.viewer.watch import Watch
 
 __all__ = ["Session", "packed"]
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-from djpt.description.document import Document
-from djpt.description.named_files import named_files
-
-__all__ = ["Watch", "files_of"]
+__all__ = ["Watch"]
 
 
 class Watch:
@@ -39,10 +35,3 @@ def stamp(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_mtime_ns, status.st_size
-
-
-def files_of(description: Mapping[str, Any]) -> list[Path]:
-    """The files that a description came from, and those that its nodes name; none for a dict that names none."""
-    places = description.places.values() if isinstance(description, Document) else ()
-    written = [Path(place.rpartition(":")[0]) for place in places]
-    return [path for path in dict.fromkeys([*written, *named_files(description).values()]) if path.is_file()]

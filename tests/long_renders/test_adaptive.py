@@ -75,6 +75,20 @@ def test_going_on_gives_the_bits_of_a_longer_render(tmp_path: Path, sampler: str
         assert resumed.error().overall == at_once[-1].error().overall
 
 
+def test_a_last_round_is_smaller() -> None:
+    """The samples are those that were asked for, and a render that goes on takes the round anew in full."""
+    scene, options = corner(), {"adaptive": True, "round_spp": 8, "seed": 3}
+    found = last(scene, spp=53, **options)
+    assert found.counts == (8, 8, 8, 8, 8, 8, 5)
+    assert found.samples().numpy().mean() == pytest.approx(53, abs=0.2)
+    at_once = last(scene, spp=64, **options)
+    longer = last(scene, spp=64, resume_from=found, **options)
+    np.testing.assert_array_equal(longer.image().numpy(), at_once.image().numpy())
+    assert longer.error().overall == at_once.error().overall
+    for spp in (1, 5, 6, 8, 15, 17, 100):
+        assert last(box(size=9), spp=spp, adaptive=True).spp == spp
+
+
 def test_without_a_filter_surveys_are_plain_rounds() -> None:
     scene = box(size=35)
     even, adaptive = (last(scene, spp=32, round_spp=8, seed=5, adaptive=adaptive) for adaptive in (False, True))
@@ -203,7 +217,7 @@ def test_rounds_take_what_is_missing() -> None:
     variances[6] = 1.0
     taken = np.full(25, 2)
     for _ in range(50):
-        counts = shares(tiles, taken, variances)
+        counts = shares(tiles, taken, variances, tiles.count)
         assert counts.sum() == 25
         assert (counts >= 0).all()
         taken = taken + counts
@@ -212,7 +226,10 @@ def test_rounds_take_what_is_missing() -> None:
     assert taken[6] > 3 * around.max()
     assert around.min() > 2 * far.max()
     assert far.min() == pytest.approx(LEAST * taken.mean(), rel=0.5)
-    np.testing.assert_array_equal(shares(tiles, taken, np.zeros(25)), np.ones(25))
+    np.testing.assert_array_equal(shares(tiles, taken, np.zeros(25), 25), np.ones(25))
+    for places in (1, 7, 24):
+        assert shares(tiles, taken, np.zeros(25), places).sum() == places
+        assert shares(tiles, taken, variances, places).sum() == places
     assert [surveys(4, half) for half in (0, 1)] == [2, 2]
     assert [number for number in range(40) if is_survey(number)] == [0, 1, 2, 3, 16, 17, 32, 33]
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -100,6 +102,32 @@ def test_the_image_is_the_mean_of_the_rounds() -> None:
     np.testing.assert_allclose(last(scene, spp=24, round_spp=8, seed=9).image().numpy(), np.mean(rounds, 0), rtol=1e-6)
 
 
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_a_last_round_is_smaller(sampler: str, rfilter: str) -> None:
+    """It is an image of `render`, and rendered anew in full by a render that goes on."""
+    scene = box(sampler, rfilter)
+    whole, smaller = (scene.sensors()[0].sampler().round_count(spp) for spp in (16, 9))
+    found = last(scene, spp=2 * whole + 9, round_spp=16, seed=3)
+    assert (found.counts, found.spp) == ((whole, whole, smaller), 2 * whole + smaller)
+    assert found.samples().numpy().max() == found.samples().numpy().min() == found.spp
+    parts = [last(scene, spp=spp, seed=round_seed(3, number)) for number, spp in enumerate(found.counts)]
+    np.testing.assert_array_equal(found.sums, sum(part.sums for part in parts))
+    np.testing.assert_array_equal(parts[2].image().numpy(), djpt.render(scene, spp=9, seed=round_seed(3, 2)).numpy())
+    longer = last(box(sampler, rfilter), spp=4 * whole, seed=3, resume_from=found)
+    at_once = last(scene, spp=4 * whole, round_spp=16, seed=3)
+    assert longer.counts == at_once.counts
+    np.testing.assert_array_equal(longer.image().numpy(), at_once.image().numpy())
+    assert longer.error().overall == at_once.error().overall
+
+
+def test_every_number_of_samples_is_taken() -> None:
+    for spp in (1, 5, 8, 13):
+        assert last(box(), spp=spp, round_spp=8).spp == spp
+        assert last(box(), spp=spp).spp == spp
+    assert last(box(size=4), spp=200).counts == (64, 64, 64, 8)
+
+
 def test_an_accumulation_is_not_changed_by_the_next_round() -> None:
     kept = [(found, found.image().numpy()) for found in djpt.render_passes(box(), spp=24, round_spp=8)]
     assert [found.spp for found, _ in kept] == [8, 16, 24]
@@ -119,7 +147,7 @@ def test_rounds_have_seeds_of_their_own() -> None:
 def test_a_render_stops_at_the_first_limit() -> None:
     scene = box()
     assert last(scene, round_spp=16, target_error=0.25, spp=4096).error().overall <= 0.25
-    assert last(scene, round_spp=4, target_error=1e-6, spp=9).spp == 12
+    assert last(scene, round_spp=4, target_error=1e-6, spp=9).spp == 9
     assert last(scene, round_spp=4, time_budget=1e-9).spp == 4
     assert last(scene).spp == 16
 
@@ -138,6 +166,26 @@ def test_a_signal_ends_a_round_that_is_watched() -> None:
         for _ in djpt.render_passes(box(), spp=2**30, interruption=interruption, time_budget=100.0):
             signal.raise_signal(signal.SIGINT)
             interruption.check()
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_a_signal_says_what_share_of_all_samples_was_taken(adaptive: bool) -> None:
+    """Not of the samples of a round."""
+    for options, share in (({"spp": 1600}, " after 2 % of the samples"), ({"target_error": 1e-9}, "")):
+        with interruptible(keeps=False) as interruption:
+            passes = djpt.render_passes(box(), round_spp=16, adaptive=adaptive, interruption=interruption, **options)
+            assert [next(passes).spp for _ in range(2)] == [16, 32]
+            signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt, match=f"interrupted{share}: the image has what exists"):
+                interruption.leave("the image has what exists")
+
+
+def test_a_signal_in_a_round_says_what_share_of_all_samples_was_taken() -> None:
+    with interruptible(keeps=False) as interruption:
+        passes = djpt.render_passes(box(), spp=1600, round_spp=16, interruption=interruption)
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt, match="interrupted after 1 % of the samples: nothing is kept"):
+            next(passes)
 
 
 @pytest.mark.parametrize(
@@ -208,6 +256,20 @@ def test_accumulations_of_different_seeds_add_up() -> None:
         djpt.render_passes(box(rfilter="gaussian"), spp=64, resume_from=both)
 
 
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_smaller_rounds_add_up(tmp_path: Path, adaptive: bool) -> None:
+    parts = [last(box(size=24), spp=26, round_spp=4, seed=seed, adaptive=adaptive) for seed in (0, 1)]
+    both = parts[0] + parts[1]
+    assert both.spp == 52
+    assert both.counts.count(2) == 2
+    assert both.samples().numpy().mean() == pytest.approx(52, abs=1 if adaptive else 0)
+    assert both.error().overall < max(part.error().overall for part in parts)
+    both.save(tmp_path / "both.djpt")
+    np.testing.assert_array_equal(djpt.Accumulation.load(tmp_path / "both.djpt").image().numpy(), both.image().numpy())
+    with pytest.raises(RenderError, match="several seeds"):
+        djpt.render_passes(box(size=24), spp=64, resume_from=both, adaptive=adaptive)
+
+
 def test_accumulations_of_different_images_do_not() -> None:
     found = last(box(), spp=8, round_spp=8)
     with pytest.raises(RenderError, match="the film"):
@@ -216,17 +278,41 @@ def test_accumulations_of_different_images_do_not() -> None:
         found + last(box(), spp=4, seed=1)
 
 
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_other_versions_and_schedules_are_refused(adaptive: bool) -> None:
+    """Their rounds have other bits, and may be of another image."""
+    found = last(box(), spp=8, round_spp=4, adaptive=adaptive)
+    assert found.software == f"djpt {djpt.__version__}, drjit {dr.__version__}"
+    for software in (found.software.replace("djpt ", "djpt 9"), found.software.replace("drjit ", "drjit 9")):
+        other = replace(found, software=software)
+        with pytest.raises(RenderError, match=f"{software}, others would from {found.software}"):
+            djpt.render_passes(box(), spp=16, resume_from=other, adaptive=adaptive)
+        with pytest.raises(RenderError, match=f"{found.software}, others would from {software}"):
+            found + replace(other, seeds=(5, 6))
+    with pytest.raises(RenderError, match="its schedule is 'auto', not 'wave'"):
+        djpt.render_passes(box(), spp=16, resume_from=found, adaptive=adaptive, schedule="wave")
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_arrays_of_another_image_are_refused(adaptive: bool) -> None:
+    """Also if the fingerprint is the right one."""
+    found, other = (last(box(size=size), spp=8, round_spp=4, adaptive=adaptive) for size in (12, 20))
+    with pytest.raises(RenderError, match=r"its size is \(20, 20\), not \(12, 12\)"):
+        djpt.render_passes(box(), spp=16, resume_from=replace(other, fingerprint=found.fingerprint), adaptive=adaptive)
+
+
 # ---- errors ------------------------------------------------------------------------------
 
 
-def test_the_error_is_that_of_many_renders() -> None:
+@pytest.mark.parametrize("spp", [32, 26])
+def test_the_error_is_that_of_many_renders(spp: int) -> None:
     """Over 40 seeds the mean of the estimated squares is that of the true ones: their own errors are some percent."""
     scene, true, estimated = box(integrator={"type": "path", "hide_emitters": True}), [], []
     reference = last(scene, spp=8192, round_spp=4096, seed=100).image().numpy()
     weights = np.array([0.212671, 0.715160, 0.072169], np.float32)
     mean = (reference @ weights).mean()
     for seed in range(40):
-        found = last(scene, spp=32, round_spp=8, seed=seed)
+        found = last(scene, spp=spp, round_spp=8, seed=seed)
         true.append(np.mean(((found.image().numpy() - reference) @ weights) ** 2) / mean**2)
         estimated.append(found.error().overall ** 2)
     assert np.sqrt(np.mean(estimated)) == pytest.approx(np.sqrt(np.mean(true)), rel=0.15)

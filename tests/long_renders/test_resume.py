@@ -75,7 +75,9 @@ def test_signals_write_the_checkpoint(number: int, code: int) -> None:
     assert process.returncode == code
     assert "'job.djpt' has what exists" in text
     assert not Path("a.npy").exists()
-    assert Accumulation.load("job.djpt").rounds > 0
+    found = Accumulation.load("job.djpt")
+    assert found.rounds > 0
+    assert f"ed after {100 * found.spp / 8192:.3g} % of the samples: " in text
 
 
 def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
@@ -89,6 +91,22 @@ def test_a_checkpoint_goes_on_and_is_not_overwritten() -> None:
     assert read_metadata("a.exr")["spp"] == "128"
     code, _, error = run(*SMALL, "--height", "9", "--checkpoint", "a.djpt", "--resume")
     assert (code, "the film" in error) == (ExitCode.BAD_INPUT, True)
+
+
+def test_the_samples_are_those_that_were_asked_for() -> None:
+    """Also if they aren't whole rounds; and the file says so."""
+    options = ["--checkpoint", "a.djpt", "--resume", "-o", "a.exr"]
+    code, out, error = run(*SMALL, "--spp", "200", *options)
+    assert (code, out.startswith("a.exr: 16 x 16, 200 spp, error ")) == (ExitCode.DONE, True), error
+    assert read_metadata("a.exr")["spp"] == "200"
+    assert Accumulation.load("a.djpt").counts == (64, 64, 64, 8)
+    code, _, error = run(*SMALL, "--spp", "256", *options, "--schedule", "wave")
+    assert (code, "its schedule is 'auto', not 'wave'" in error) == (ExitCode.BAD_INPUT, True)
+    code, out, _ = run(*SMALL, "--spp", "256", *options)
+    assert (code, out.startswith("a.exr: 16 x 16, 256 spp, error ")) == (ExitCode.DONE, True)
+    expected = last(box(size=16, rfilter="gaussian"), spp=256)
+    np.testing.assert_array_equal(read_pixels("a.exr"), expected.image().numpy())
+    assert Accumulation.load("a.djpt").counts == (64, 64, 64, 64)
 
 
 def test_checkpoints_of_different_seeds_are_merged() -> None:
@@ -126,11 +144,11 @@ def test_adaptive_renders_of_the_command_line() -> None:
 def test_the_line_says_why_a_render_will_stop() -> None:
     found = last(box(), spp=16, round_spp=4)
     error = found.error().overall
-    assert status(found, 4, 2.0, 160, None, None).endswith("18 s left until 160 spp")
-    assert status(found, 4, 2.0, 160, error / 2, None).endswith(f"6 s left until an error of {error / 2:.3g}")
-    assert status(found, 4, 2.0, 160, error / 2, 5.0).endswith("3 s left until 5 s")
-    assert status(found, 4, 2.0, 0, None, None) == f"16 spp, error {error:.2%}, 1.15 ksamples/s"
-    assert "error unknown" in status(last(box(), spp=4), 1, 1.0, 8, 0.1, None)
+    assert status(found, 16, 2.0, 160, None, None).endswith("18 s left until 160 spp")
+    assert status(found, 16, 2.0, 160, error / 2, None).endswith(f"6 s left until an error of {error / 2:.3g}")
+    assert status(found, 16, 2.0, 160, error / 2, 5.0).endswith("3 s left until 5 s")
+    assert status(found, 16, 2.0, 0, None, None) == f"16 spp, error {error:.2%}, 1.15 ksamples/s"
+    assert "error unknown" in status(last(box(), spp=4), 4, 1.0, 8, 0.1, None)
 
 
 def test_times_and_shares() -> None:
