@@ -29,7 +29,7 @@ from djpt.integrators.light_paths import LightVertex, departure, is_beam, vertic
 from djpt.integrators.places import Place, Scattering, arriving, arriving_between, is_half_open, reach
 from djpt.integrators.splatting import Sink, SplattingIntegrator
 from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
-from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
+from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.kernels import loop_traced_once, minimum, while_loop, wide
 from djpt.records import DirectionSample3f, Ray3f
 from djpt.samplers.base import SampleStream
@@ -39,16 +39,19 @@ from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["BidirectionalPath"]
+__all__ = ["JOINED", "BidirectionalPath"]
 
 JOINED = 32
-"""Edges of the longest path that is joined from both ends; longer ones are left to the camera's side."""
+"""Edges of the longest path that is joined from both ends; longer ones are left to the camera's side.
+
+Light paths have memory for as many vertices, whatever `max_depth` is: a kernel's memory can't be a value.
+"""
 
 LITTLE = 0.25
 """A share of the light that a camera path has found: rays of connections that bring less aren't worth their time."""
 
 
-class BidirectionalPath(SplattingIntegrator):
+class BidirectionalPath(Terminating, SplattingIntegrator):
     """Joins a path from the camera and one from a light in all ways that there are.
 
     A light path y_0 .. y_(m-1) and a camera path x_0 .. x_(n-1) give, for each s <= m and t <= n, one sample of the
@@ -86,8 +89,16 @@ class BidirectionalPath(SplattingIntegrator):
         if self.strategies and not 2 <= self.max_depth <= MAX_PYRAMID:
             raise props.error("strategies", f"needs a 'max_depth' from 2 to {MAX_PYRAMID}, found {self.max_depth}")
         self.differentiable = not self.strategies
-        self.longest = UNBOUNDED if self.max_depth < 0 else self.max_depth
-        self.joined = min(self.longest, JOINED)
+
+    @property
+    def joined(self) -> UInt32:
+        """The edges of the longest path that is joined from both ends, 1-wide."""
+        return dr.minimum(self.longest, JOINED)
+
+    @property
+    def starts_light_paths(self) -> bool:
+        """Whether there are light paths: not if all that is shown comes straight from emitters."""
+        return not 0 <= self.max_depth <= 1
 
     def layer_names(self) -> Sequence[str]:
         return layer_names(self.max_depth) if self.strategies else ()
@@ -142,11 +153,6 @@ class BidirectionalPath(SplattingIntegrator):
         sky = scene.environment() is not None and not self.hide_emitters and self.max_depth != 0
         return camera_path.radiance, camera_path.covered | sky, []
 
-    def most_vertices(self, scene: Scene) -> int:
-        """The most vertices of a light path that are joined; where it has as many, the path ends."""
-        # Paths that pass a surface straight can be joined to it as well, and have no edge less.
-        return JOINED if is_half_open(scene) else max(1, self.joined - 1)
-
     # ---- from the light ----------------------------------------------------------------
 
     def light_path(self, scene: Scene, camera: Sensor, sampler: SampleStream, ledger: Ledger, lanes: int) -> Lane:
@@ -155,8 +161,8 @@ class BidirectionalPath(SplattingIntegrator):
         start = Lane(
             end=wide(end, lanes),
             sampler=sampler,
-            active=dr.full(Bool, self.joined > 1, lanes),
-            vertices=vertices(scene, self.most_vertices(scene)),
+            active=dr.full(Bool, self.starts_light_paths, lanes),
+            vertices=vertices(scene, JOINED),
             count=dr.zeros(UInt32, lanes),
         )
 
@@ -169,7 +175,8 @@ class BidirectionalPath(SplattingIntegrator):
             lane.end, lane.active = step.end, step.active
             lane.count = dr.select(hit.joins, lane.count + 1, lane.count)
             if is_half_open(scene):
-                lane.active &= lane.count < self.most_vertices(scene)
+                # Paths that pass a surface straight can be joined to it as well, and have no edge less.
+                lane.active &= lane.count < JOINED
             return (lane,)
 
         return loop_traced_once(start, lambda lane: lane.active, body, "light path")[0]
@@ -226,7 +233,7 @@ class BidirectionalPath(SplattingIntegrator):
             shown = arriving_between(scene, sampler, place.ray_to(ds.p), shown, lit, not self.hide_emitters)
             weight = mis_weight(meeting(end.vcm, end.vc, importance * place.cos(ds.d), s.back, self.h))
 
-        onward, survives = self.onwards(scene, sampler, hit, s, end.depth > self.rr_depth)
+        onward, survives = self.onwards(scene, sampler, hit, s, end.depth > self.roulette_from)
         active = hit.active & (onward.depth < self.joined) & survives
         return LightStep(position, shown, weight, onward, active)
 
@@ -285,7 +292,7 @@ class BidirectionalPath(SplattingIntegrator):
 
     def after(self, scene: Scene, hit: CameraHit, step: CameraStep, sampler: SampleStream) -> tuple[End, Bool]:
         """The camera path that goes on from a vertex, and where it does."""
-        onward, survives = self.onwards(scene, sampler, hit, step.scattering, hit.end.depth >= self.rr_depth)
+        onward, survives = self.onwards(scene, sampler, hit, step.scattering, hit.end.depth >= self.roulette_from)
         active = hit.active & survives
         return onward, active & (onward.depth <= self.longest) if scene.media.scatter else active
 
@@ -362,7 +369,7 @@ class BidirectionalPath(SplattingIntegrator):
 
     def shared(self, others: Float, edges: UInt32) -> Float:
         """The part of a weight that comes of further strategies, which longer paths don't have."""
-        return others if self.joined == self.longest else dr.select(edges <= self.joined, others, 0)
+        return dr.select(edges <= self.joined, others, 0)
 
     def onwards(
         self, scene: Scene, sampler: SampleStream, hit: LightHit | CameraHit, s: Scattering, roulette_begins: Bool

@@ -19,7 +19,8 @@ from djpt.integrators.guiding.cells import Cells, Leaves
 from djpt.integrators.guiding.guide import SIDE, SQUARES, Guide
 from djpt.integrators.guiding.practice import GuidedVertex, practise
 from djpt.integrators.learning import LearningIntegrator, Lessons
-from djpt.integrators.unidirectional import UnidirectionalPath, first_roulette, roulette
+from djpt.integrators.termination import first_roulette, roulette
+from djpt.integrators.unidirectional import UnidirectionalPath
 from djpt.kernels import minimum
 from djpt.materials.base import BSDF
 from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
@@ -185,7 +186,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * bs.eta
         reach = state.reach * alone
-        left, survives = roulette(sampler, Color3f(reach), eta, state.depth + 1 >= self.rr_depth)
+        left, survives = roulette(sampler, Color3f(reach), eta, state.depth + 1 >= self.roulette_from)
         throughput = state.throughput * weight * dr.select(reach > 0, left.x * dr.rcp(reach), 0)
         onward = self.next_state(scene, state, si, bs, throughput)
         assert isinstance(onward, GuidedState)

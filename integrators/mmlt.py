@@ -70,8 +70,8 @@ class MultiplexedMetropolis(PassIntegrator):
         self.large_step_probability = props.float("large_step_probability", 0.1, low=0.0, high=1.0)
         self.sigma = props.float("sigma", 0.03, low=0.0, high=0.5)
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
-        depth, hide = {"max_depth": self.max_depth}, {"hide_emitters": self.hide_emitters}
-        self.ends = BidirectionalPath(Properties("bdpt", f"{props.node}.ends", depth | hide))
+        hide = {"hide_emitters": self.hide_emitters}
+        self.ends = BidirectionalPath(Properties("bdpt", f"{props.node}.ends", hide))
         # For light that comes straight from an emitter.
         self.from_camera = Path(Properties("path", f"{props.node}.straight", {"max_depth": 1} | hide))
 

@@ -10,7 +10,8 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.emitters.choice import CHOICES
 from djpt.integrators.base import PathState, Vertex, mis_weight
-from djpt.integrators.unidirectional import UnidirectionalPath, first_roulette, roulette
+from djpt.integrators.termination import first_roulette, roulette
+from djpt.integrators.unidirectional import UnidirectionalPath
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import UInt32
@@ -70,7 +71,7 @@ class Path(UnidirectionalPath):
 
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * bs.eta
-        begins = self.roulette_depth(state.depth) >= self.rr_depth
+        begins = self.roulette_depth(state.depth) >= self.roulette_from
         onward = state.carrying(weight, lambda: bsdf.vanishes() & (bs.pdf > 0))
         throughput, survives = roulette(sampler, onward.throughput, eta, begins)
 

@@ -9,7 +9,8 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.unidirectional import UnidirectionalPath, first_roulette, roulette
+from djpt.integrators.termination import first_roulette, roulette
+from djpt.integrators.unidirectional import UnidirectionalPath
 from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
@@ -86,7 +87,7 @@ class PathNaive(UnidirectionalPath):
 
         # ------------------ Russian roulette ------------------
         eta = None if state.eta is None else state.eta * chosen.eta
-        begins = state.depth + 1 >= self.rr_depth
+        begins = state.depth + 1 >= self.roulette_from
         onward = state.carrying(weight, lambda: bsdf.vanishes() & (chosen.pdf > 0))
         throughput, survives = roulette(sampler, onward.throughput, eta, begins)
 

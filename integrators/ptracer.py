@@ -15,7 +15,7 @@ from djpt.integrators.both_ends import scaled
 from djpt.integrators.light_paths import departure
 from djpt.integrators.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.path import Path
-from djpt.integrators.unidirectional import UNBOUNDED, first_roulette, roulette
+from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.materials.adjoint import eval_pdf_light, sample_light
 from djpt.materials.base import BSDF
 from djpt.materials.pointer import at_fixed_direction
@@ -49,7 +49,7 @@ class LightVertex:
     """True where the path goes on."""
 
 
-class ParticleTracer(PassIntegrator):
+class ParticleTracer(Terminating, PassIntegrator):
     """Follows light from the emitters, and shows each of its vertices to the camera.
 
     A light path y_0 y_1 .. adds, for every k > 0, to the pixel that shows y_k
@@ -131,8 +131,7 @@ class ParticleTracer(PassIntegrator):
         self, scene: Scene, camera: Sensor, sampler: SampleStream, path: LightPath, si: SurfaceInteraction3f
     ) -> LightVertex:
         """Process the hit (or miss) `si` of a path's ray; `camera` is the sensor with opaque values."""
-        max_depth = UNBOUNDED if self.max_depth < 0 else self.max_depth
-        proceed = si.is_valid() & (path.depth < max_depth)
+        proceed = si.is_valid() & (path.depth < self.longest)
 
         # ------------------ To the camera ---------------------
         ds, importance = camera.look_from(si.p, sampler.next_2d())
@@ -157,7 +156,7 @@ class ParticleTracer(PassIntegrator):
         eta = None if path.eta is None else path.eta * bs.eta
 
         # ------------------ Russian roulette ------------------
-        begins = path.depth > self.rr_depth
+        begins = path.depth > self.roulette_from
         left, survives = roulette(sampler, flux * path.unit, eta, begins)
         flux = left * dr.rcp(path.unit)
 

@@ -59,7 +59,8 @@ def branch(ray: Ray3f, p: Point3f, n: Normal3f, throughput: Color3f, bsdf_pdf: F
 class RayStack:
     """A stack of branches for each lane.
 
-    The branches lie in memory of the lane's own; how many there are belongs to the state of the loop.
+    The branches lie in memory of the lane's own, of a size that a kernel must know: other than for single paths, depths
+    are structure here. How many branches there are belongs to the state of the loop.
     """
 
     def __init__(self, capacity: int) -> None:

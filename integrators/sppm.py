@@ -16,12 +16,12 @@ from djpt.integrators.path import Path
 from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.ptracer import leave_light
 from djpt.integrators.splatting import Sink
-from djpt.integrators.unidirectional import UNBOUNDED, roulette
+from djpt.integrators.termination import roulette
 from djpt.materials.adjoint import sample_light
 from djpt.photons import Photon, PhotonStore
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.types import Bool, Color3f, Float, Point2f
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -63,7 +63,6 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
             raise props.error("bounces", "isn't possible with photons; possible with: path, prb")
         # Light paths begin where no surface is known that `tree` would choose an emitter for.
         self.emitter_choice = props.string("emitter_choice", "uniform", choices=("uniform", "power"))
-        self.longest = UNBOUNDED if self.max_depth < 0 else self.max_depth
 
     def splat_sample(
         self, scene: Scene, camera: Sensor, sampler: SampleStream, ray: Ray3f, position: Point2f, sink: Sink
@@ -86,7 +85,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
             value = si.bsdf().eval(BSDFContext(), si, si.to_local(-photon.d), True)
             return over_cosine(value, si, photon) * photon.flux
 
-        edges = UInt32(self.longest) - state.depth - 1
+        edges = self.longest - state.depth - 1
         v.emitted = v.emitted + state.throughput * self.photons.density(si.p, si.n, edges, looks, worth)
         v.reflected = dr.select(before, v.reflected, 0)
         v.active &= before
@@ -112,7 +111,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
 
         bs, weight = si.bsdf().visit(lambda bsdf: sample_light(bsdf, si, sample1, sample2, on), on)
         eta = None if path.eta is None else path.eta * bs.eta
-        left, survives = roulette(sampler, flux * weight * path.unit, eta, path.depth > self.rr_depth)
+        left, survives = roulette(sampler, flux * weight * path.unit, eta, path.depth > self.roulette_from)
         after = PhotonPath(
             ray=si.spawn_ray(si.to_world(bs.wo)),
             flux=left * dr.rcp(path.unit),

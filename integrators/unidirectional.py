@@ -1,8 +1,7 @@
-"""The base of all path tracers from the camera: depth, Russian roulette, and the way to the next vertex."""
+"""The base of all path tracers from the camera: what a vertex shows, and the way to the next one."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -11,8 +10,8 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.integrators.base import PathIntegrator, PathState
+from djpt.integrators.termination import Terminating
 from djpt.integrators.walk import walk
-from djpt.kernels import maximum, minimum
 from djpt.records import BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
@@ -20,32 +19,13 @@ from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32
 if TYPE_CHECKING:
     from djpt.scene import Scene
 
-__all__ = ["UNBOUNDED", "MonteCarloIntegrator", "UnidirectionalPath", "first_roulette", "roulette"]
-
-UNBOUNDED = 2**16
-"""The edges of the longest path where `max_depth` is -1: without absorption or roulette it would go on for ever."""
-
-LATE = 1000
-"""Russian roulette that begins later isn't felt."""
-
-
-def first_roulette(props: Properties, max_depth: int) -> int:
-    """The parameter `rr_depth`; warns if neither it nor `max_depth` ends paths soon."""
-    depth = props.integer("rr_depth", 5, low=1)
-    if max_depth < 0 and depth > LATE:
-        warnings.warn(
-            f"{props.node}: paths may have {UNBOUNDED} edges where little is absorbed, with 'max_depth' -1 and "
-            f"'rr_depth' {depth}; bound one of them",
-            stacklevel=2,
-        )
-    return depth
-
+__all__ = ["MonteCarloIntegrator", "UnidirectionalPath"]
 
 MAX_BOUNCES = 32
 """The largest number of images by bounces that one render gives."""
 
 
-class UnidirectionalPath(PathIntegrator):
+class UnidirectionalPath(Terminating, PathIntegrator):
     """Walks from the camera, one BSDF sample per vertex; subclasses say what a vertex contributes.
 
     Parameters: `max_depth` (edges of the longest path, -1 = unbounded, that is 2^16, default -1; 1 shows
@@ -111,7 +91,7 @@ class UnidirectionalPath(PathIntegrator):
 
     def proceeds(self, state: PathState, si: SurfaceInteraction3f) -> Bool:
         """True where there is a surface, and an edge left to reach one more vertex."""
-        return si.is_valid() & (state.depth + 1 < (UNBOUNDED if self.max_depth < 0 else self.max_depth))
+        return si.is_valid() & (state.depth + 1 < self.longest)
 
     def next_state(
         self, scene: Scene, state: PathState, si: SurfaceInteraction3f, bs: BSDFSample3f, throughput: Color3f
@@ -144,16 +124,3 @@ class UnidirectionalPath(PathIntegrator):
 
 MonteCarloIntegrator = UnidirectionalPath
 """Mitsuba's name."""
-
-
-def roulette(sampler: SampleStream, throughput: Color3f, eta: Float | None, begins: Bool) -> tuple[Color3f, Bool]:
-    """Russian roulette where it `begins`: survive with the probability min(largest throughput eta^2, 0.95).
-
-    Returns the throughput, divided by this probability, and where paths survive: nowhere if the throughput is 0. The
-    probability has no derivative.
-    """
-    largest = maximum(maximum(throughput.x, throughput.y), throughput.z)
-    # Radiance that has been refracted is scaled by 1 / eta^2, which says nothing about its importance.
-    survival = dr.detach(minimum(largest if eta is None else largest * dr.square(eta), Float(0.95)))
-    survives = ~begins | (sampler.next_1d() < survival)
-    return dr.select(begins, throughput * dr.rcp(survival), throughput), (largest > 0) & survives

@@ -14,10 +14,10 @@ from djpt.integrators.blind_spots import refuse_scattering_media
 from djpt.integrators.both_ends import End, mis_weight
 from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.places import Place
-from djpt.integrators.unidirectional import roulette
+from djpt.integrators.termination import roulette
 from djpt.photons import Photon, PhotonMap, PhotonStore
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
     from djpt.scene import Scene
@@ -90,7 +90,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
             weight = mis_weight((by_light + by_camera) * dr.rcp(self._merging))
             return over_cosine(value, si, photon) * photon.flux * weight
 
-        edges = dr.select(end.depth < self.joined, UInt32(self.joined) - end.depth, 0)
+        edges = dr.select(end.depth < self.joined, self.joined - end.depth, 0)
         return end.throughput * self.photons.density(si.p, si.n, edges, joins, worth)
 
     # ---- photons -----------------------------------------------------------------------
@@ -112,7 +112,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
         s = place.scatter(scene, False, None, sampler, on)
         eta = None if end.eta is None else end.eta * s.sample.eta
-        throughput, survives = roulette(sampler, end.throughput * s.weight, eta, end.depth > self.rr_depth)
+        throughput, survives = roulette(sampler, end.throughput * s.weight, eta, end.depth > self.roulette_from)
         after = self.joinable(end).scattered(place, s, throughput, self.h)
         return PhotonPath(after, path.power), on & survives & (end.depth + 1 < self.joined)
 

@@ -11,7 +11,8 @@ from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex, mis_weight
 from djpt.integrators.shadows import light_through_null
-from djpt.integrators.unidirectional import UNBOUNDED, UnidirectionalPath, roulette
+from djpt.integrators.termination import roulette
+from djpt.integrators.unidirectional import UnidirectionalPath
 from djpt.media.flight import Flight, of_channel
 from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.records.flags import PhaseFunctionContext
@@ -101,7 +102,6 @@ class VolumetricPath(UnidirectionalPath):
     ) -> Vertex:
         """Process the end of a `flight`: in a medium, or at the hit (or miss) `si` of `ray`."""
         assert state.covered is not None
-        most = UNBOUNDED if self.max_depth < 0 else self.max_depth
         ctx = BSDFContext()
 
         # ----------------- Flight to the vertex ---------------
@@ -113,7 +113,7 @@ class VolumetricPath(UnidirectionalPath):
 
         # ---------------------- Emission ----------------------
         bsdf = si.bsdf()
-        extends = state.depth + 1 < most
+        extends = state.depth + 1 < self.longest
         lit = extends & ((inside & samples_emitters) | (surface & has_flag(bsdf.flags(), BSDFFlags.Smooth)))
         met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
@@ -147,7 +147,7 @@ class VolumetricPath(UnidirectionalPath):
         onward = state.carrying(
             flown_weight, lambda: dr.select(surface, bsdf.vanishes() & (bs.pdf > 0), inside & matter)
         )
-        next_throughput, survives = roulette(sampler, onward.throughput, eta, depth > self.rr_depth)
+        next_throughput, survives = roulette(sampler, onward.throughput, eta, depth > self.roulette_from)
 
         # ---------------------- Next vertex -------------------
         shadow_ray, next_ray = scene.shadow_ray(at, ds), at.spawn_ray(wo)
@@ -174,7 +174,7 @@ class VolumetricPath(UnidirectionalPath):
                 scatters=None if state.scatters is None else Bool(False),
                 flown=None if state.flown is None else dr.select(inside, flight.t, at.t),
             ),
-            active=(inside | surface) & survives & (depth < most),
+            active=(inside | surface) & survives & (depth < self.longest),
             valid=(covered | sky) & Bool(self.max_depth != 0),
             lit=lit & (pdf > 0) & (ds.pdf > 0),
         )

@@ -12,6 +12,7 @@ import numpy as np
 from djpt.denoising.filtering import Guides
 from djpt.description.properties import Properties
 from djpt.integrators.base import Integrator
+from djpt.integrators.termination import Terminating
 from djpt.kernels import loop_traced_once, minimum, wide
 from djpt.records import BSDFContext, BSDFFlags, Ray3f, has_flag
 from djpt.rendering.arguments import find_integrator
@@ -32,7 +33,7 @@ SAMPLES = 32
 """Samples per pixel of guides: their noise is that of edges and of glass, and is filtered as well."""
 
 
-class GuideIntegrator(Integrator):
+class GuideIntegrator(Terminating, Integrator):
     """The albedo and the shading normal of the first surface that isn't a mirror or clear glass: six channels.
 
     Mirrors, glass and openings are followed, by the lobes that their BSDFs sample, down to `max_depth` surfaces. The
@@ -88,7 +89,7 @@ class GuideIntegrator(Integrator):
 
             bsdf = si.bsdf()
             bs, weight = bsdf.sample(BSDFContext(), si, look.sampler.next_1d(), look.sampler.next_2d(), hit)
-            follows = hit & has_flag(bs.sampled_type, BSDFFlags.Delta) & (look.depth + 1 < self.max_depth)
+            follows = hit & has_flag(bs.sampled_type, BSDFFlags.Delta) & (look.depth + 1 < self.longest)
             reflects = hit & ~follows & (dr.max(lamp) == 0)
             shown = throughput * (sky + dr.select(reflects, weight, 0))
             on = si.spawn_ray(si.to_world(bs.wo))

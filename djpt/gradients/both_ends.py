@@ -15,7 +15,7 @@ import drjit as dr
 
 from djpt.gradients.light_replay import Joints, LightWalk, Step, begun, nothing, vanishes, walk_light_paths
 from djpt.gradients.tallies import Carried, Forward, Found, Joined, Joint, Measure, Reverse, Tally, added
-from djpt.integrators.bdpt import BidirectionalPath
+from djpt.integrators.bdpt import JOINED, BidirectionalPath
 from djpt.integrators.light_paths import vertices
 from djpt.kernels import loop_traced_once, while_loop, wide
 from djpt.records import Ray3f
@@ -82,9 +82,8 @@ class BothEnds:
         return Joined(empty.light, empty.behind, empty.behind, black)
 
     def _room(self) -> Joints:
-        size = self._integrator.most_vertices(self._scene)
-        aside = dr.alloc_local(Color3f, size) if vanishes(self._scene) else None
-        return Joints(vertices(self._scene, size), dr.alloc_local(Color3f, size), aside)
+        aside = dr.alloc_local(Color3f, JOINED) if vanishes(self._scene) else None
+        return Joints(vertices(self._scene, JOINED), dr.alloc_local(Color3f, JOINED), aside)
 
     # ---- light paths -------------------------------------------------------------------
 
@@ -113,7 +112,7 @@ class BothEnds:
         )
 
     def _light_walk(self, tally: Tally, sampler: SampleStream, carried: Carried, joints: Joints) -> LightWalk:
-        begins = self._integrator.joined > 1
+        begins = self._integrator.starts_light_paths
         return walk_light_paths(self, tally, sampler, self._lanes, carried, begins, joints)
 
     # ---- camera paths ------------------------------------------------------------------

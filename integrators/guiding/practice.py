@@ -107,8 +107,6 @@ def practise(
     lanes = dr.width(ray, sampler)
     visits, sums = dr.zeros(UInt32, cells), dr.zeros(Int64, leaves * SQUARES)
     dr.eval(visits, sums)
-    depth = integrator.longest_path
-    room = REMEMBERED if depth < 0 else max(1, min(REMEMBERED, depth))
     start = Lane(
         o=wide(ray.o, lanes),
         d=wide(ray.d, lanes),
@@ -117,7 +115,7 @@ def practise(
         sampler=sampler,
         state=wide(integrator.begin(scene, sampler), lanes),
         radiance=dr.zeros(Color3f, lanes),
-        choices=dr.alloc_local(Choice, room),
+        choices=dr.alloc_local(Choice, REMEMBERED),
         count=dr.zeros(UInt32, lanes),
         active=dr.full(Bool, True, lanes),
     )
@@ -128,7 +126,7 @@ def practise(
         si = integrator.trace(scene, lane.state, way)
         v: Any = integrator.advance(scene, lane.sampler, lane.state, way, si)
         radiance = lane.radiance + v.emitted + integrator.arriving(scene, lane.sampler, v)
-        chosen = v.active & (v.density > 0) & (lane.count < room)
+        chosen = v.active & (v.density > 0) & (lane.count < REMEMBERED)
         choice = Choice(v.square, v.density, dr.mean(lane.state.throughput), dr.mean(radiance))
         lane.choices.write(choice, lane.count, chosen)
         dr.scatter_add(visits, UInt32(1), v.cell, chosen)

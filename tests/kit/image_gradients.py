@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
+from tests.kit.arrays import floats, in_numpy
 from tests.kit.renders import pixels
 
 __all__ = ["ALBEDO", "RADIANCE", "SEED", "SPP", "Experiment"]
@@ -25,7 +26,7 @@ class Experiment:
         self.scene = djpt.load_dict(description)
         self.params = djpt.traverse(self.scene)
         self.options = {"spp": spp, "seed": SEED, "seed_grad": SEED, **options}
-        self.values = {name: np.array(self.params[name], np.float64).ravel() for name in names}
+        self.values = {name: in_numpy(self.params[name]).ravel() for name in names}
         shape = self.image().shape
         self.weights = np.random.default_rng(1).uniform(0.5, 1.5, shape).astype(np.float32)
 
@@ -33,7 +34,7 @@ class Experiment:
         return djpt.render(self.scene, self.params, **self.options)
 
     def loss(self) -> Any:
-        return dr.sum(self.image().array * djpt.Float(self.weights.ravel()))
+        return dr.sum(self.image().array * floats(self.weights))
 
     def assign(self, name: str, value: np.ndarray) -> None:
         self.params[name] = djpt.Color3f(*value.tolist())
@@ -43,7 +44,7 @@ class Experiment:
         """The gradients of all parameters, component by component."""
         self._attach()
         dr.backward(self.loss())
-        result = {name: np.array(dr.grad(self.params[name]), np.float64).ravel() for name in self.names}
+        result = {name: in_numpy(dr.grad(self.params[name])).ravel() for name in self.names}
         self._detach()
         return result
 

@@ -43,11 +43,15 @@ def scene_of(source: dict[str, Any] | str) -> Any:
 def emitted(scene: Any, count: int = RAYS, seed: int = 0) -> EmissionSample:
     """Rays of the first emitter."""
     u = uniform(count, 4, seed)
-    return scene.emitter_ptr(UInt32(0)).sample_emission(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
+    es: EmissionSample = scene.emitter_ptr(UInt32(0)).sample_emission(Point2f(u[0], u[1]), Point2f(u[2], u[3]))
+    dr.eval(es)
+    return es
 
 
 def densities(scene: Any, es: EmissionSample) -> tuple[Any, Any]:
-    return scene.emitter_ptr(UInt32(0)).pdf_emission(es.ray.d, es.n, es.uv)
+    found = scene.emitter_ptr(UInt32(0)).pdf_emission(es.ray.d, es.n, es.uv)
+    dr.eval(found)
+    return found
 
 
 def wide(value: Any, count: int = RAYS) -> np.ndarray:
@@ -147,6 +151,7 @@ class TestEmission:
         si = scene.ray_intersect(ray)
         ds = DirectionSample3f.between(start, ray, si)
         position, direction = scene.emitter_ptr(UInt32(0)).pdf_emission(-ds.d, ds.n, ds.uv)
+        dr.eval(si.p, si.valid, position, direction)
         # Some rays meet another part of the shape or the ball first.
         same = dr.norm(si.p - es.ray.o) < 1e-3 * (1 + dr.norm(es.ray.o)) if from_surface(scene) else ~si.valid
         same = wide(same) > 0
@@ -251,13 +256,16 @@ def test_each_lane_asks_its_own_emitter() -> None:
     samples = Point2f(u[0], u[1]), Point2f(u[2], u[3])
     es = scene.emitter_ptr(index).sample_emission(*samples)
     position, direction = scene.emitter_ptr(index).pdf_emission(es.ray.d, es.n, es.uv)
+    dr.eval(es, position, direction)
     for i, emitter in enumerate(emitters):
         mine, alone = np.array(index) == i, emitter.sample_emission(*samples)
+        asked = emitter.pdf_emission(es.ray.d, es.n, es.uv)
+        dr.eval(alone, asked)
         assert mine.any()
         for field in ("weight", "n", "uv", "cos", "pdf_position", "pdf_direction", "finite", "delta"):
             a, b = (wide(getattr(x, field))[..., mine] for x in (es, alone))
             np.testing.assert_allclose(a, b, rtol=2e-5, atol=1e-6, err_msg=f"{emitter.id()}: {field}")
-        for found, one in zip((position, direction), emitter.pdf_emission(es.ray.d, es.n, es.uv), strict=True):
+        for found, one in zip((position, direction), asked, strict=True):
             np.testing.assert_allclose(wide(found)[mine], wide(one)[mine], rtol=2e-5, atol=1e-6, err_msg=emitter.id())
 
 

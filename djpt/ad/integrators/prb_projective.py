@@ -11,6 +11,7 @@ from djpt.ad.integrators.reattach import attached_light, attached_wi, bsdf_weigh
 from djpt.ad.integrators.weights import mis_weight
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
+from djpt.kernels import opaque
 from djpt.records import (
     BSDFContext,
     BSDFFlags,
@@ -53,6 +54,8 @@ class PathProjectiveIntegrator(PSIntegrator):
         ctx = BSDFContext()
         # The state of loops is an array from the start: what seems constant at first may not stay so.
         zero = dr.opaque(Float, 0, sampler.wavefront_size())
+        # Inputs of the kernel, which is that of all depths.
+        longest, roulette_from = dr.opaque(UInt32, self.max_depth), dr.opaque(UInt32, self.rr_depth)
         L = Color3f(0 if state_in is None else state_in) + zero
         δL = Color3f(0 if δL is None else δL) + zero
         β, η = Color3f(1) + zero, Float(1) + zero
@@ -88,7 +91,7 @@ class PathProjectiveIntegrator(PSIntegrator):
                 Le = β * mis * dr.select(visible, si.emitter(scene).eval(si, visible), 0)
 
             # Light of emitters.
-            onward = active & still.is_valid() & (depth + 1 < self.max_depth)
+            onward = active & still.is_valid() & (depth + 1 < longest)
             by_light = onward & has_flag(bsdf.flags(), SMOOTH)
             ds, weight = scene.sample_emitter_direction(still, sampler.next_2d(), True, by_light)
             by_light &= ds.pdf != 0
@@ -141,7 +144,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             # Russian roulette.
             largest = dr.max(β)
             survival = dr.minimum(largest * dr.square(η), 0.95)
-            roulette = depth > self.rr_depth
+            roulette = depth > roulette_from
             β = dr.select(roulette, β / survival, β)
             active = onward & (largest > 0) & (~roulette | (sampler.next_1d() < survival))
 
@@ -167,7 +170,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         back.d = -ss.d
         start = back.spawn_ray(wavelengths)
         # The state of loops is an array from the start: what seems constant at first may not stay so.
-        zero = dr.opaque(Float, 0, sampler.wavefront_size())
+        zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), opaque(UInt32(max_depth))
         o, d = Point3f(start.o) + zero, Vector3f(start.d) + zero
         active = Bool(active) & (zero == 0)
         β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
@@ -190,7 +193,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             place = dr.select(chosen, ds.uv, place)
             found = dr.select(chosen, edges, found)
 
-            active &= edges + 1 < max_depth
+            active &= edges + 1 < longest
             bs, scattered = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d(), active)
             β = dr.select(active, β * scattered, β)
             active &= dr.any(β != 0)

@@ -89,7 +89,7 @@ class BasicVolumetricPrimitiveRadianceFieldIntegrator(RBIntegrator):
     ):
         primal = mode == dr.ADMode.Primal
         # The state of loops is an array from the start: what seems constant at first may not stay so.
-        zero = dr.opaque(Float, 0, sampler.wavefront_size())
+        zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), dr.opaque(UInt32, self.max_depth)
         o, d = Point3f(dr.detach(ray.o)) + zero, Vector3f(dr.detach(ray.d)) + zero
         L = Color3f(0 if primal else state_in) + zero
         change = Color3f(0 if δL is None else δL) + zero
@@ -124,7 +124,7 @@ class BasicVolumetricPrimitiveRadianceFieldIntegrator(RBIntegrator):
 
             o = dr.select(active, dr.detach(si.p) + d * STEP, o)
             depth += dr.select(active, UInt32(1), 0)
-            active &= (dr.max(β) > ENOUGH) & (depth < self.max_depth)
+            active &= (dr.max(β) > ENOUGH) & (depth < longest)
 
         if dr.hint(primal, mode="scalar"):
             shown = srgb_to_linear(L) if self.srgb_primitives else L
