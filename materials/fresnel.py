@@ -118,7 +118,9 @@ def fresnel_conductor(cos_theta_i: Float, eta: Value, k: Value) -> Value:
     t_s = (s + cos_2) * u
     t_p = (s * cos_2 + dr.square(sin_2)) * u
     denominator = (t_s + v) * dr.fma(v, sin_2, t_p)
-    return dr.select(denominator > 1e-30, (t_s - v) * t_p * dr.rcp(denominator), 1)
+    # Where nothing is reflected the difference is rounding alone.
+    least = dr.select(t_s > v, t_s - v, 0)
+    return dr.select(denominator > 1e-30, least * t_p * dr.rcp(denominator), 1)
 
 
 def fresnel_diffuse_reflectance(eta: Float) -> Float:
