@@ -105,7 +105,12 @@ class Shape(ShapeQuestions):
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
         """Report the parameters that place the shape; by default `to_world`."""
-        callback.put("to_world", self.to_world, ParamFlags.Differentiable | ParamFlags.Discontinuous)
+        callback.put("to_world", self.to_world, self.motion_flags())
+
+    def motion_flags(self) -> ParamFlags:
+        """The flags of a parameter that places the shape: there are derivatives if its silhouettes are known."""
+        known = self.silhouette_discontinuity_types() != 0
+        return ParamFlags.Discontinuous | (ParamFlags.Differentiable if known else ParamFlags.NonDifferentiable)
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if dr.grad_enabled(value):
