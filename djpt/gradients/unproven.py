@@ -15,6 +15,7 @@ import drjit as dr
 
 from djpt.description.frozen import recording
 from djpt.description.plugin import Plugin
+from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.records import BSDFFlags, EmitterFlags, has_flag
 from djpt.silhouettes.intersecting import between, box_of, is_convex, may_intersect
@@ -73,7 +74,7 @@ class Case:
 
 def named(plugin: Any) -> str:
     """A plugin in a message: its name, and what it is."""
-    return f"'{plugin.id()}' ({type(plugin).__name__.lower()})"
+    return f"'{plugin.id()}' ({name_of(type(plugin)) or type(plugin).__name__})"
 
 
 def of_lobes(*lobes: int) -> Callable[[Rendering], Iterator[str]]:

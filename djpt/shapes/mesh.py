@@ -256,7 +256,7 @@ class Mesh(MeshQueries, Shape):
         self._measure()
 
     def attached_parameter(self, name: str, value: Any) -> Any:
-        if name != "vertex_positions":
+        if name != "vertex_positions" or not self.can_be_followed():
             raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
         return value
 

@@ -11,6 +11,7 @@ import pytest
 
 import djpt
 from djpt.description.registry import names
+from djpt.errors import ParameterError
 from djpt.gradients.leaves import attached_parameters, shape_parameters, unused_values
 from djpt.transforms import ScalarTransform4f as T
 from djpt.types import TensorXf
@@ -21,6 +22,7 @@ TEXELS = TensorXf(np.full((2, 2, 3), 0.5, np.float32))
 HEIGHTS = {"type": "bitmap", "data": TensorXf(np.full((2, 2, 1), 0.5, np.float32)), "raw": True}
 TENSOR = TensorXf(np.full((2, 2, 2, 1), 0.5, np.float32))
 CLOUD = TensorXf(np.array([[0, 0, 0, 1, 1, 1, 0, 0, 0, 1]], np.float32))
+FLAKES = {"type": "gridvolume", "data": TensorXf(np.tile(np.float32([0.3, 0.3, 0.3, 0, 0, 0]), (2, 2, 2, 1)))}
 GROUP = {"type": "shapegroup", "ball": {"type": "sphere"}}
 NEEDS: dict[str, dict[str, Any]] = {
     "bsplinecurve": {"filename": "a.txt"},
@@ -35,7 +37,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "obj": {"filename": "a.obj"},
     "ply": {"filename": "a.ply"},
     "serialized": {"filename": "a.serialized"},
-    "sdfgrid": {"grid": TENSOR},
+    "sdfgrid": {"grid": TensorXf(np.linspace(-1, 1, 8, dtype=np.float32).reshape(2, 2, 2, 1))},
     "blendbsdf": {"a": DIFFUSE, "b": {"type": "conductor"}},
     "bumpmap": {"t": HEIGHTS, "b": DIFFUSE},
     "normalmap": {"normalmap": {"type": "bitmap", "data": TEXELS, "raw": True}, "b": DIFFUSE},
@@ -54,7 +56,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "srgb": {"color": [0.5, 0.4, 0.3]},
     "uniform": {"value": 0.5},
     "blendphase": {"a": {"type": "isotropic"}, "b": {"type": "hg"}},
-    "sggx": {"S": [0.3, 0.3, 0.3, 0.0, 0.0, 0.0]},
+    "sggx": {"S": FLAKES},
     "tabphase": {"values": "0.5, 1, 1.5"},
     "gridvolume": {"data": TENSOR},
 }
@@ -115,6 +117,19 @@ def test_what_is_marked_has_derivatives(kind: str, name: str, tmp_path: Path, mo
         dr.disable_grad(value)
         params[key] = value
         params.set_dirty(key)
+        params.update()
+
+
+def test_nothing_follows_what_is_instanced() -> None:
+    """Gradients by the place of a shape in a group used to be lost without a word."""
+    scene = djpt.load_dict(
+        {"type": "scene", "group": GROUP, "x": {"type": "instance", "g": {"type": "ref", "id": "group"}}}
+    )
+    params = djpt.traverse(scene)
+    key = next(key for key in params if key.endswith("ball.to_world"))
+    assert not params.flags(key).differentiable
+    dr.enable_grad(params[key])
+    with pytest.raises(ParameterError, match=r"ball\.to_world"):
         params.update()
 
 

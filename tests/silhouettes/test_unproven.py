@@ -89,17 +89,17 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "point": (
         {"light": {"type": "point", "position": [1, 1, 5]}},
-        r"'light' .point\w*. shines, and the edges of its sha",
+        r"'light' .point. shines, and the edges of its sha",
     ),
-    "spot": ({"light": {"type": "spot", "to_world": T().translate([0, 0, 6])}}, r"'light' .spot\w*. shines"),
-    "directional": ({"light": {"type": "directional", "direction": [0, 0, -1]}}, r"'light' .directional\w*. shines"),
+    "spot": ({"light": {"type": "spot", "to_world": T().translate([0, 0, 6])}}, r"'light' .spot. shines"),
+    "directional": ({"light": {"type": "directional", "direction": [0, 0, -1]}}, r"'light' .directional. shines"),
     "projector": (
         {"light": {"type": "projector", "irradiance": BUMPS, "to_world": T().translate([0, 0, 6])}},
-        r"'light' .projector\w*. shines",
+        r"'light' .projector. shines",
     ),
     "directionalarea": (
         {"panel": {"type": "disk", "to_world": T().translate([0, 3, 3]), "emitter": {"type": "directionalarea"}}},
-        r"directionalarea\w*. shines",
+        r"directionalarea. shines",
     ),
     "a floor that cuts": (
         {"floor": {**FLOOR, "to_world": T().translate([0, 0, -0.9]).scale(4)}},
@@ -197,7 +197,7 @@ def test_hidden_lamps(kind: str) -> None:
     np.testing.assert_allclose(np.array(mine), np.array(path), rtol=0.15)
     assert np.array(mine).mean() == pytest.approx(np.array(path).mean(), rel=0.02)
     scene, _ = moved(description)
-    with pytest.raises(RenderError, match="'hide_emitters' hides '.*' .area., and the outlines of lamps count"):
+    with pytest.raises(RenderError, match=r"'hide_emitters' hides '.*' .area., and the outlines of lamps count"):
         djpt.render(scene, integrator=integrator(kind, **hidden), spp=1)
 
 
@@ -218,9 +218,9 @@ def test_the_direction_of_the_sun(sensor: str) -> None:
         return scene
 
     how = djpt.load_dict({"type": sensor, "max_depth": 2})
-    with pytest.raises(RenderError, match="'sky.sun_direction' has gradients, but.*'sky' has a sun"):
+    with pytest.raises(RenderError, match=r"'sky.sun_direction' has gradients, but.*'sky' has a sun"):
         djpt.render(sunny(1.0), integrator=how, spp=1)
-    with pytest.raises(RenderError, match="'sky.sun_direction' has gradients"):
+    with pytest.raises(RenderError, match=r"'sky.sun_direction' has gradients"):
         how.render_forward(sunny(1.0), None, spp=1)
     assert dr.grad_enabled(djpt.render(sunny(0.0), integrator=how, spp=1))
     how.unproven_gradients = True

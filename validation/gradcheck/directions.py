@@ -24,8 +24,8 @@ def directions_of(values: Floats, slopes: Floats, samples: int, seed: int, inwar
     """The directions that a parameter of some entries is checked in.
 
     Up to four entries: each by itself. More: all together; two random changes of sign, which no error of an entry that
-    matters survives; and `samples` entries, half of them those of the largest `slopes`, half drawn at random. Entries at
-    an end of the range change `inward` (1 or -1; 0 elsewhere) where several change, so that one side is possible.
+    matters survives; and `samples` entries, half of them those of the largest `slopes`, half drawn at random.
+    Where several change, entries at an end of the range do so `inward` (1 or -1; 0 elsewhere): one side is possible.
     """
     count = values.size
     if count <= 4:
