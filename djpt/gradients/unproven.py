@@ -242,7 +242,7 @@ def require_proven(scene: Scene, integrator: Integrator) -> None:
         return
     for emitter in scene.emitters():
         direction = getattr(emitter, "sun_direction", None)
-        if direction is not None and grad_enabled(direction) and (recording() or not is_zero(emitter.sun_scale)):
+        if direction is not None and grad_enabled(direction) and shines(emitter):
             raise refusal(
                 f"'{emitter.id()}.sun_direction' has gradients",
                 f"'{emitter.id()}' has a sun, and the change of its light with the angle to surfaces is left out",
@@ -266,9 +266,9 @@ def grad_enabled(value: Any) -> bool:
         return bool(dr.grad_enabled(value))
 
 
-def is_zero(value: Any) -> bool:
-    """Whether a number on one lane is 0."""
-    return not dr.detach(value).numpy().any()
+def shines(sky: Any) -> bool:
+    """Whether the light of a sky has a sun; True while it can't be known."""
+    return recording() or bool(dr.detach(sky.sun_scale).numpy().any())
 
 
 def refusal(what: str, why: str, way_out: str) -> RenderError:
