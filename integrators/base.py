@@ -33,7 +33,8 @@ class Integrator(Plugin):
     `djpt.integrators.passes.PassIntegrator`.
 
     Parameters of all integrators: `hide_emitters` (default false): camera rays pass through
-    area lights and see no environment.
+    area lights and see no environment; `unproven_gradients` (default false): derivatives that are known to be wrong
+    are computed all the same, in place of an error (see `djpt.gradients.unproven`).
     """
 
     kind: ClassVar[str] = "integrator"
@@ -70,6 +71,12 @@ class Integrator(Plugin):
     from_script: ClassVar[bool] = False
     """Whether the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
 
+    follows_silhouettes: ClassVar[bool] = False
+    """True if derivatives by the place of shapes know what appears and disappears at their outlines."""
+
+    unproven_gradients: bool = False
+    """Whether derivatives that are known to be wrong are computed all the same: see `djpt.gradients.unproven`."""
+
     _cancelled = False
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -79,6 +86,7 @@ class Integrator(Plugin):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.hide_emitters = props.boolean("hide_emitters", False)
+        self.unproven_gradients = props.boolean("unproven_gradients", False)
 
     @property
     def stepwise(self) -> bool:

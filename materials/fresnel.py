@@ -118,18 +118,23 @@ def fresnel_conductor(cos_theta_i: Float, eta: Value, k: Value) -> Value:
     t_s = (s + cos_2) * u
     t_p = (s * cos_2 + dr.square(sin_2)) * u
     denominator = (t_s + v) * dr.fma(v, sin_2, t_p)
-    return dr.select(denominator > 1e-30, (t_s - v) * t_p * dr.rcp(denominator), 1)
+    # Where nothing is reflected the difference is rounding alone.
+    least = dr.select(t_s > v, t_s - v, 0)
+    return dr.select(denominator > 1e-30, least * t_p * dr.rcp(denominator), 1)
 
 
 def fresnel_diffuse_reflectance(eta: Float) -> Float:
     """The reflectance for diffuse light from the front, that is the mean of `fresnel` weighted by 2 cos theta_i.
 
     Polynomial fits. eta < 1: W. G. Egan and T. W. Hilgeman, "Optical Properties of Inhomogeneous Materials", 1979
-    (0.6 % off down to 1 / eta = 2). eta >= 1: E. d'Eon and G. Irving, "A Quantized-Diffusion Model for Rendering
+    (0.6 % off down to 1 / eta = 2; beyond 3.8 the bound 1 - 0.08 eta^2 takes its place, since it
+    exceeds 1). eta >= 1: E. d'Eon and G. Irving, "A Quantized-Diffusion Model for Rendering
     Translucent Materials", SIGGRAPH 2011 (0.2 % off up to eta = 10).
     """
     x = dr.rcp(eta)
     below = 0.0636 * x + 0.6681 + eta * (0.7099 - 1.4399 * eta)
+    # What enters is eta^2 times what leaves, of which at least 0.08 does.
+    below = dr.minimum(below, 1 - dr.maximum(0.08 * dr.square(eta), 1e-6))
     above = 4.98554 - 1.36881 * x
     for coefficient in (-7.80989, 6.75335, -3.4793, 0.919317):
         above = above * x + coefficient

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from djpt.errors import SceneError
 
-__all__ = ["Allowed", "bounds"]
+__all__ = ["LARGEST", "Allowed", "bounds"]
+
+LARGEST = 1e30
+"""The bound of radiance and its like: sums of a hundred million such samples are finite in single precision."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +45,13 @@ class Allowed:
                 return
         outside = numbers[(numbers <= smallest if self.low_open else numbers < smallest) | (numbers > largest)]
         if outside.size:
-            raise SceneError(
-                f"{where} must {bounds(self.low, self.high, self.low_open)}, found {outside[0]:.6g}".lstrip()
-            )
+            raise SceneError(f"{where} must {self._missed_by(outside[0])}, found {outside[0]:.6g}".lstrip())
+
+    def _missed_by(self, number: float) -> str:
+        """The range in words; of `LARGEST`, which only the largest numbers miss, only those hear."""
+        if self.high != LARGEST:
+            return bounds(self.low, self.high, self.low_open)
+        return bounds(None, self.high) if number > LARGEST else bounds(self.low, None, self.low_open)
 
 
 def bounds(low: float | None, high: float | None, low_open: bool = False, high_open: bool = False) -> str:

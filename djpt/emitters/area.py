@@ -8,6 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import LARGEST
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -54,7 +55,7 @@ class Area(Emitter):
         super().__init__(props)
         if "to_world" in props:
             raise SceneError(f"{props.node}: an area light has no 'to_world'; move the shape that carries it")
-        self.radiance = props.texture("radiance", 1.0, low=0.0)
+        self.radiance = props.texture("radiance", 1.0, low=0.0, high=LARGEST)
         self.radiance.prepare_sampling()
 
     def traverse(self, callback: TraversalCallback) -> None:

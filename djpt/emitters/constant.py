@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -52,7 +53,7 @@ class ConstantBackground(Emitter):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.radiance = props.texture("radiance", 1.0, low=0.0)
+        self.radiance = props.texture("radiance", 1.0, low=0.0, high=LARGEST)
         if not self.radiance.is_constant:
             raise props.error("radiance", "can't vary: this light has no surface")
         self.set_bounds(np.zeros(3), 1.0)

@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -58,7 +59,7 @@ class DirectionalEmitter(OrientedEmitter):
                 raise props.error("direction", "must not be zero")
             self.to_world = looking_along(direction)
             self._place()
-        self.irradiance = props.texture("irradiance", 1.0, low=0.0)
+        self.irradiance = props.texture("irradiance", 1.0, low=0.0, high=LARGEST)
         if not self.irradiance.is_constant:
             raise props.error("irradiance", "can't vary: this light has no surface")
         self.set_bounds(np.zeros(3), 1.0)

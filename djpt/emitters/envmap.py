@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.allowed import Allowed
+from djpt.description.allowed import LARGEST, Allowed
 from djpt.description.frozen import recording
 from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
@@ -353,7 +353,7 @@ def check_radiance(data: TensorXf) -> None:
     rows, columns = data.shape[0], data.shape[1] - 2
     if columns < 2 or rows < 3:
         raise SceneError(f"must have at least 2 x 3 texels, found {columns} x {rows}")
-    Allowed(low=0.0).require(numbers_of(data)[:, 1:-1])
+    Allowed(low=0.0, high=LARGEST).require(numbers_of(data)[:, 1:-1])
 
 
 def without_average(weights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.allowed import LARGEST
 from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
@@ -57,7 +58,7 @@ class PointLight(Emitter):
             position = props.transform("to_world").matrix[:3, 3]
         self._given = np.array(position, np.float64)
         self.position: Any = Point3f(*(float(x) for x in position))
-        self.intensity = props.texture("intensity", 1.0, low=0.0)
+        self.intensity = props.texture("intensity", 1.0, low=0.0, high=LARGEST)
         if not self.intensity.is_constant:
             raise props.error("intensity", "can't vary: this light has no surface")
 

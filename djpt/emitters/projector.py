@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.description.allowed import LARGEST
 from djpt.description.frozen import recording
 from djpt.description.numeric import as_array, non_negative
 from djpt.description.plugin import ParamFlags
@@ -60,7 +61,7 @@ class Projector(OrientedEmitter):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.irradiance = props.texture("irradiance", 1.0, low=0.0)
+        self.irradiance = props.texture("irradiance", 1.0, low=0.0, high=LARGEST)
         self.irradiance.prepare_sampling()
         self.scale = Float(props.float("scale", 1.0, low=0.0))
         self._reach = math.tan(math.radians(horizontal_fov(props, self._aspect())) / 2)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.description.allowed import LARGEST
 from djpt.description.frozen import recording
 from djpt.description.numeric import as_array, as_number
 from djpt.description.plugin import ParamFlags
@@ -60,10 +61,10 @@ class SpotLight(OrientedEmitter):
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
-        self.intensity = props.texture("intensity", 1.0, low=0.0)
+        self.intensity = props.texture("intensity", 1.0, low=0.0, high=LARGEST)
         if not self.intensity.is_constant:
             raise props.error("intensity", "can't vary: what varies over the cone is the 'texture'")
-        self.texture = props.texture("texture", 1.0, low=0.0)
+        self.texture = props.texture("texture", 1.0, low=0.0, high=LARGEST)
         cutoff = props.float("cutoff_angle", 20.0, low=0.0, high=90.0, low_open=True)
         self.cutoff_angle = Float(cutoff)
         self.beam_width = Float(props.float("beam_width", 0.75 * cutoff, low=0.0, high=cutoff))

@@ -43,7 +43,8 @@ class SunSky(Daylight):
       2010, 7, 10), `hour`, `minute`, `second` (default 15:00:00).
 
     At a given time the sun stands where Mitsuba sees it to a quarter of a degree: there, dates have single precision.
-    Derivatives by `sun_direction` don't see that the edge of the disc moves.
+    Derivatives of images by `sun_direction` lack the change of the sun's light with its angle to surfaces, and the
+    moving edge of the disc: they are refused unless `sun_scale` is 0.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_share": HIDDEN}

@@ -11,6 +11,7 @@ import drjit as dr
 from djpt.dispatch.ensemble import Attached
 from djpt.gradients.derivatives import attached_image
 from djpt.gradients.leaves import Parameter, attached_parameters, shape_parameters
+from djpt.gradients.unproven import require_proven
 from djpt.integrators.base import Integrator
 from djpt.samplers.seeds import Seed, gradient_seed
 from djpt.scene import Scene
@@ -52,6 +53,7 @@ def image_by_itself(
 
     if not parameters:
         return primal()
+    require_proven(scene, integrator)
     derivative = OwnDerivative(
         integrator, scene, params, sensor, gradient_seed(seed, seed_grad), spp_grad or spp, parameters
     )

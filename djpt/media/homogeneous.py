@@ -29,6 +29,9 @@ __all__ = ["Homogeneous"]
 THIN = 0.05
 """Up to this optical depth four terms of the series of exp are exact in single precision."""
 
+DENSEST = 1e18
+"""Denser matter counts as this: light gets no further, and squares and inverses stay finite."""
+
 
 class Homogeneous(Medium):
     """Fog: sigma_t is the same everywhere, and light is left as exp(-sigma_t t).
@@ -85,7 +88,7 @@ class Homogeneous(Medium):
         sigma_t = self.sigma_t.eval(mi, active) * self.scale
         if has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake):
             sigma_t = sigma_t * self.phase.projected_area(mi, active)
-        return sigma_t
+        return dr.minimum(sigma_t, DENSEST)
 
     def get_majorant(self, mi: MediumInteraction3f, active: Bool | bool = True) -> Color3f:
         return dr.select(active, self.extinction(mi, active), 0)

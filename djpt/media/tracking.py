@@ -37,6 +37,13 @@ LITTLE = 0.1
 """Estimates of a transmittance below it are ended by Russian roulette, or raised to `KEPT`."""
 KEPT = 0.5
 
+SHORTEST = 2.0**-16
+"""The least mean distance between collisions, as a share of 1 + max abs(coordinates): denser matter counts as that.
+
+Shorter steps get lost when they are added to a distance in single precision: a flight through clear air beside dense
+matter would never end. The share is a sixth of `RAY_EPSILON`, by which rays are kept off surfaces.
+"""
+
 
 @dataclass
 class Track:
@@ -257,12 +264,13 @@ def collision(
     Returned are the distance, whether there is a collision, and an estimate of sigma_t / majorant there.
     """
     majorant, holds = majorants(track.t, track.active)
-    inverse = dr.rcp(majorant)
+    inverse = maximum(dr.rcp(majorant), (1 + dr.max(dr.abs(ray.o)) + track.t) * SHORTEST)
     reach = minimum(holds, end)
     t = track.t - dr.log(1 - track.stream.next_1d(track.active)) * inverse
     meets = track.active & (t < reach)
     share = medium.extinction_at(MediumInteraction3f.on(ray, t), track.stream.next_1d(meets), meets) * inverse
-    return dr.select(meets, t, reach), meets, share
+    # Rounding, or matter that is denser than steps are short, must not make what passes negative.
+    return dr.select(meets, t, reach), meets, Color3f(*(minimum(c, Float(1)) for c in share))
 
 
 def run(

@@ -9,6 +9,7 @@ import drjit as dr
 from djpt.display.progress import Progress
 from djpt.errors import RenderError
 from djpt.gradients.leaves import attached_parameters, prepare_tables, unused_values
+from djpt.gradients.unproven import require_proven
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace
 from djpt.process.interruption import Interruption
@@ -66,6 +67,7 @@ def film_image(
         return image
     unused = unused_values(job.scene, parameters)
     if parameters or unused:
+        require_proven(scene, job.integrator)
         from djpt.gradients.derivatives import differentiable
 
         image = differentiable(job, how, parameters, unused, seed_grad, spp_grad)
@@ -96,6 +98,7 @@ def image_derivative(
     check_memory(job, attached=True)
     if not parameters:
         return dr.zeros(TensorXf, shape)
+    require_proven(scene, integrator)
     derivative = derivative_of(job, choose("auto", job), parameters)
     image = attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative)
     if grad is None:

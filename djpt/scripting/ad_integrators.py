@@ -13,6 +13,7 @@ from djpt.dispatch.ensemble import Attached, Detached
 from djpt.films.base import FilmFlags
 from djpt.gradients.leaves import attached_parameters, shape_parameters
 from djpt.gradients.own_rendering import attached_view
+from djpt.gradients.unproven import require_proven
 from djpt.integrators.base import Integrator
 from djpt.samplers.base import Sampler
 from djpt.scene import Scene
@@ -165,7 +166,7 @@ class ADIntegrator(Integrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         """The change (H, W, C) of the image that the gradients set on the scene's parameters cause."""
-        with attached(scene, dr.ADMode.Forward) as scene, dr.resume_grad():
+        with attached(self, scene, dr.ADMode.Forward) as scene, dr.resume_grad():
             image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Forward)
             dr.forward_to(image)
             return dr.grad(image)
@@ -174,7 +175,7 @@ class ADIntegrator(Integrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         """Add the gradients that follow from those of the image, `grad_in` (H, W, C), to the scene's parameters."""
-        with attached(scene, dr.ADMode.Backward) as scene, dr.resume_grad():
+        with attached(self, scene, dr.ADMode.Backward) as scene, dr.resume_grad():
             image = self._attached_image(scene, sensor, seed, spp, dr.ADMode.Backward)
             propagate(image, grad_in)
         dr.eval()
@@ -207,7 +208,7 @@ class RBIntegrator(ADIntegrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         camera = find_sensor(scene, sensor)
-        with attached(scene, dr.ADMode.Forward) as scene, dr.suspend_grad():
+        with attached(self, scene, dr.ADMode.Forward) as scene, dr.suspend_grad():
             spread_changes(scene)
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
@@ -222,7 +223,7 @@ class RBIntegrator(ADIntegrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         camera = find_sensor(scene, sensor)
-        with attached(scene, dr.ADMode.Backward) as scene, dr.suspend_grad():
+        with attached(self, scene, dr.ADMode.Backward) as scene, dr.suspend_grad():
             sampler, spp = self.prepare(camera, seed, spp, self.aov_names())
             ray, weight, position = self.sample_rays(scene, camera, sampler)
             with dr.resume_grad():
@@ -265,16 +266,20 @@ def sampled_grid(sensor: Sensor) -> tuple[int, int]:
 
 
 @contextmanager
-def attached(scene: Scene, mode: dr.ADMode) -> Iterator[Scene]:
+def attached(integrator: Integrator, scene: Scene, mode: dr.ADMode) -> Iterator[Scene]:
     """The scene as it is, if it reads AD variables already; else a view that reads those of its parameters.
 
     It does so within a `with` block: shapes move by the same variables as long.
 
     In forward mode they are copies with the same gradients, whose graph is then the view's own.
+
+    Raises:
+        RenderError: the derivatives of images by the integrator are known to be wrong (`djpt.gradients.unproven`).
     """
     if not isinstance(scene.lookup, Detached):
         yield scene
         return
+    require_proven(scene, integrator)
     parameters = [*attached_parameters(scene), *shape_parameters(scene)]
     values = [p.value for p in parameters]
     if mode == dr.ADMode.Forward:

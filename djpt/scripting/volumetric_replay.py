@@ -124,7 +124,7 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
         light = dr.select(lit, Color3f(1), 0)
         if mode != dr.ADMode.Backward or adj_emitted is None:
             return dr.select(lit, weight, 0) * dr.detach(light_through_null(scene, sampler, shadow, light)), ds
-        with dr.resume_grad(), attached(scene, dr.ADMode.Backward) as view:
+        with dr.resume_grad(), attached(self, scene, dr.ADMode.Backward) as view:
             arrives = light_through_null(view, sampler, shadow, light)
             share = dr.detach(arrives)
             if dr.grad_enabled(arrives):

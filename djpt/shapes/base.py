@@ -75,6 +75,8 @@ class Shape(ShapeQuestions):
     """Of meshes: how many triangles have one number in `SurfaceInteraction3f.prim_index`."""
     in_pieces: ClassVar[bool] = False
     """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.pieces`."""
+    in_group: bool = False
+    """Whether the shape belongs to a `shapegroup`: it is then seen where instances put it, and nothing follows it."""
     _axes: Any = None
     """The axes that `place` found last in the pool of its scene; None at first, and for shapes without any."""
 
@@ -105,7 +107,16 @@ class Shape(ShapeQuestions):
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
         """Report the parameters that place the shape; by default `to_world`."""
-        callback.put("to_world", self.to_world, ParamFlags.Differentiable | ParamFlags.Discontinuous)
+        callback.put("to_world", self.to_world, self.motion_flags())
+
+    def motion_flags(self) -> ParamFlags:
+        """The flags of a parameter that places the shape: there are derivatives if its silhouettes are followed."""
+        followed = self.can_be_followed()
+        return ParamFlags.Discontinuous | (ParamFlags.Differentiable if followed else ParamFlags.NonDifferentiable)
+
+    def can_be_followed(self) -> bool:
+        """Whether there are derivatives by the place of the shape: its silhouettes are known, and it has one place."""
+        return self.silhouette_discontinuity_types() != 0 and not self.in_group
 
     def check_parameter(self, name: str, value: Any) -> Any:
         if dr.grad_enabled(value):
@@ -123,7 +134,7 @@ class Shape(ShapeQuestions):
         from djpt.silhouettes.moving import AttachedTransform
         from djpt.transforms.lanes import Transform4f
 
-        if name != "to_world" or not self.silhouette_discontinuity_types():
+        if name != "to_world" or not self.can_be_followed():
             raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
         transform = AttachedTransform(Transform4f(value))
         as_transform(transform)  # raises if it can't be used

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from djpt.description.plugin import ParamFlags
 from djpt.description.registry import register_shape
 from djpt.geometry.pieces.cutting import Pieces, cubic_pieces
 from djpt.shapes.curve import Curves
@@ -24,7 +23,6 @@ class BSplineCurve(Curves):
 
     shape_kind = ShapeType.BSplineCurve
     least_points = 4
-    flags = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
     def pieces(self) -> Pieces:
         return cubic_pieces(self.placed_points(), self.segments)

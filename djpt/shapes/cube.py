@@ -76,11 +76,10 @@ class Cube(Shape):
     # ---- parameters: the names of Mitsuba's cube, which is a mesh ------------------
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
-        moves = ParamFlags.Differentiable | ParamFlags.Discontinuous
         callback.put("faces", self.faces_parameter, attribute="faces_parameter")
-        callback.put("vertex_positions", self.vertex_positions, moves)
-        callback.put("vertex_normals", self.vertex_normals, moves)
-        callback.put("vertex_texcoords", self.vertex_texcoords, ParamFlags.Differentiable)
+        callback.put("vertex_positions", self.vertex_positions, self.motion_flags())
+        callback.put("vertex_normals", self.vertex_normals, self.motion_flags())
+        callback.put("vertex_texcoords", self.vertex_texcoords)
 
     @property
     def faces_parameter(self) -> UInt32:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from djpt.description.plugin import ParamFlags, TraversalCallback
+from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
@@ -45,7 +45,7 @@ class Cuboid(Cube):
         self._compose()
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
-        moves = ParamFlags.Differentiable | ParamFlags.Discontinuous
+        moves = self.motion_flags()
         callback.put("min", self.min, moves)
         callback.put("max", self.max, moves)
         callback.put("to_world", self._placed, moves, attribute="_placed")

@@ -74,7 +74,7 @@ class Curves(Shape):
             "control_point_count", self.control_point_count, ParamFlags.ReadOnly | ParamFlags.NonDifferentiable
         )
         callback.put("segment_indices", self.segment_indices, ParamFlags.ReadOnly | ParamFlags.NonDifferentiable)
-        callback.put("control_points", self.control_points, self.flags)
+        callback.put("control_points", self.control_points, self.motion_flags())
 
     def parameters_changed(self, keys: Sequence[str]) -> None:
         if "control_points" not in keys:

@@ -20,7 +20,6 @@ from djpt.types import Float, Point3f, Vector3f
 __all__ = ["Implicit", "Metaballs", "Torus"]
 
 HIDDEN = ParamFlags.NonDifferentiable
-MOVES = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
 
 class Implicit(LevelSet):
@@ -93,8 +92,8 @@ class Torus(LevelSet):
         return float(self.major[0]), float(self.minor[0])
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
-        callback.put("major", self.major, MOVES)
-        callback.put("minor", self.minor, MOVES)
+        callback.put("major", self.major, self.motion_flags())
+        callback.put("minor", self.minor, self.motion_flags())
         super().traverse_geometry(callback)
 
     def parameters_changed(self, keys: Sequence[str]) -> None:

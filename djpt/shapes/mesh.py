@@ -40,7 +40,6 @@ PARAMETERS = ("faces_parameter", "vertex_positions", "vertex_normals", "vertex_t
 """The attributes that hold the parameters of all meshes; made when they are asked for, which most never are."""
 STORED = {"faces": "faces_parameter"}
 """The attributes of parameters whose names mean something else."""
-MOVES = ParamFlags.Differentiable | ParamFlags.Discontinuous
 
 
 class Mesh(MeshQueries, Shape):
@@ -177,11 +176,12 @@ class Mesh(MeshQueries, Shape):
 
     def traverse_geometry(self, callback: TraversalCallback) -> None:
         callback.put("faces", self.faces_parameter, attribute="faces_parameter")
-        callback.put("vertex_positions", self.vertex_positions, MOVES)
-        callback.put("vertex_normals", self.vertex_normals, MOVES)
-        callback.put("vertex_texcoords", self.vertex_texcoords, ParamFlags.Differentiable)
+        callback.put("vertex_positions", self.vertex_positions, self.motion_flags())
+        # Normals follow from the positions; texture coordinates and attributes are read on the host.
+        callback.put("vertex_normals", self.vertex_normals, HIDDEN | ParamFlags.Discontinuous)
+        callback.put("vertex_texcoords", self.vertex_texcoords)
         for name in self.attributes:
-            callback.put(name, getattr(self, name), ParamFlags.Differentiable)
+            callback.put(name, getattr(self, name))
 
     @cached_property
     def faces_parameter(self) -> UInt32:
@@ -257,7 +257,7 @@ class Mesh(MeshQueries, Shape):
         self._measure()
 
     def attached_parameter(self, name: str, value: Any) -> Any:
-        if name != "vertex_positions":
+        if name != "vertex_positions" or not self.can_be_followed():
             raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
         return value
 

@@ -41,6 +41,7 @@ class ShapeGroup(Shape):
                 raise SceneError(f"{props.node}: '{key}' is itself a group or an instance, which can't be instanced")
             if shape.emitter() is not None:
                 raise SceneError(f"{props.node}: '{key}' has an emitter; what is instanced can't emit light")
+            shape.in_group = True
 
     @property
     def shapes(self) -> list[Shape]:

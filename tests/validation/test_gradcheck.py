@@ -71,6 +71,21 @@ def test_ends_of_ranges() -> None:
     assert any("divides by what it differentiates" in note for note in result.notes)
 
 
+def test_textures_at_both_ends_of_their_range() -> None:
+    """A black texel and a white one: no direction of random signs keeps both in the range."""
+    scene = override(djpt.cornell_box(), width=8)
+    texels = np.full((2, 2, 3), 0.5, np.float32)
+    texels[0, 0], texels[1, 1] = 0, 1
+    scene["white"]["reflectance"] = {"type": "bitmap", "data": texels, "raw": True}
+    options: dict[str, Any] = {"spp": 16, "seeds": 4, "most_seeds": 8, "samples": 2, "mitsuba": False}
+    result = check_gradient(scene, "white.reflectance.data", **options)
+    assert result.passed, result
+    assert [verdict.what for verdict in result.verdicts][:2] == [
+        "all entries, forward mode",
+        "all entries, differences",
+    ]
+
+
 @pytest.mark.slow
 def test_textures_are_checked_by_directions_and_texels() -> None:
     scene = override(djpt.cornell_box(), width=16)

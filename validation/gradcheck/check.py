@@ -16,7 +16,7 @@ from djpt.description.overrides import described, override
 from djpt.display.progress import Progress, watched
 from djpt.errors import BackendError
 from djpt.rendering.arguments import check_count, check_seed
-from djpt.validation.gradcheck.differences import Difference, Step, choose_step
+from djpt.validation.gradcheck.differences import LEAST, Difference, Step, choose_step
 from djpt.validation.gradcheck.directions import Direction, directions_of
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
 from djpt.validation.gradcheck.verdicts import Sample, Verdict, compared, paired
@@ -164,7 +164,7 @@ def check_gradient(
     loss = Loss(description, key, spp, sensor, first)
     theirs, notes = mitsuba_loss(description, loss, mitsuba)
     numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
-    directions = directions_of(loss.values, loss.reverse(numbers[0]), samples, first)
+    directions = directions_of(loss.values, loss.reverse(numbers[0]), samples, first, loss.inward(LEAST))
     record = Record(loss, theirs, [(d, choose_step(loss, d.vector)) for d in directions])
     with watched(progress, "checking", "seeds") as shown:
         while True:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from djpt.errors import ParameterError
 from djpt.validation.gradcheck.losses import Loss
 
-__all__ = ["Difference", "Step", "choose_step"]
+__all__ = ["LEAST", "Difference", "Step", "choose_step"]
 
 Floats = npt.NDArray[np.float64]
 

@@ -20,19 +20,21 @@ class Direction(NamedTuple):
     """The change of each entry, (n,)."""
 
 
-def directions_of(values: Floats, slopes: Floats, samples: int, seed: int) -> list[Direction]:
+def directions_of(values: Floats, slopes: Floats, samples: int, seed: int, inward: Floats) -> list[Direction]:
     """The directions that a parameter of some entries is checked in.
 
     Up to four entries: each by itself. More: all together; two random changes of sign, which no error of an entry that
     matters survives; and `samples` entries, half of them those of the largest `slopes`, half drawn at random.
+    Where several change, entries at an end of the range do so `inward` (1 or -1; 0 elsewhere): one side is possible.
     """
     count = values.size
     if count <= 4:
         names = ("",) if count == 1 else tuple(f"[{i}]" for i in range(count))
         return [Direction(name, row) for name, row in zip(names, np.eye(count), strict=True)]
     rng = np.random.default_rng(seed)
-    found = [Direction("all entries", np.ones(count))]
-    found += [Direction(f"random signs {i}", rng.choice([-1.0, 1.0], count)) for i in (1, 2)]
+    several = [("all entries", np.ones(count))]
+    several += [(f"random signs {i}", rng.choice([-1.0, 1.0], count)) for i in (1, 2)]
+    found = [Direction(name, np.where(inward == 0, signs, inward)) for name, signs in several]
     largest = np.argsort(-np.abs(slopes))[: samples // 2]
     drawn = rng.choice(count, size=min(count, samples - len(largest)), replace=False)
     for entry in dict.fromkeys([*largest.tolist(), *drawn.tolist()]):

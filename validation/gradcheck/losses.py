@@ -75,6 +75,15 @@ class Loss:
             self._assign(self.values)
         return True
 
+    def inward(self, reach: float) -> Floats:
+        """The sign of the changes that keep each entry in its range: 1 or -1 within `reach` of an end, else 0, (n,)."""
+        signs = np.zeros(self.values.size)
+        for end, sign in ((self.values.min(), 1.0), (self.values.max(), -1.0)):
+            near = np.abs(self.values - end) < reach
+            if not self.allows(self.values - sign * reach * near):
+                signs[near] = sign
+        return signs
+
     def value(self, image: npt.NDArray[np.floating]) -> float:
         """The loss of an image."""
         return float(np.mean(np.asarray(image, np.float64) * self.weights))

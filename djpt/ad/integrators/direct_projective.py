@@ -57,7 +57,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
         attached = mode != dr.ADMode.Primal
         ray, active = dr.detach(ray), Bool(active)
         with dr.resume_grad(when=attached):
-            si = scene.ray_intersect(ray, active=active) if si_shade is None else si_shade
+            si = self.first_hit(scene, ray, active) if si_shade is None else si_shade
             light = Color3f(0)
             if not self.hide_emitters:
                 light = dr.select(active, si.emitter(scene).eval(si, active), 0)

@@ -72,7 +72,7 @@ class PathProjectiveIntegrator(PSIntegrator):
         while dr.hint(active, label="vertices"):
             here = Ray3f(o, d)
             with dr.resume_grad(when=not primal):
-                si = scene.ray_intersect(here, active)
+                si = self.first_hit(scene, here, active, first & (depth == 0))
                 if dr.hint(not primal, mode="scalar"):
                     before = scene.ray_intersect(Ray3f(o_before, d_before), active & ~first)
                     si.wi = dr.select(first, si.wi, attached_wi(si, before))
@@ -83,7 +83,7 @@ class PathProjectiveIntegrator(PSIntegrator):
             bsdf = si.bsdf()
 
             # Light that the vertex emits.
-            visible = active & (still.is_valid() | ~first if self.hide_emitters else True)
+            visible = active & (still.is_valid() | ~first | (depth > 0) if self.hide_emitters else True)
             ds = DirectionSample3f(scene, still, Interaction3f(0, 0, [], p_before))
             known = scene.pdf_emitter_direction(Interaction3f(0, 0, [], p_before), ds, ~delta_before)
             mis = dr.select(delta_before, 1, mis_weight(pdf_before, known))

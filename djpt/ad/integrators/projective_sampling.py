@@ -43,6 +43,7 @@ class PSIntegrator(RBIntegrator):
     `djpt.ad.guiding`; `proj_mesh_algo` (`hybrid`, `walk` or `jump`), `proj_mesh_max_walk`, `proj_mesh_max_jump`.
     """
 
+    follows_silhouettes = True
     radiative_backprop = True
     """Whether the derivative within surfaces is computed in a second run of `sample`."""
 
@@ -140,7 +141,7 @@ class PSIntegrator(RBIntegrator):
 
     def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
         camera = find_sensor(scene, sensor)
-        with attached(scene, dr.ADMode.Forward) as scene:
+        with attached(self, scene, dr.ADMode.Forward) as scene:
             total = dr.zeros(TensorXf, self._shape(camera))
             within, _, _ = self._counts(camera, spp)
             if self.radiative_backprop and within:
@@ -156,7 +157,7 @@ class PSIntegrator(RBIntegrator):
         self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
         camera = find_sensor(scene, sensor)
-        with attached(scene, dr.ADMode.Backward) as scene:
+        with attached(self, scene, dr.ADMode.Backward) as scene:
             within, _, _ = self._counts(camera, spp)
             if self.radiative_backprop and within:
                 super().render_backward(scene, params, grad_in, camera, seed, within)
@@ -233,6 +234,12 @@ class PSIntegrator(RBIntegrator):
         block.put(place, [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
         film.put_block(block)
         return film.develop()
+
+    def first_hit(self, scene: Scene, ray: Any, active: Bool, from_sensor: Bool | bool = True) -> SurfaceInteraction3f:
+        """The first surface point along rays, which pass through emitters `from_sensor` if these are hidden."""
+        if not self.hide_emitters:
+            return scene.ray_intersect(ray, active=active)
+        return scene.surface_interaction_of(scene.closest_hit(ray, active, through_lights=Bool(from_sensor)), ray)
 
     def seed_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Bool]:
         """The rays of paths that `sample` offers for projection."""

@@ -1,0 +1,302 @@
+"""Derivatives that are known to be wrong are refused with a reason, and only those."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+
+import djpt
+from djpt.errors import RenderError
+from djpt.gradients.unproven import CASES
+from djpt.silhouettes.intersecting import between, is_convex, may_intersect
+from djpt.transforms import ScalarTransform4f as T
+from djpt.types import Float, TensorXf
+from tests.silhouettes.test_projective import SCENES, globe, octahedron
+
+ROOT = Path(__file__).parents[2]
+INTEGRATORS = ("direct_projective", "prb_projective")
+PLASTER = {"type": "diffuse"}
+LAMP = {
+    "type": "rectangle",
+    "to_world": T().translate([0, 0, 9]).rotate([1, 0, 0], 180).scale(0.5),
+    "emitter": {"type": "area", "radiance": 20.0},
+}
+BUMPS = {"type": "bitmap", "data": TensorXf(np.random.default_rng(0).random((4, 4, 1)).astype(np.float32)), "raw": True}
+FLOOR = {"type": "rectangle", "to_world": T().translate([0, 0, -1.5]).scale(4)}
+GLASS = {"type": "dielectric"}
+
+
+def room(**nodes: Any) -> dict[str, Any]:
+    """A ball over a floor in the light of a lamp, seen from above."""
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    place = T().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0])
+    parts = {"floor": FLOOR, "lamp": LAMP, "moving": {"type": "sphere", "bsdf": PLASTER}, **nodes}
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 40, "to_world": place, "film": film},
+        **{name: node for name, node in parts.items() if node is not None},
+    }
+
+
+def moved(description: dict[str, Any]) -> tuple[Any, Float]:
+    """The scene, and the parameter that moves its shape `moving` to the right."""
+    scene, theta = djpt.load_dict(description), Float(0)
+    params = djpt.traverse(scene)
+    dr.enable_grad(theta)
+    if "moving.vertex_positions" in params:
+        params["moving.vertex_positions"] = Float(params["moving.vertex_positions"]) + theta
+    else:
+        params["moving.to_world"] = djpt.Transform4f().translate([theta, 0, 0]) @ djpt.Transform4f(
+            params["moving.to_world"]
+        )
+    params.update()
+    return scene, theta
+
+
+def integrator(kind: str = "direct_projective", **settings: Any) -> Any:
+    return djpt.load_dict({"type": kind, "max_depth": 2, "sppi": 0, **settings})
+
+
+def ball(bsdf: Any = PLASTER, **more: Any) -> dict[str, Any]:
+    return {"type": "sphere", "bsdf": bsdf, **more}
+
+
+MIRROR_BEHIND = {"type": "disk", "bsdf": {"type": "conductor"}, "to_world": T().translate([0, 3, 0])}
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "mirror": ({"other": MIRROR_BEHIND}, "'other' has the BSDF .*conductor.*what is seen in them"),
+    "glass": ({"moving": ball(GLASS)}, "'moving' has the BSDF .*dielectric.*what is seen in them or through them"),
+    "thin glass": ({"moving": ball({"type": "thindielectric"})}, "'moving' has the BSDF"),
+    "glass of ours": ({"moving": ball({"type": "glass"})}, "'moving' has the BSDF"),
+    "mirror on two sides": (
+        {"moving": ball({"type": "twosided", "nested": {"type": "conductor"}})},
+        "'moving' has the BSDF .*twosided",
+    ),
+    "rough glass": ({"moving": ball({"type": "roughdielectric"})}, "roughdielectric.*the direction in which light"),
+    "smooth plastic": ({"moving": ball({"type": "plastic"})}, r"plastic\), and the reflection in its coat"),
+    "mask": ({"moving": ball({"type": "mask", "opacity": 0.5, "nested": PLASTER})}, "mask.*of the layers behind"),
+    "null": ({"moving": ball({"type": "null"})}, "null.*of the layers"),
+    "bump map": (
+        {"moving": ball({"type": "twosided", "n": {"type": "bumpmap", "t": BUMPS, "nested": PLASTER}})},
+        "'moving' has the BSDF.*normals are bent",
+    ),
+    "textured lamp": (
+        {"moving": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "checkerboard"}}}},
+        "'moving' has the area light .*the texture stays behind",
+    ),
+    "point": (
+        {"light": {"type": "point", "position": [1, 1, 5]}},
+        r"'light' .point. shines, and the edges of its sha",
+    ),
+    "spot": ({"light": {"type": "spot", "to_world": T().translate([0, 0, 6])}}, r"'light' .spot. shines"),
+    "directional": ({"light": {"type": "directional", "direction": [0, 0, -1]}}, r"'light' .directional. shines"),
+    "projector": (
+        {"light": {"type": "projector", "irradiance": BUMPS, "to_world": T().translate([0, 0, 6])}},
+        r"'light' .projector. shines",
+    ),
+    "directionalarea": (
+        {"panel": {"type": "disk", "to_world": T().translate([0, 3, 3]), "emitter": {"type": "directionalarea"}}},
+        r"directionalarea. shines",
+    ),
+    "a floor that cuts": (
+        {"floor": {**FLOOR, "to_world": T().translate([0, 0, -0.9]).scale(4)}},
+        "'moving' and 'floor' intersect or touch, and the curve",
+    ),
+    "a shadow on the shape": (
+        {"roof": {"type": "disk", "to_world": T().translate([0, 0, 7]).scale(0.2)}},
+        "'roof' may throw a shadow of the lamp 'lamp' on 'moving'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("kind", INTEGRATORS)
+def test_known_wrong_derivatives_are_refused(kind: str, name: str) -> None:
+    nodes, message = REFUSED[name]
+    scene, _ = moved(room(**nodes))
+    with pytest.raises(RenderError, match=f"^'moving' moves .*{message}.*'unproven_gradients'"):
+        djpt.render(scene, integrator=integrator(kind), spp=1)
+    grad = dr.zeros(TensorXf, (4, 4, 3))
+    for derivative in (
+        lambda: integrator(kind).render_forward(scene, None, spp=1),
+        lambda: integrator(kind).render_backward(scene, None, grad, spp=1),
+    ):
+        with pytest.raises(RenderError, match=message):
+            derivative()
+
+
+MESH_ROOM = octahedron((0, 0, 0), 9)
+PROVEN: dict[str, dict[str, Any]] = {
+    "a ball over a floor": {},
+    "a ball that stands on a floor": {"floor": {**FLOOR, "to_world": T().translate([0, 0, -1]).scale(4)}},
+    "a rough mirror": {"moving": ball({"type": "roughconductor"})},
+    "rough plastic": {"other": {**MIRROR_BEHIND, "bsdf": {"type": "roughplastic"}}},
+    "a bitmap": {"moving": ball({"type": "diffuse", "reflectance": {"type": "checkerboard"}})},
+    "in a cube": {"lamp": None, "floor": None, "room": {"type": "cube", "to_world": T().scale(7)}},
+    "in a sphere": {"lamp": None, "floor": None, "room": {"type": "sphere", "radius": 7.0, "flip_normals": True}},
+    "in a mesh": {"lamp": None, "floor": None, "room": MESH_ROOM},
+    "under a sky": {"lamp": None, "sky": {"type": "constant"}},
+    "a lamp that moves": {"moving": {"type": "sphere", "emitter": {"type": "area"}}},
+}
+
+
+@pytest.mark.parametrize("name", PROVEN)
+def test_other_derivatives_are_not_refused(name: str) -> None:
+    scene, theta = moved(room(**PROVEN[name]))
+    image = djpt.render(scene, integrator=integrator(), spp=1)
+    assert dr.grad_enabled(image)
+    dr.forward(theta)
+    assert np.isfinite(np.array(dr.grad(image))).all()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_compared_with_differences_is_not_refused(name: str) -> None:
+    parts = SCENES[name]()
+    scene, _ = moved({**room(floor=None, lamp=None, moving=None), **parts})
+    assert dr.grad_enabled(djpt.render(scene, integrator=integrator(), spp=1))
+
+
+def test_who_knows_can_go_on() -> None:
+    nodes, _ = REFUSED["point"]
+    scene, theta = moved(room(**nodes))
+    image = djpt.render(scene, integrator=integrator(unproven_gradients=True), spp=4)
+    dr.forward(theta)
+    assert np.abs(np.array(dr.grad(image))).max() > 0
+    chosen = integrator()
+    chosen.unproven_gradients = True
+    assert np.abs(np.array(chosen.render_forward(moved(room(**nodes))[0], None, spp=4))).shape == (4, 4, 3)
+
+
+def test_images_and_other_derivatives_are_not_refused() -> None:
+    """A shape that moves without gradients, and gradients of a colour."""
+    nodes, _ = REFUSED["point"]
+    scene = djpt.load_dict(room(**nodes))
+    params = djpt.traverse(scene)
+    params["moving.to_world"] = djpt.ScalarTransform4f().translate([0.1, 0, 0])
+    dr.enable_grad(params["moving.bsdf.reflectance.value"])
+    params.update()
+    image = djpt.render(scene, integrator=integrator(), spp=4)
+    dr.backward(dr.sum(image, axis=None))
+    assert np.array(dr.grad(params["moving.bsdf.reflectance.value"])).sum() > 0
+
+
+@pytest.mark.parametrize("kind", INTEGRATORS)
+def test_hidden_lamps(kind: str) -> None:
+    """The picture is that of other integrators; the derivatives by moving shapes are refused."""
+    description = room(
+        near={**LAMP, "to_world": T().translate([0.5, 0, 3]).scale(0.7)}, sky={"type": "constant", "radiance": 0.2}
+    )
+    hidden = {"hide_emitters": True, "max_depth": 2}
+    mine = djpt.render(djpt.load_dict(description), integrator=integrator(kind, **hidden), spp=512)
+    path = djpt.render(djpt.load_dict(description), integrator=djpt.load_dict({"type": "path", **hidden}), spp=512)
+    shown = djpt.render(djpt.load_dict(description), integrator=integrator(kind), spp=512)
+    assert np.array(shown).mean() > 2 * np.array(path).mean()
+    np.testing.assert_allclose(np.array(mine), np.array(path), rtol=0.15)
+    assert np.array(mine).mean() == pytest.approx(np.array(path).mean(), rel=0.02)
+    scene, _ = moved(description)
+    with pytest.raises(RenderError, match=r"'hide_emitters' hides '.*' .area., and the outlines of lamps count"):
+        djpt.render(scene, integrator=integrator(kind, **hidden), spp=1)
+
+
+def test_integrators_without_silhouettes_are_refused() -> None:
+    scene, _ = moved(room())
+    with pytest.raises(RenderError, match="the integrator 'PRBIntegrator' follows no silhouettes"):
+        djpt.ad.integrators.prb.PRBIntegrator(djpt.Properties("prb", "prb", {})).render_forward(scene, None, spp=1)
+
+
+@pytest.mark.parametrize("sensor", ["path", "prb", "direct_projective"])
+def test_the_direction_of_the_sun(sensor: str) -> None:
+    def sunny(sun_scale: float) -> Any:
+        sky = {"type": "sunsky", "sun_direction": [0.3, 0.2, 1.0], "sun_scale": sun_scale}
+        scene = djpt.load_dict(room(lamp=None, sky=sky))
+        params = djpt.traverse(scene)
+        dr.enable_grad(params["sky.sun_direction"])
+        params.update()
+        return scene
+
+    how = djpt.load_dict({"type": sensor, "max_depth": 2})
+    with pytest.raises(RenderError, match=r"'sky.sun_direction' has gradients, but.*'sky' has a sun"):
+        djpt.render(sunny(1.0), integrator=how, spp=1)
+    with pytest.raises(RenderError, match=r"'sky.sun_direction' has gradients"):
+        how.render_forward(sunny(1.0), None, spp=1)
+    assert dr.grad_enabled(djpt.render(sunny(0.0), integrator=how, spp=1))
+    how.unproven_gradients = True
+    assert dr.grad_enabled(djpt.render(sunny(1.0), integrator=how, spp=1))
+
+
+def test_steering_the_sun_of_many_days() -> None:
+    """Nothing of it has derivatives."""
+    params = djpt.traverse(djpt.load_dict({"type": "timed_sunsky"}))
+    steering = ("to_world", "latitude", "longitude", "timezone", "window_start_time", "window_end_time")
+    assert not any(params.flags(key).differentiable for key in steering)
+
+
+def shape(description: Any) -> Any:
+    loaded = djpt.load_dict(description) if isinstance(description, dict) else description
+    return djpt.load_dict({"type": "scene", "x": loaded}).shapes()[0]
+
+
+def pairs() -> list[Any]:
+    wall = {"type": "rectangle", "to_world": T().scale(3)}
+    found = []
+    turned = T().rotate([0, 1, 0], 45).scale([1, 1, 0.1])
+    for name, a, b, expected in (
+        ("a ball in a wall", {"type": "sphere"}, wall, True),
+        ("a ball on a wall", {"type": "sphere", "center": [0, 0, 1]}, wall, False),
+        ("balls that touch", {"type": "sphere"}, {"type": "sphere", "center": [1.2, 0, 1.6]}, False),
+        ("balls that overlap", {"type": "sphere"}, {"type": "sphere", "center": [1.2, 0, 1.5]}, True),
+        ("a ball by a corner", {"type": "sphere"}, {"type": "cube", "to_world": T().translate([1.7, 1.7, 1.7])}, False),
+        (
+            "a board on a wall",
+            {"type": "rectangle", "to_world": T().translate([0, 0, 1]).rotate([1, 0, 0], 90)},
+            wall,
+            True,
+        ),
+        ("a box on a wall", {"type": "cube", "to_world": T().translate([0, 0, 1])}, wall, True),
+        ("a box above a wall", {"type": "cube", "to_world": T().translate([0, 0, 1.01])}, wall, False),
+        (
+            "slabs side by side",
+            {"type": "cube", "to_world": turned},
+            {"type": "cube", "to_world": T().translate([0.3, 0, 0.3]) @ turned},
+            False,
+        ),
+        ("a plane below", {"type": "sphere"}, {"type": "plane", "to_world": T().translate([0, 0, -2])}, False),
+        ("a plane through", {"type": "sphere"}, {"type": "plane"}, True),
+        ("a ball in a ball", {"type": "sphere"}, {"type": "sphere", "radius": 3.0}, False),
+        ("a ball through a ball", {"type": "sphere", "center": [2.5, 0, 0]}, {"type": "sphere", "radius": 3.0}, True),
+        ("a ball in a mesh", {"type": "sphere"}, octahedron((0, 0, 0), 4.0), False),
+        ("a ball through a mesh", {"type": "sphere"}, octahedron((0, 0, 0), 1.5), True),
+        ("a mesh in a mesh", octahedron((0, 0, 0), 0.3), globe(), False),
+        ("meshes that cut", octahedron((0.9, 0, 0), 0.3), globe(), True),
+    ):
+        found.append(pytest.param(a, b, expected, id=name))
+    return found
+
+
+@pytest.mark.parametrize(("a", "b", "expected"), pairs())
+def test_which_shapes_may_intersect(a: Any, b: Any, expected: bool) -> None:
+    first, second = shape(a), shape(b)
+    assert may_intersect(first, second) is may_intersect(second, first) is expected
+
+
+def test_what_is_convex() -> None:
+    two = djpt.Mesh("two", np.array(globe().positions), np.array(globe().indices))
+    points = np.concatenate([two.positions, two.positions + np.array([3, 0, 0])])
+    pair = djpt.Mesh("pair", points, np.concatenate([two.indices, two.indices + len(two.positions)]))
+    assert is_convex(shape({"type": "sphere"})) and is_convex(globe()) and is_convex(octahedron((0, 0, 0), 1))
+    assert not is_convex(pair)
+
+
+def test_what_stands_between_boxes() -> None:
+    a, b = (np.array([-1.0, -1, 0]), np.array([1.0, 1, 0])), (np.array([3.0, 0, 4]), np.array([3.0, 0, 4]))
+    for center, expected in (((2, 0, 2), True), ((0, 0, 2), False), ((3, 0, 4.2), False), ((0, 0, -0.2), False)):
+        assert between(shape({"type": "sphere", "center": list(center), "radius": 0.1}), a, b) is expected
+
+
+def test_the_guide_lists_the_cases() -> None:
+    guide = (ROOT / "docs" / "guides" / "gradients.md").read_text()
+    for case in CASES:
+        assert f"| {case.name} | {case.reason} | {case.way_out} |" in guide
