@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.shapes.questions import ShapeType
+from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["between", "box_of", "is_convex", "may_intersect"]
 
