@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -41,6 +41,7 @@ from djpt.records.homes import note_latest
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.shapes.numbering import merged_last
 from djpt.silhouettes.scene import SceneSilhouettes
 from djpt.textures.uses import check_textures, reads_uv
 from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
@@ -76,7 +77,7 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         if len(integrators) > 1:
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
-        plugins = [plugin for _, plugin in self.named]
+        plugins = self._numbered(props.mergeable)
         self._sensors = collect_sensors(plugins)
         self._emitters = collect_emitters(plugins)
         infinite = [i for i, e in enumerate(self._emitters) if e.is_environment()]
@@ -87,6 +88,11 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         """Whether rays need a time, because some light depends on it."""
         with may_wait():
             self._compile()
+
+    def _numbered(self, mergeable: Collection[str]) -> list[Plugin]:
+        """The plugins in the order in which Mitsuba numbers them: those that its loader merges with others are last."""
+        kept = [plugin for key, plugin in self.named if key not in mergeable]
+        return kept + merged_last(plugin for key, plugin in self.named if key in mergeable)
 
     def _of_kind(self, kind: str) -> list[Any]:
         return [plugin for _, plugin in self.named if plugin.kind == kind]
