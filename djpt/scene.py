@@ -56,6 +56,9 @@ WITHOUT_EFFECT = ("allow_thread_reordering", "compact_acceleration_structures", 
 class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
+    Lights and sensors are numbered in the order of the description, except that those of rectangles, cubes and other
+    meshes without attributes come last unless `djpt.load_dict` was told not to optimise: see `djpt.shapes.numbering`.
+
     The queries take per-lane rays and points. A scene reads its plugins' values through a
     `Lookup`; `with_lookup` gives a view of the same scene that reads them in another way.
     """

@@ -192,6 +192,7 @@ class Loader:
         values: dict[str, Any] = {}
         nested: list[Plugin] = []
         described: set[str] = set()
+        expanded: dict[str, Plugin] = {}
         for key, value in node.items():
             if key in ("type", "id"):
                 continue
@@ -203,12 +204,15 @@ class Loader:
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
                 parts = value.expand()
-                named = {key: value} if parts == [value] else named_parts(parts, key, {*node, *values} - {key})
-                values |= named
+                taken = {*node, *values, *expanded} - {key}
+                named = {key: value} if parts == [value] else named_parts(parts, key, taken)
+                # Several parts come last, as in Mitsuba.
+                (expanded if len(named) > 1 else values).update(named)
                 if is_description:
                     described |= named.keys()
                 continue
             values[key] = value
+        values |= expanded
 
         count = self._count_parts(name, where, nested)
 
