@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from djpt.cli import options
-from djpt.cli.console import parameters, progress_bar, require_positive
+from djpt.cli.console import parameters, progress_bar, require_positive, say
 from djpt.errors import RenderError
 
 if TYPE_CHECKING:
@@ -111,4 +111,4 @@ def animate(
         write_movie(movie, files, fps)
     if not quiet:
         seconds = time.perf_counter() - start
-        print(f"{output}: {frames} frames, {seconds:.1f} s" + (f"; {movie}" if movie is not None else ""))
+        say(f"{output}: {frames} frames, {seconds:.1f} s" + (f"; {movie}" if movie is not None else ""))
