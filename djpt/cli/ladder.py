@@ -62,7 +62,7 @@ def command(
             name=name,
             progress=progress,
         )
-    output.write_text(html(found), encoding="utf-8")
+    output.write_text(html(found), encoding="utf-8", errors="replace")
     if not quiet:
         for rung in found.measured:
             last, floor = rung.last, ", at its floor" if rung.at_floor else ""
