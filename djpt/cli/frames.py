@@ -78,10 +78,12 @@ def animate(
     description = described(scene, parameters(define))[1]
     import djpt
     from djpt.animation.frames import render_frames
-    from djpt.animation.movie import check_movie, write_movie
+    from djpt.animation.movie import MOVIES, check_movie, write_movie
     from djpt.cli.tone import Tone
     from djpt.rendering import find_sensor
 
+    if output.suffix.lower() in MOVIES and not output.is_dir():
+        raise RenderError(f"-o takes a folder for the frames; the movie: --movie {output}")
     if movie is not None:
         check_movie(movie)
     toned = tonemap != "srgb" or exposure != "0"

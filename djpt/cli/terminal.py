@@ -14,7 +14,7 @@ import os
 import sys
 import unicodedata
 from collections.abc import Iterator
-from typing import TextIO
+from typing import Any, TextIO
 
 __all__ = ["VisibleText", "beneath", "show_all", "showing_all", "visible"]
 
@@ -54,6 +54,11 @@ class VisibleText(io.TextIOBase):
         """What the other stream does with characters that it can't encode."""
         return self.stream.errors
 
+    @property
+    def buffer(self) -> VisibleBytes:
+        """A stream that takes the same text as bytes."""
+        return VisibleBytes(self)
+
     def write(self, text: str) -> int:
         """Write `text`; the number of its characters."""
         self.stream.write(visible(text, kept="\n\t"))
@@ -76,7 +81,28 @@ class VisibleText(io.TextIOBase):
         return self.stream.fileno()
 
 
-def beneath(stream: TextIO) -> TextIO:
+class VisibleBytes(io.BufferedIOBase):
+    """A stream of UTF-8 that writes to a `VisibleText`."""
+
+    def __init__(self, stream: VisibleText) -> None:
+        self.stream = stream
+
+    def write(self, data: Any) -> int:
+        """Write bytes; their number. Those that aren't UTF-8 are escaped."""
+        text = bytes(data)
+        self.stream.write(text.decode("utf-8", "surrogateescape"))
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the stream of text."""
+        self.stream.flush()
+
+    def writable(self) -> bool:
+        """True: it can be written to."""
+        return True
+
+
+def beneath(stream: Any) -> Any:
     """The stream that a `VisibleText` writes to, for what the terminal shall obey; any other stream as it is."""
     return stream.stream if isinstance(stream, VisibleText) else stream
 
@@ -99,6 +125,6 @@ def showing_all() -> Iterator[None]:
         sys.stdout, sys.stderr = before
 
 
-def shown(stream: TextIO) -> TextIO:
+def shown(stream: Any) -> Any:
     """A `VisibleText` that writes to `stream`; a closed stream, None, stays."""
-    return stream if stream is None or isinstance(stream, VisibleText) else VisibleText(stream)  # type: ignore[return-value]
+    return stream if stream is None or isinstance(stream, VisibleText) else VisibleText(stream)

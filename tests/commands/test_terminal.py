@@ -263,5 +263,6 @@ def test_the_stream_is_one_of_text() -> None:
     terminal = Terminal()
     stream = VisibleText(terminal)
     assert stream.write("a\x1b") == 2 and terminal.getvalue() == r"a\x1b"
+    assert stream.buffer.write("é\x07".encode() + b"\xff") == 4 and terminal.getvalue() == r"a\x1bé\x07\udcff"
     assert stream.isatty() and stream.writable() and stream.encoding == "utf-8"
     assert beneath(stream) is terminal and beneath(terminal) is terminal
