@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import importlib
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording, require_editable
+from djpt.description.merging import Merging
 from djpt.description.numeric import may_wait
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
@@ -80,7 +81,7 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         if len(integrators) > 1:
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
-        plugins = self._numbered(props.mergeable)
+        plugins = self._numbered(props.merging)
         self._sensors = collect_sensors(plugins)
         self._emitters = collect_emitters(plugins)
         infinite = [i for i, e in enumerate(self._emitters) if e.is_environment()]
@@ -92,10 +93,12 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         with may_wait():
             self._compile()
 
-    def _numbered(self, mergeable: Collection[str]) -> list[Plugin]:
+    def _numbered(self, merging: Merging | None) -> list[Plugin]:
         """The plugins in the order in which Mitsuba numbers them: those that its loader merges with others are last."""
-        kept = [plugin for key, plugin in self.named if key not in mergeable]
-        return kept + merged_last(plugin for key, plugin in self.named if key in mergeable)
+        if merging is None:
+            return [plugin for _, plugin in self.named]
+        existed = [plugin for key, plugin in self.named if key not in merging.keys]
+        return existed + merged_last((plugin for key, plugin in self.named if key in merging.keys), merging.alike)
 
     def _of_kind(self, kind: str) -> list[Any]:
         return [plugin for _, plugin in self.named if plugin.kind == kind]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
 from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
+from djpt.description.merging import Merging
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
@@ -59,6 +61,8 @@ class Loader:
         self.plugins: dict[str, Plugin] = {}
         self.parts: dict[int, int] = {}
         """How many plugins one consists of, itself among them, by its `id()`; one counts wherever it is referred to."""
+        self.merging = Merging()
+        """Which plugins are described alike."""
         self.files: Counter[str] = Counter()
         """How many nodes name each file."""
         self.open: list[str] = []
@@ -191,7 +195,7 @@ class Loader:
             raise SceneError(f"{where}: {error}") from None
         values: dict[str, Any] = {}
         nested: list[Plugin] = []
-        described: set[str] = set()
+        described: set[str] = set()  # the keys of what didn't exist before
         expanded: dict[str, Plugin] = {}
         for key, value in node.items():
             if key in ("type", "id"):
@@ -219,12 +223,14 @@ class Loader:
         def place(key: str) -> str:
             return self.name(path, key) if self.places and key in node else where
 
-        props = Properties(name, where, values, self._own_name(path) or name, place, described if self.optimize else ())
+        merging = replace(self.merging, keys=described) if self.optimize else None
+        props = Properties(name, where, values, self._own_name(path) or name, place, merging)
         plugin: Any = factory(props)
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
         props.check_all_used()
         self.parts[id(plugin)] = count
+        self.merging.note(plugin, name, values)
         return plugin
 
     def _count_parts(self, name: str, where: str, nested: list[Plugin]) -> int:

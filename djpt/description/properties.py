@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed, bounds
 from djpt.description.entries import REQUIRED, Entries
+from djpt.description.merging import Merging
 from djpt.description.numeric import as_integer, as_number, as_vector, describe
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
@@ -36,7 +37,7 @@ class Properties(Entries):
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
         id: the value of `Plugin.id`; default: `node`.
         place: gives the text that replaces `node` in messages about the entry of a key; default: `node`.
-        mergeable: the keys of the nested plugins that `load_dict` was allowed to optimise: see `djpt.Scene`.
+        merging: what Mitsuba's loader would merge, if `load_dict` was told to optimise: see `djpt.Scene`.
     """
 
     def __init__(
@@ -46,11 +47,11 @@ class Properties(Entries):
         values: Mapping[str, Any] | None = None,
         id: str | None = None,
         place: Callable[[str], str] | None = None,
-        mergeable: Collection[str] = (),
+        merging: Merging | None = None,
     ) -> None:
         super().__init__(plugin_name, node, values, id)
         self._place_of = place
-        self.mergeable = mergeable
+        self.merging = merging
 
     def get_texture(self, name: str, default: builtins.float = REQUIRED) -> Texture:
         """The entry as a texture; numbers and colours become constant textures."""

@@ -9,7 +9,7 @@ run to run; where none do, as for few groups, it is `in_buckets`.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any, TypeVar
 
 from djpt.description.plugin import Plugin
@@ -25,15 +25,16 @@ SIZES = (13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229
 """The numbers of buckets that GNU's `std::unordered_map` grows through; it is full with as many entries."""
 
 
-def likeness(plugin: Any) -> Hashable | None:
+def likeness(plugin: Any, alike: Callable[[Any], int] = id) -> Hashable | None:
     """A key that those shapes share which Mitsuba makes one mesh; None of plugins that it never merges.
 
-    Rectangles and cubes are meshes in Mitsuba. A mesh with attributes stays apart.
+    Rectangles and cubes are meshes in Mitsuba. A mesh with attributes stays apart. `alike` gives a number that plugins
+    share which count as one.
     """
     if not (isinstance(plugin, Shape) and plugin.shape_kind & ShapeType.Mesh):
         return None
     nested = plugin._bsdf or plugin, plugin.emitter(), plugin.sensor(), plugin._interior, plugin._exterior
-    return None if (data := mesh_data(plugin)) is None else (*map(id, nested), *data)
+    return None if (data := mesh_data(plugin)) is None else (*map(alike, nested), *data)
 
 
 def mesh_data(shape: Any) -> tuple[bool, bool, bool] | None:
@@ -43,12 +44,12 @@ def mesh_data(shape: Any) -> tuple[bool, bool, bool] | None:
     return None if shape.attributes else (shape.normals is None, shape.texcoords is None, shape.flat)
 
 
-def merged_last(plugins: Iterable[AnyPlugin]) -> list[AnyPlugin]:
+def merged_last(plugins: Iterable[AnyPlugin], alike: Callable[[Any], int] = id) -> list[AnyPlugin]:
     """`plugins` in the order in which Mitsuba's loader leaves them: the groups of meshes that it merges are last."""
     others: list[AnyPlugin] = []
     groups: dict[Hashable, list[AnyPlugin]] = {}
     for plugin in plugins:
-        key = likeness(plugin)
+        key = likeness(plugin, alike)
         (others if key is None else groups.setdefault(key, [])).append(plugin)
     return [*others, *(plugin for group in in_buckets(list(groups.values())) for plugin in group)]
 

@@ -124,6 +124,15 @@ def test_several_meshes_have_mitsubas_most_frequent_order(mi: Any, nodes: dict[s
     assert mine == most_frequent(mi, description, optimize)
 
 
+def test_meshes_of_equal_materials_are_one_group(mi: Any) -> None:
+    """Twenty meshes are more than the first buckets, whose order turns then; the two groups that they form are not."""
+    grey, red = ({"type": "diffuse", "reflectance": {"type": "rgb", "value": [x, 0.5, 0.5]}} for x in (0.5, 0.9))
+    walls = {f"wall{i}": {"type": "rectangle", "bsdf": {**(grey, red)[i % 2]}} for i in range(20)}
+    description = scene(a=lamp("rectangle", 1), b=lamp("cube", 2), **walls, p=POINT)
+    mine = numbered(djpt.load_dict(description), djpt.traverse)
+    assert mine == most_frequent(mi, description, optimize=True) == ["Point", "2", "1"]
+
+
 def test_buckets_have_the_order_of_the_cpp_library() -> None:
     """As GCC 14's `std::unordered_set<int>` lists 0 to 31 where the hash of a number is the number."""
     assert in_buckets(range(4)) == [3, 2, 1, 0]
