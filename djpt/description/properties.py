@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from djpt.description.allowed import Allowed, bounds
 from djpt.description.entries import REQUIRED, Entries
-from djpt.description.merging import Merging
 from djpt.description.numeric import as_integer, as_number, as_vector, describe
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
@@ -37,7 +36,8 @@ class Properties(Entries):
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
         id: the value of `Plugin.id`; default: `node`.
         place: gives the text that replaces `node` in messages about the entry of a key; default: `node`.
-        merging: what Mitsuba's loader would merge, if `load_dict` was told to optimise: see `djpt.Scene`.
+        merging: what Mitsuba's loader would merge, if `load_dict` was told to optimise, for `djpt.Scene`: a
+            `djpt.description.merging.Merging`.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Properties(Entries):
         values: Mapping[str, Any] | None = None,
         id: str | None = None,
         place: Callable[[str], str] | None = None,
-        merging: Merging | None = None,
+        merging: Any = None,
     ) -> None:
         super().__init__(plugin_name, node, values, id)
         self._place_of = place
