@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 
 from djpt.description.frozen import recording, require_editable
+from djpt.description.merging import Merging
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
@@ -41,6 +42,7 @@ from djpt.sensors import Sensor
 from djpt.sensors.pointer import SensorPtr
 from djpt.shapes import Shape
 from djpt.shapes.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.shapes.numbering import merged_last
 from djpt.shapes.pointer import ShapePtr
 from djpt.silhouettes.scene import SceneSilhouettes
 from djpt.textures.uses import check_textures, reads_uv
@@ -71,6 +73,9 @@ class Renderer(Protocol):
 class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, Plugin):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
+    Lights and sensors are numbered in the order of the description, except that those of rectangles, cubes and other
+    meshes without attributes come last unless `djpt.load_dict` was told not to optimise: see `djpt.shapes.numbering`.
+
     The queries take per-lane rays and points. A scene reads its plugins' values through a
     `Lookup`; `with_lookup` gives a view of the same scene that reads them in another way.
     """
@@ -93,7 +98,7 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         if len(integrators) > 1:
             raise SceneError(f"{props.node}: found {len(integrators)} integrators; a scene has one")
         self._integrator = integrators[0] if integrators else None
-        plugins = [plugin for _, plugin in self.named]
+        plugins = self._numbered(props.merging)
         self._sensors = collect_sensors(plugins)
         self._emitters = collect_emitters(plugins)
         infinite = [i for i, e in enumerate(self._emitters) if e.is_environment()]
@@ -104,6 +109,13 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         """Whether rays need a time, because some light depends on it."""
         with may_wait():
             self._compile()
+
+    def _numbered(self, merging: Merging | None) -> list[Plugin]:
+        """The plugins in the order in which Mitsuba numbers them: those that its loader merges with others are last."""
+        if merging is None:
+            return [plugin for _, plugin in self.named]
+        existed = [plugin for key, plugin in self.named if key not in merging.keys]
+        return existed + merged_last((plugin for key, plugin in self.named if key in merging.keys), merging.alike)
 
     def _of_kind(self, kind: str) -> list[Any]:
         return [plugin for _, plugin in self.named if plugin.kind == kind]

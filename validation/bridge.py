@@ -41,8 +41,9 @@ def render_in_mitsuba(scene: Mapping[str, Any] | str, spp: int, seed: int = 0) -
 def mitsuba_renderer(scene: Mapping[str, Any], optimize: bool = True) -> Renderer:
     """Load `scene` into Mitsuba once, to be rendered many times.
 
-    `optimize`: Mitsuba merges shapes and materials that are alike, its fast default. Merged emitters don't change
-    the image's mean, but which emitter a random number chooses: pass False to compare at equal seeds.
+    `optimize`: Mitsuba merges shapes and materials that are alike, its fast default. This doesn't change the image's
+    mean, but which emitter a random number chooses, with many meshes even from run to run: pass False, also to
+    `djpt.load_dict`, to compare at equal seeds.
 
     Raises:
         BackendError: Mitsuba isn't installed, or its variant can't be used.

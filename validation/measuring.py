@@ -170,7 +170,11 @@ def same_seed(a: Side, b: Side, seed: int, spp: int, wanted: bool) -> Agreement 
     seeds, but only where the agreement is `wanted`.
     """
     if a.renderer and b.renderer:
-        return agreement(a.renderer(spp, seed), (b.paired or b.renderer)(spp, seed)) if spp else None
+        if not spp:
+            return None
+        if a.paired and b.paired:
+            return agreement(a.paired(spp, seed), b.paired(spp, seed))
+        return agreement(a.renderer(spp, seed), b.renderer(spp, seed))
     if not (a.renderer or b.renderer):
         return agreement(stored(a), stored(b))
     if not wanted:

@@ -39,7 +39,8 @@ class Side:
 
     * `title`: what it is called.
     * `renderer`: renders with any seed; None for images.
-    * `paired`: renders in place of `renderer` where both sides have the same seed.
+    * `paired`: renders in place of `renderer` where both sides have one and the same seed: numbers lights in the order
+      of the description, which Mitsuba with its defaults does not.
     * `image`: pixels whose noise isn't known, (H, W, C).
     * `reference`: a stored image with its noise.
     * `description`: the scene, if it is one.
@@ -119,7 +120,13 @@ def is_described(value: Any) -> bool:
 def scene_side(description: Mapping[str, Any], schedule: str = "auto") -> Side:
     """A scene in djpt."""
     facts = {"what": "a scene in djpt", "schedule": schedule, "description": readable(description)}
-    return Side("djpt", djpt_renderer(description, schedule), description=description, facts=facts)
+    return Side(
+        "djpt",
+        djpt_renderer(description, schedule),
+        lambda spp, seed: djpt_renderer(description, schedule, optimize=False)(spp, seed),  # loaded if it is needed
+        description=description,
+        facts=facts,
+    )
 
 
 def mitsuba_side(description: Mapping[str, Any]) -> Side:
@@ -144,11 +151,11 @@ def file_side(path: Path) -> Side:
 # ---- renderers -----------------------------------------------------------------------------------
 
 
-def djpt_renderer(scene: Mapping[str, Any], schedule: str = "auto") -> Renderer:
-    """Load `scene` into djpt once, to be rendered many times."""
+def djpt_renderer(scene: Mapping[str, Any], schedule: str = "auto", optimize: bool = True) -> Renderer:
+    """Load `scene` into djpt once, to be rendered many times; `optimize` is that of `djpt.load_dict`."""
     from djpt.description.loader import load_dict
 
-    return loaded_in_djpt(load_dict(scene), schedule)
+    return loaded_in_djpt(load_dict(scene, optimize=optimize), schedule)
 
 
 def loaded_in_djpt(scene: Any, schedule: str) -> Renderer:

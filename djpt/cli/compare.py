@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from djpt.cli import options
-from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive
+from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive, say
 from djpt.files import require_different
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def tell(result: Comparison, picture: Path | None, report: Path | None, as_json:
         print(result)
         for what, path in (("picture", picture), ("report", report)):
             if path is not None:
-                print(f"{what}: {path}")
+                say(f"{what}: {path}")
 
 
 def keep(
@@ -165,7 +165,7 @@ def keep(
         )
     if not quiet:
         height, width, _ = stored.batches.shape
-        print(f"{target}: {width} x {height}, {stored.batch_spp * stored.batches.count} spp")
+        say(f"{target}: {width} x {height}, {stored.batch_spp * stored.batches.count} spp")
 
 
 def refuse_beside_store(b: str | None, report: Path | None, as_json: bool) -> None:

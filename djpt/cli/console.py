@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from djpt.cli.terminal import beneath, showing_all, visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 from djpt.files import reason
 from djpt.process.interruption import Terminated
@@ -30,6 +31,7 @@ __all__ = [
     "progress_bar",
     "readable_errors",
     "require_positive",
+    "say",
     "short",
 ]
 
@@ -120,7 +122,12 @@ def has_terminal() -> bool:
 
 def announce(line: str) -> None:
     """Print a line of progress at once, for a file or a pipe, where no bar is shown."""
-    print(line, file=sys.stderr, flush=True)
+    print(visible(line), file=sys.stderr, flush=True)
+
+
+def say(line: str) -> None:
+    """Print a line of results, which stays one line whatever names it has."""
+    print(visible(line))
 
 
 @contextlib.contextmanager
@@ -139,7 +146,7 @@ def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, 
     from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.text import Text
 
-    console = Console(stderr=True)
+    console = Console(file=beneath(sys.stderr))
     if not console.is_terminal:
         yield nothing
         return
@@ -148,9 +155,11 @@ def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, 
         def render(self, task: Task) -> Text:
             return Text("" if task.speed is None else f"{short(task.speed)}{unit}/s")
 
-    columns: list[Any] = [TextColumn(title), BarColumn(), TaskProgressColumn(), Speed(), TimeRemainingColumn()]
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(title, total=None)
+    name = TextColumn("{task.description}", markup=False)
+    columns: list[Any] = [name, BarColumn(), TaskProgressColumn(), Speed(), TimeRemainingColumn()]
+    # `rich` prints above the bar what is printed meanwhile.
+    with Progress(*columns, console=console, transient=True) as bar, showing_all():
+        task = bar.add_task(visible(title), total=None)
 
         def update(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)

@@ -10,7 +10,7 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command
+from djpt.cli.console import Command, say
 from djpt.errors import FileError, near_miss
 from djpt.files import require_different
 
@@ -64,11 +64,9 @@ def command(
     djpt.write(target, cleaned[..., :kept], named, metadata=carried(target, facts))
     if not quiet:
         used = [name for name, guide in vars(guides).items() if guide is not None]
-        print(
-            f"{target}: {pixels.shape[1]} x {pixels.shape[0]}, {denoiser}, guided by {' and '.join(used) or 'nothing'}"
-        )
+        say(f"{target}: {pixels.shape[1]} x {pixels.shape[0]}, {denoiser}, guided by {' and '.join(used) or 'nothing'}")
         if names[kept:]:
-            print(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
+            say(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
 
 
 def channels_of(path: Path) -> tuple[Pixels, list[str]]:

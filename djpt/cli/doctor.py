@@ -21,6 +21,7 @@ import click
 import djpt
 from djpt.backends import VARIANTS, variant
 from djpt.cli.console import Command
+from djpt.cli.terminal import beneath, visible
 from djpt.errors import BackendError
 from djpt.llvm.finder import PATH_VARIABLE, SEARCH_VARIABLE, Search, search
 from djpt.llvm.installer import libatomic_missing
@@ -223,17 +224,18 @@ def print_report(report: Report, console: Console | None = None) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    console = console or Console(soft_wrap=True, highlight=False)
+    console = console or Console(file=beneath(sys.stdout), soft_wrap=True, highlight=False)
     marks = {"ok": ("ok", "green"), "note": ("--", "yellow"), "problem": ("!!", "bold red")}
     width = max(len(finding.topic) for finding in report.findings)
     said: set[str] = set()
     for finding in report.findings:
         mark, style = marks[finding.verdict]
-        console.print(Text.assemble((mark, style), f"  {finding.topic:<{width}}  {finding.found}"))
+        found = visible(finding.found, kept="\n")
+        console.print(Text.assemble((mark, style), f"  {finding.topic:<{width}}  {found}"))
         if finding.advice and finding.advice not in said:
             said.add(finding.advice)
             for line in finding.advice.splitlines():
-                console.print(Text(f"{'':{width + 6}}{line}", "" if finding.verdict == "problem" else "dim"))
+                console.print(Text(f"{'':{width + 6}}{visible(line)}", "" if finding.verdict == "problem" else "dim"))
     if report.usable:
         console.print(Text("djpt can render on this machine.", "green"))
     else:

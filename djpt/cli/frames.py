@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from djpt.cli import options
-from djpt.cli.console import parameters, progress_bar, require_positive
+from djpt.cli.console import parameters, progress_bar, require_positive, say
 from djpt.errors import RenderError
 
 if TYPE_CHECKING:
@@ -78,10 +78,12 @@ def animate(
     description = described(scene, parameters(define))[1]
     import djpt
     from djpt.animation.frames import render_frames
-    from djpt.animation.movie import check_movie, write_movie
+    from djpt.animation.movie import MOVIES, check_movie, write_movie
     from djpt.cli.tone import Tone
     from djpt.scene_arguments import find_sensor
 
+    if output.suffix.lower() in MOVIES and not output.is_dir():
+        raise RenderError(f"-o takes a folder for the frames; the movie: --movie {output}")
     if movie is not None:
         check_movie(movie)
     toned = tonemap != "srgb" or exposure != "0"
@@ -111,4 +113,4 @@ def animate(
         write_movie(movie, files, fps)
     if not quiet:
         seconds = time.perf_counter() - start
-        print(f"{output}: {frames} frames, {seconds:.1f} s" + (f"; {movie}" if movie is not None else ""))
+        say(f"{output}: {frames} frames, {seconds:.1f} s" + (f"; {movie}" if movie is not None else ""))

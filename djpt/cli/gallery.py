@@ -9,7 +9,7 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command, announce, has_terminal, progress_bar, require_positive
+from djpt.cli.console import Command, announce, has_terminal, progress_bar, require_positive, say
 from djpt.errors import RenderError
 
 __all__ = ["command"]
@@ -42,4 +42,4 @@ def command(names: tuple[str, ...], output: Path, spp: int, size: int, seed: int
         djpt.write(output, sheet(chosen, size, spp, seed, progress=progress, begin=begin))
     if not quiet:
         seconds = time.perf_counter() - start
-        print(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")
+        say(f"{output}: {len(chosen)} panels of {size} x {size}, {spp} spp, {seconds:.2f} s")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from djpt.cli import options
-from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive
+from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive, say
 from djpt.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -110,9 +110,9 @@ def command(
     elif not quiet:
         wrong = [result.key for result in results if not result.passed]
         names = f"; wrong: {', '.join(wrong)}" if wrong else ""
-        print(f"{len(results) - len(wrong)} of {len(results)} gradients are right{names}")
+        say(f"{len(results) - len(wrong)} of {len(results)} gradients are right{names}")
         for reason in unchecked:
-            print(f"not checked: {reason}")
+            say(f"not checked: {reason}")
     if not all(result.passed for result in results):
         raise click.exceptions.Exit(ExitCode.DIFFERENT)
 

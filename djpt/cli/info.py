@@ -10,6 +10,7 @@ import click
 
 from djpt.cli import options
 from djpt.cli.console import Command, parameters
+from djpt.cli.terminal import visible
 
 if TYPE_CHECKING:
     from djpt.geometry.triangles import Triangles
@@ -29,7 +30,7 @@ def describe(scene: Scene) -> str:
 
     rows = [("shapes", counted(scene.shapes()))]
     groups = [shape for shape in scene.shapes() if isinstance(shape, ShapeGroup)]
-    rows += [(f"in {group.id()}", counted(group.shapes)) for group in groups]
+    rows += [(f"in {visible(group.id())}", counted(group.shapes)) for group in groups]
     rows.append(("emitters", counted(scene.emitters())))
     triangles = scene.geometry.triangles
     analytic = len(scene.geometry.analytic_shapes)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from djpt.cli import options
-from djpt.cli.console import Command, parameters, progress_bar, require_positive
+from djpt.cli.console import Command, parameters, progress_bar, require_positive, say
 from djpt.errors import RenderError
 from djpt.files import check_target, writing
 
@@ -63,11 +63,11 @@ def command(
             progress=progress,
         )
     with writing(output) as temporary:
-        temporary.write_text(html(found), encoding="utf-8")
+        temporary.write_text(html(found), encoding="utf-8", errors="replace")
     if not quiet:
         for rung in found.measured:
             last, floor = rung.last, ", at its floor" if rung.at_floor else ""
-            print(f"{rung.step.title:<20} {last.spp:>7} spp {last.seconds:7.2f} s  RMSE {last.rmse:.4g}{floor}")
+            say(f"{rung.step.title:<20} {last.spp:>7} spp {last.seconds:7.2f} s  RMSE {last.rmse:.4g}{floor}")
         for no in found.refused:
-            print(f"{no.step.title:<20} refused: {no.reason}")
-        print(f"page: {output}")
+            say(f"{no.step.title:<20} refused: {no.reason}")
+        say(f"page: {output}")

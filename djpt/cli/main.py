@@ -15,6 +15,7 @@ import click
 import djpt
 from djpt.cli import commands
 from djpt.cli.console import ExitCode
+from djpt.cli.terminal import show_all
 from djpt.files import reason
 
 __all__ = ["COMMANDS", "app", "main", "run"]
@@ -96,6 +97,7 @@ def flushed() -> bool:
 def run() -> None:
     """Run `main`, and end the process with its exit code."""
     open_standard_streams()
+    show_all()
     code = main()
     if code == ExitCode.UNUSABLE:
         # Without an LLVM, Dr.Jit's own shutdown has been seen to hang.

@@ -8,7 +8,7 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command
+from djpt.cli.console import Command, say
 from djpt.cli.pictures import channels_for, layers
 from djpt.errors import RenderError
 from djpt.files import require_different
@@ -46,6 +46,6 @@ def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> 
         stored = total.channels[:kept] if output.suffix.lower() == ".exr" else None
         djpt.write(output, total.image().numpy()[..., :kept], channels=stored)
     if not quiet:
-        print(f"{output}: {width} x {height}, {total.spp} spp, error {total.error().overall:.2%}")
+        say(f"{output}: {width} x {height}, {total.spp} spp, error {total.error().overall:.2%}")
         if left_out:
-            print(f"without {', '.join(layers(left_out))}: exr and npy hold all channels")
+            say(f"without {', '.join(layers(left_out))}: exr and npy hold all channels")

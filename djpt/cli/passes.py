@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from djpt.cli.console import has_terminal, short
+from djpt.cli.terminal import beneath, visible
 from djpt.errors import BackendError, FileError, RenderError
 from djpt.files import check_target
 from djpt.process.interruption import interruptible
@@ -206,7 +207,7 @@ class Line:
     def show(self, text: str) -> None:
         """Replace the line, if there is a terminal."""
         if self.visible:
-            print(f"\r\x1b[2K{text}", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[2K{visible(text)}", end="", file=beneath(sys.stderr), flush=True)
 
     def __enter__(self) -> Line:
         return self

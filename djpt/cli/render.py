@@ -10,7 +10,7 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command, parameters, progress_bar, require_positive, short
+from djpt.cli.console import Command, parameters, progress_bar, require_positive, say, short
 from djpt.errors import RenderError
 from djpt.files import require_different
 from djpt.process.interruption import ending_at_once
@@ -158,7 +158,7 @@ def command(
             (columns, rows), seconds = found.size, time.perf_counter() - start
             speed = f"{short(taken * columns * rows / seconds)}samples/s"
             what = f"{columns} x {rows}, {found.spp} spp, error {found.error().overall:.2%}"
-            print(f"{target}: {what}, {seconds:.2f} s, {speed}")
+            say(f"{target}: {what}, {seconds:.2f} s, {speed}")
         return
 
     with progress_bar("rendering", "samples", quiet) as show, ending_at_once():
@@ -186,9 +186,9 @@ def command(
         camera = loaded.sensors()[sensor]
         (columns, rows), sampler = camera.film().crop_size(), camera.sampler()
         taken, speed = sampler.round_count(spp or sampler.sample_count()), f"{short(samples / seconds)}samples/s"
-        print(f"{target}: {columns} x {rows}, {taken} spp, {seconds:.2f} s, {speed}")
+        say(f"{target}: {columns} x {rows}, {taken} spp, {seconds:.2f} s, {speed}")
         if names[kept:]:
-            print(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
+            say(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
 
 
 def cleaner(scene: Any, method: str, sensor: int, seed: int, raw: Path | None) -> Any:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import djpt
+from djpt.cli.console import say
 from djpt.errors import RenderError
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import check_writable
@@ -47,4 +48,4 @@ def report(target: Path, tiles: list[Tile], start: float, quiet: bool) -> None:
     """Print the size of a strip and the time since `start`, unless all is to be `quiet`."""
     if not quiet:
         height, width, _ = tiles[0].picture.shape
-        print(f"{target}: {len(tiles)} pictures of {width} x {height}, {time.perf_counter() - start:.2f} s")
+        say(f"{target}: {len(tiles)} pictures of {width} x {height}, {time.perf_counter() - start:.2f} s")

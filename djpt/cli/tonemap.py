@@ -8,7 +8,7 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command
+from djpt.cli.console import Command, say
 from djpt.files import require_different
 
 __all__ = ["command"]
@@ -41,4 +41,4 @@ def command(
     facts = read_metadata(image) if image.suffix.lower() == ".exr" else {}
     djpt.write(target, shown, metadata=carried(target, {**facts, **tone.facts}))
     if not quiet:
-        print(f"{target}: {shown.shape[1]} x {shown.shape[0]}")
+        say(f"{target}: {shown.shape[1]} x {shown.shape[0]}")

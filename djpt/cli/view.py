@@ -6,6 +6,7 @@ import click
 
 from djpt.cli import options
 from djpt.cli.console import Command, parameters, require_positive
+from djpt.cli.terminal import visible
 
 __all__ = ["command"]
 
@@ -57,7 +58,7 @@ def command(
     with Server(port, host) as server:
         session = Session(describe, sensor, spp, seed, server.publish, server.tell)
         if not quiet:
-            print(f"{server.url} shows {scene}; Ctrl-C ends it", flush=True)
+            print(f"{server.url} shows {visible(scene)}; Ctrl-C ends it", flush=True)
         if opens:
             click.launch(server.url)
         session.run(server.inbox)

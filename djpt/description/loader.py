@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
 from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
+from djpt.description.merging import Merging
 from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
@@ -28,8 +30,9 @@ def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = T
     Args:
         dict: the description, for example `djpt.cornell_box()`.
         parallel: accepted for Mitsuba's signature, no effect.
-        optimize: accepted for Mitsuba's signature, no effect: shapes are never merged and names
-            are always kept (Mitsuba with ``optimize=False``).
+        optimize: number lights and sensors as Mitsuba's loader does, which merges meshes if it is told to optimise:
+            those of rectangles, cubes and other meshes come last. So the same random number chooses the same light.
+            False: the order of the description. Shapes themselves are never merged, and names are always kept.
 
     Returns:
         A `djpt.Scene` if the type is ``scene``, else the plugin of that type; if several stand in its place, as for
@@ -40,15 +43,16 @@ def load_dict(dict: Mapping[str, Any], parallel: bool = True, optimize: bool = T
     """
     if isinstance(dict, Document) and (dict.directories or dict.root is not None):
         with FileResolver((*dict.directories, *file_resolver()), dict.root).active():
-            return Loader(dict).load()
-    return Loader(dict).load()
+            return Loader(dict, optimize).load()
+    return Loader(dict, optimize).load()
 
 
 class Loader:
     """One call of `load_dict`: the nodes by path, and the plugins built so far."""
 
-    def __init__(self, root: Any) -> None:
+    def __init__(self, root: Any, optimize: bool = True) -> None:
         self.root = root
+        self.optimize = optimize
         self.places = root.places if isinstance(root, Document) else {}
         """File and line of each path, if the description comes from a file."""
         self.nodes: dict[str, Mapping[str, Any] | Plugin] = {}
@@ -57,6 +61,8 @@ class Loader:
         self.plugins: dict[str, Plugin] = {}
         self.parts: dict[int, int] = {}
         """How many plugins one consists of, itself among them, by its `id()`; one counts wherever it is referred to."""
+        self.merging = Merging()
+        """Which plugins are described alike."""
         self.files: Counter[str] = Counter()
         """How many nodes name each file."""
         self.open: list[str] = []
@@ -189,31 +195,42 @@ class Loader:
             raise SceneError(f"{where}: {error}") from None
         values: dict[str, Any] = {}
         nested: list[Plugin] = []
+        described: set[str] = set()  # the keys of what didn't exist before
+        expanded: dict[str, Plugin] = {}
         for key, value in node.items():
             if key in ("type", "id"):
                 continue
             if isinstance(value, (Mapping, Plugin)):
                 below = f"{path}.{key}" if path else key
+                is_description = isinstance(value, Mapping)
                 value = self._build(below)
                 nested.append(value)
                 # In a scene an explicit `id` is the name; elsewhere the key tells what the node is used for.
                 key = self._own_name(below) if name == "scene" else key
                 parts = value.expand()
-                values |= {key: value} if parts == [value] else named_parts(parts, key, {*node, *values} - {key})
+                taken = {*node, *values, *expanded} - {key}
+                named = {key: value} if parts == [value] else named_parts(parts, key, taken)
+                # Several parts come last, as in Mitsuba.
+                (expanded if len(named) > 1 else values).update(named)
+                if is_description:
+                    described |= named.keys()
                 continue
             values[key] = value
+        values |= expanded
 
         count = self._count_parts(name, where, nested)
 
         def place(key: str) -> str:
             return self.name(path, key) if self.places and key in node else where
 
-        props = Properties(name, where, values, self._own_name(path) or name, place)
+        merging = replace(self.merging, keys=described) if self.optimize else None
+        props = Properties(name, where, values, self._own_name(path) or name, place, merging)
         plugin: Any = factory(props)
         if not isinstance(plugin, Plugin):
             raise SceneError(f"{where}: the factory of '{name}' returned {describe(plugin)}, not a djpt.Plugin")
         props.check_all_used()
         self.parts[id(plugin)] = count
+        self.merging.note(plugin, name, values)
         return plugin
 
     def _count_parts(self, name: str, where: str, nested: list[Plugin]) -> int:

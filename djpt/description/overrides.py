@@ -38,6 +38,17 @@ KEPT: dict[str, tuple[str, ...]] = {
 }
 """The settings that an integrator takes over from the scene's, by name; djpt's others take over `COMMON`."""
 
+OTHER_FILES = {
+    "a picture": frozenset(
+        {".exr", ".hdr", ".pfm", ".npy", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".tif", ".tiff", ".webp"}
+    ),
+    "a movie": frozenset({".gif", ".mp4", ".webm", ".mov", ".avi"}),
+    "a mesh, which a scene holds as a shape,": frozenset({".obj", ".ply", ".serialized", ".stl", ".gltf", ".glb"}),
+    "a file of Blender, which Mitsuba's add-on exports as XML,": frozenset({".blend"}),
+    "a checkpoint, which 'djpt merge' reads,": frozenset({".djpt"}),
+}
+"""What files with these extensions are that somebody may take for a scene."""
+
 COMMON = ("max_depth", "rr_depth", "hide_emitters")
 
 
@@ -70,9 +81,18 @@ def described(
     if not isinstance(scene, str):
         raise SceneError(f"a scene is a dict, a file or the name of a built-in scene, found {type(scene).__name__}")
     if scene not in scenes.NAMES:
-        hint = f"; the file would be '{scene}.xml'" if os.path.exists(f"{scene}.xml") else ""
-        raise SceneError(f"unknown scene '{scene}'{hint}{near_miss(scene, scenes.NAMES)}")
+        raise SceneError(f"{not_a_scene(scene)}{near_miss(scene, scenes.NAMES)}")
     return scene, getattr(scenes, scene)()
+
+
+def not_a_scene(name: str) -> str:
+    """What a name is that is neither a built-in scene nor an XML file, as far as it tells."""
+    suffix = os.path.splitext(name)[1].lower()
+    for kind, suffixes in OTHER_FILES.items():
+        if suffix in suffixes:
+            return f"'{name}' is {kind} and not a scene; a scene is an XML file, such as 'scene.xml', or built-in"
+    file = f"; the file would be '{name}.xml'" if os.path.exists(f"{name}.xml") else ""
+    return f"unknown scene '{name}'{file}"
 
 
 def override(

@@ -36,6 +36,8 @@ class Properties(Entries):
         values: the entries without ``type`` and ``id``; nested nodes are plugins already.
         id: the value of `Plugin.id`; default: `node`.
         place: gives the text that replaces `node` in messages about the entry of a key; default: `node`.
+        merging: what Mitsuba's loader would merge, if `load_dict` was told to optimise, for `djpt.Scene`: a
+            `djpt.description.merging.Merging`.
     """
 
     def __init__(
@@ -45,9 +47,11 @@ class Properties(Entries):
         values: Mapping[str, Any] | None = None,
         id: str | None = None,
         place: Callable[[str], str] | None = None,
+        merging: Any = None,
     ) -> None:
         super().__init__(plugin_name, node, values, id)
         self._place_of = place
+        self.merging = merging
 
     def get_texture(self, name: str, default: builtins.float = REQUIRED) -> Texture:
         """The entry as a texture; numbers and colours become constant textures."""

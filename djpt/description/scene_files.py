@@ -27,7 +27,7 @@ def load_file(
     Args:
         path: the file.
         parallel: accepted for Mitsuba's signature, no effect.
-        optimize: accepted for Mitsuba's signature, no effect.
+        optimize: false for lights that are numbered in the file's order: see `djpt.load_dict`.
         trusted: false for a scene of a stranger: it may read files in `root` only, whatever names, links or
             includes it has. See SECURITY.md for what else is promised.
         root: that directory; default: the one of the file.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import time
 from collections.abc import Callable, Iterator
 
@@ -71,4 +72,4 @@ def markup(title: str, unit: str, done: int, total: int, seconds: float) -> str:
     text = f"{done / total:.0%}"
     if done and seconds > 0:
         text += f", {short(done / seconds)}{unit}/s, {seconds * (total - done) / done:.0f} s left"
-    return f'{title} <progress value="{done}" max="{total}"></progress> {text}'
+    return f'{html.escape(title)} <progress value="{done}" max="{total}"></progress> {text}'

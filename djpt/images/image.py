@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Image", "check_writable", "checked_labels", "read", "read_metadata", "read_pixels", "reading", "write"]
 
+MOVIE_FORMATS = frozenset({".gif", ".mp4"})
+"""The formats of movies, which `djpt.animation` writes."""
+
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
 
@@ -206,6 +209,9 @@ def _format(path: Path, verb: str) -> Format:
         known = [suffix[1:] for suffix in FORMATS]
         if not path.suffix:
             hint = f"the name has no extension; possible: {', '.join(known)}"
+        elif path.suffix.lower() in MOVIE_FORMATS and verb == "write":
+            movies = "which 'djpt turntable' and 'djpt animate' write with --movie"
+            hint = f"{path.suffix[1:]} is for movies, {movies}; images: {', '.join(known)}"
         else:
             hint = f"unknown extension '{path.suffix[1:]}'{near_miss(path.suffix[1:], known)}"
         raise FileError(f"can't {verb} '{path}': {hint}") from None

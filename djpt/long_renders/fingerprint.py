@@ -20,7 +20,7 @@ from djpt.transforms import ScalarTransform4f
 __all__ = ["Fingerprint", "difference", "fingerprint"]
 
 Fingerprint = Mapping[str, str]
-"""A hash (64 bits, in hexadecimal digits) for each node of a scene by its name, the sensor and the integrator."""
+"""A hash (64 bits, in hexadecimal digits) for each node of a scene by its name, the sensor and the like."""
 
 SHOWN = 4
 """The nodes that a message lists."""
@@ -30,11 +30,15 @@ def fingerprint(scene: Scene, sensor: Sensor, integrator: Integrator) -> dict[st
     """The fingerprint of an image: of all nodes of the scene but other sensors and integrators.
 
     Hashed are the classes of plugins, their parameters (what `traverse` reports: numbers, vertices, texels), and what
-    their kernels depend on besides. The number of samples and the seed of `render` aren't part of it.
+    their kernels depend on besides; and the order of lights, which decides what random numbers choose. The number of
+    samples and the seed of `render` aren't part of it.
     """
     named = [(name, node) for name, node in scene.named if not isinstance(node, (Sensor, Integrator))]
     parts = [*named, ("the sensor", sensor), ("the film", sensor.film()), ("the sampler", sensor.sampler())]
-    return {name: hash_of(node) for name, node in [*parts, ("the integrator", integrator)]}
+    lights = "\n".join(emitter.id() for emitter in scene.emitters())
+    order = hashlib.blake2b(lights.encode("utf-8", "replace"), digest_size=8)
+    nodes = {name: hash_of(node) for name, node in [*parts, ("the integrator", integrator)]}
+    return {**nodes, "the order of lights": order.hexdigest()}
 
 
 def difference(a: Fingerprint, b: Fingerprint) -> str:

@@ -15,6 +15,7 @@ from djpt.errors import SceneError
 from djpt.geometry.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.mesh import Mesh
+from djpt.shapes.numbering import likeness, merged_last
 
 __all__ = ["Merge"]
 
@@ -22,11 +23,12 @@ __all__ = ["Merge"]
 class Merge(Shape):
     """Shapes of which those that can are merged: a description of meshes, which itself never stands in a scene.
 
-    Merged are meshes that have the same BSDF, emitter and sensor (those that a reference names, for instance), that
-    agree in having vertex normals, texture coordinates, `face_normals` and `flip_normals`, and that have no
+    Merged are meshes that have the same BSDF, emitter, sensor and media (those that a reference names, for instance),
+    that agree in having vertex normals, texture coordinates, `face_normals` and `flip_normals`, and that have no
     attributes. All others stay as they are, and so do shapes that aren't meshes. A shape that is referred to several
     times counts once. If all meshes become one, it gets the
-    name of this node; else merged meshes have the name of the first among them.
+    name of this node; else merged meshes have the name of the first among them. The order is Mitsuba's: see
+    `djpt.shapes.numbering`.
     """
 
     def __init__(self, props: Properties) -> None:
@@ -67,19 +69,12 @@ def mergeable(shape: Shape) -> bool:
 
 
 def merged(shapes: Sequence[Shape]) -> list[Shape]:
-    """The shapes, each once, with meshes that are alike put together in the place of the first of them."""
+    """The shapes, each once, in Mitsuba's order, with meshes that are alike put together."""
     groups: dict[Hashable, list[Any]] = {}
-    for shape in {id(shape): shape for shape in shapes}.values():
-        groups.setdefault(likeness(shape) if mergeable(shape) else id(shape), []).append(shape)
+    for shape in merged_last({id(shape): shape for shape in shapes}.values()):
+        key = (likeness(shape), shape.flip_normals) if mergeable(shape) else id(shape)
+        groups.setdefault(key, []).append(shape)
     return [group[0] if len(group) == 1 else joined(group) for group in groups.values()]
-
-
-def likeness(mesh: Any) -> Hashable:
-    """A key that meshes share which can be one."""
-    # Without a BSDF every mesh has one of its own.
-    nested = (mesh._bsdf or mesh, mesh.emitter(), mesh.sensor())
-    data = mesh.normals is None, mesh.texcoords is None, mesh.flat, mesh.flip_normals
-    return (*map(id, nested), *data)
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -92,7 +87,8 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
         for name in ("normals", "texcoords")
     )
     nested = {"bsdf": first._bsdf, "emitter": first.emitter(), "sensor": first.sensor()}
-    keys = {key: plugin for key, plugin in nested.items() if plugin is not None}
+    media = {"interior": first._interior, "exterior": first._exterior}
+    keys = {key: plugin for key, plugin in {**nested, **media}.items() if plugin is not None}
     own = {**keys, "flip_normals": first.flip_normals, "face_normals": first.flat}
     return Mesh(first.id(), np.concatenate([mesh.positions for mesh in meshes]), indices, normals, texcoords, own)
 

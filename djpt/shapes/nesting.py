@@ -20,7 +20,7 @@ __all__ = ["black", "collect_emitters", "collect_sensors", "numbers"]
 
 
 def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
-    """The emitters of a scene's `plugins`, in the order in which Mitsuba numbers them.
+    """The emitters of a scene's `plugins`, in their order.
 
     A shape's emitter is numbered where the shape stands, whether it is nested there or the shape refers to an area
     light that stands in the scene: the latter by itself doesn't count. Emitters of shapes learn their `shape`. A
@@ -47,7 +47,7 @@ def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
 
 
 def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
-    """The sensors of a scene's `plugins`, in the order in which Mitsuba numbers them.
+    """The sensors of a scene's `plugins`, in their order.
 
     Those of shapes learn their `shape`. One that stands in the scene, and that a shape refers to, has two numbers.
 

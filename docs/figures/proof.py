@@ -34,7 +34,7 @@ def proof() -> None:
     scene = room(272)
     # Mitsuba may merge shapes of a scene for speed, which reorders its random numbers.
     reference = mitsuba_renderer(scene, optimize=False)(SPP, SEED)
-    image = np.array(djpt.render(djpt.load_dict(scene), spp=SPP, seed=SEED), np.float32)
+    image = np.array(djpt.render(djpt.load_dict(scene, optimize=False), spp=SPP, seed=SEED), np.float32)
     found = agreement(image, reference)
     samples = f"{SPP} samples per pixel, seed {SEED}"
     tiles = [

@@ -164,7 +164,7 @@ def test_batches_of_irradiance_meters_have_mitsubas_rays(mi: Any) -> None:
     assert_mitsubas_rays(mi, djpt.load_dict(batch(**shapes)), theirs(), atol=3e-6)
     # Shapes of the scene, which move.
     references = {f"part-{name}": {"type": "ref", "id": name} for name in shapes}
-    scene = djpt.load_dict({"type": "scene", **shapes, "batch": batch(**references)})
+    scene = djpt.load_dict({"type": "scene", **shapes, "batch": batch(**references)}, optimize=False)
     params = djpt.traverse(scene)
     params.update({"sphere.to_world": T().translate([5, 0, 0])})
     shapes["sphere"] = {"type": "sphere", "center": [5, 0, 0], "meter": meter}

@@ -35,8 +35,8 @@ def box(
 
 
 def ours(scene: dict[str, Any], spp: int = 4, seed: int = 0, **options: Any) -> np.ndarray:
-    """The image by djpt, (H, W, C)."""
-    return pixels(djpt.render(djpt.load_dict(scene), spp=spp, seed=seed, **options))
+    """The image by djpt, (H, W, C), with lights numbered in the order of the description, as by `theirs`."""
+    return pixels(djpt.render(djpt.load_dict(scene, optimize=False), spp=spp, seed=seed, **options))
 
 
 def theirs(scene: dict[str, Any], spp: int = 4, seed: int = 0) -> np.ndarray:

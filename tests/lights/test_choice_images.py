@@ -149,7 +149,7 @@ def test_gradients_by_radiance_equal_differences(monkeypatch: pytest.MonkeyPatch
 
 
 def test_edits_renew_the_choice_and_compile_nothing() -> None:
-    scene = djpt.load_dict(floor_scene(lamps(), integrator=choosing("tree"), size=16))
+    scene = djpt.load_dict(floor_scene(lamps(), integrator=choosing("tree"), size=16), optimize=False)
     params = djpt.traverse(scene)
     djpt.render(scene, spp=2)
 

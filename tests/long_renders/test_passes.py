@@ -232,6 +232,14 @@ def test_other_images_are_refused(changed: Any, message: str) -> None:
         djpt.render_passes(changed(), spp=16, resume_from=found)
 
 
+def test_another_order_of_lights_is_refused() -> None:
+    lights = {"lamp": {"type": "rectangle", "emitter": {"type": "area"}}, "sky": {"type": "constant"}}
+    scenes = [djpt.load_dict({**djpt.cornell_box(), **lights}, optimize=optimize) for optimize in (True, False)]
+    found = last(scenes[0], spp=8, round_spp=8)
+    with pytest.raises(RenderError, match="differs in the order of lights"):
+        djpt.render_passes(scenes[1], spp=16, resume_from=found)
+
+
 def test_other_rounds_are_refused() -> None:
     found = last(box(), spp=8, round_spp=8)
     with pytest.raises(RenderError, match="its rounds have 8 spp"):

@@ -7,6 +7,7 @@ import json
 import re
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from djpt.errors import FileError
+from djpt.images.image import write
 from djpt.validation import Comparison, compare
 from djpt.validation.page.packing import bytes_of, halves_of
 from tests.kit.browser import CHROMIUM, Page, browsing
@@ -82,6 +84,34 @@ def test_images_without_noise_and_black_ones() -> None:
     assert "HDR-FLIP" not in text, "it finds its exposures from the reference"
 
 
+NAMES = {
+    "a script that is never closed": "<!--<script>.exr",
+    "a script": "</script><script>document.title = 'owned'</script>.exr",
+    "an attribute": "\"onload='x'&amp;.exr",
+    "the end of the page": "--></main></body></html>.exr",
+    "not UTF-8": "\udcff.exr",
+}
+
+
+def named(name: str, folder: Path) -> Comparison:
+    """The comparison of a file of this name with itself."""
+    write(folder / "plain.exr", picture(1, 0))
+    found = compare(folder / "plain.exr", against=folder / "plain.exr", name=name)
+    return replace(found, titles=(name, name), facts=({"file": name, name: {name: name}}, {}))
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_pages_survive_any_name(name: str, tmp_path: Path) -> None:
+    """A page has two scripts, its data and its code; the parser of browsers has states of its own within them."""
+    named(name, tmp_path).write_page(tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text("utf-8")
+    assert re.findall(r"</?script|<!--", text) == ["<script", "</script"] * 2
+    block = re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1]  # type: ignore[index]
+    assert "<" not in block
+    assert json.loads(block)["titles"] == [name, name]
+    assert text.endswith("</script>\n</body>\n</html>\n")
+
+
 @pytest.mark.parametrize("size", [64, pytest.param(512, marks=pytest.mark.slow)])
 def test_noisy_pages_are_small(size: int) -> None:
     """Noise can't be compressed: less than 5 MB for 512 x 512 pixels, and as much for each of others."""
@@ -95,6 +125,17 @@ def test_noisy_pages_are_small(size: int) -> None:
 
 
 # ---------------------------------------------------------------- in a browser
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_pages_of_any_name_work(name: str, tmp_path: Path) -> None:
+    named(name, tmp_path).write_page(tmp_path / "a.html")
+    with browsing(tmp_path / "profile") as opened:
+        opened.open((tmp_path / "a.html").as_uri())
+        opened.wait("document.body.dataset.ready == 'yes'")
+        assert opened.run("document.title") != "owned"
+        assert opened.run('document.getElementById("title-a").textContent').endswith(".exr")
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,8 @@ class Loss:
     """
 
     def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, seed: int) -> None:
-        self.scene, self.key, self.spp, self.sensor = load_dict(scene), key, spp, sensor
+        self.key, self.spp, self.sensor = key, spp, sensor
+        self.scene = load_dict(scene, optimize=False)  # as Mitsuba's, whose names need it
         self.params = traverse(self.scene)
         value = self.params[key]
         if not self.params.flags(key).differentiable or not dr.is_array_v(value):

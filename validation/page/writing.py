@@ -38,7 +38,8 @@ def write_page(result: Comparison, path: str | os.PathLike[str]) -> None:
     check_target(target)
     text = html(result)
     with writing(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        # Names of files may hold bytes that aren't UTF-8.
+        temporary.write_text(text, encoding="utf-8", errors="replace")
 
 
 def html(result: Comparison) -> str:
@@ -93,8 +94,8 @@ def data(result: Comparison, flip: np.ndarray[Any, Any] | None) -> str:
         "z": None if result.z_map is None else bytes_of(result.z_map, -Z_SHOWN, Z_SHOWN),
         "flip": None if flip is None else bytes_of(flip, 0.0, 1.0),
     }
-    # In a script, "</" would end it.
-    return json.dumps(found).replace("</", "<\\/")
+    # In a script "</script" would end it, and "<!--<script" would let it run to the end of the page.
+    return json.dumps(found).replace("<", "\\u003c")
 
 
 # ---- numbers -------------------------------------------------------------------------------------
