@@ -55,6 +55,8 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     # Many photons take their time at each of the vertices, and first of all connections need many samples.
     default_photon_count = 60_000
+    paths_per_sample = 1
+    crowd = 4.0
     weighs_photons = True
 
     def __init__(self, props: Properties) -> None:
@@ -69,7 +71,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
         integrator = super().looking_at(photons)
-        integrator._merging = self.h(photons.expected)
+        integrator._merging = self.h(photons.expected * dr.opaque(Float, 1 / self.crowd))
         return integrator
 
     # ---- where paths meet --------------------------------------------------------------
