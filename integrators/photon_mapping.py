@@ -65,7 +65,7 @@ class PhotonMapping(SplattingIntegrator):
     paths_per_sample: ClassVar[int] = 4
     """The light paths of a pass for each of its camera paths, at most."""
 
-    crowd: ClassVar[float] = 50.0
+    crowd: ClassVar[float] = 32.0
     """The photons within the first radius about a point that the camera sees, on average, unless it is given."""
 
     weighs_photons: ClassVar[bool] = False

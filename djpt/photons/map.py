@@ -19,7 +19,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.kernels import as_float, while_loop
-from djpt.photons.photon import WORDS, Photon, PhotonStore, memory_for, unpacked
+from djpt.photons.photon import MOST_EDGES, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.types import (
     Array4f,
     ArrayXf,
@@ -52,6 +52,9 @@ MOST_ALONG, MOST_ACROSS = 6, 4
 FLATNESS = 0.1
 """How far from the tangent plane photons count, in relation to the radius: those on other sides of an edge don't."""
 
+FACING = 0.5
+"""The least cosine of a photon's normal to the surface's: those on walls don't count for the floor below."""
+
 AT_ONCE = 4
 """Photons that a lane looks at before it asks whether its run has ended."""
 
@@ -79,8 +82,9 @@ class PhotonMap:
         density = math.pi * radius**2 * paths
         self.expected = as_float(density)
         """The photons within the radius per density of light paths: pi radius^2 paths."""
-        self._radius, self._square = as_float(radius), as_float(radius**2)
-        self._height = as_float(FLATNESS * radius)
+        self.radius, self._square = as_float(radius), as_float(radius**2)
+        self.height = as_float(FLATNESS * radius)
+        """How far from the tangent plane they count."""
         self._width = as_float(WIDTH * radius)
         self._per_length, self._per_width = as_float(1 / (LENGTH * radius)), as_float(1 / (WIDTH * radius))
         self._scale, self._unit = as_float(2.0**DIGITS / (unit * density)), as_float(unit * 2.0**-DIGITS)
@@ -151,15 +155,16 @@ class PhotonMap:
         Args:
             p: the point, on a surface.
             n: the surface's normal.
-            edges: the most edges of the photons' paths that count.
+            edges: the most edges of the photons' paths that count; all paths of more than `MOST_EDGES` of
+                `djpt.photons.photon` count alike.
             active: where there is a sum at all; else it is 0.
             worth: what a photon within the radius counts, a colour.
         """
         lanes = dr.width(p, active)
-        most = Float(edges)
+        most = Float(dr.minimum(edges, MOST_EDGES))
         # How far the disk reaches, with the photons above and below it.
         x, y, z = (
-            dr.minimum(self._radius, self._radius * dr.safe_sqrt(1 - dr.square(c)) + self._height * dr.abs(c))
+            dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c))
             for c in n
         )
         y0, z0 = self._across(p.y - y), self._across(p.z - z)
@@ -169,7 +174,7 @@ class PhotonMap:
         def add(i: UInt32, there: Bool, total: list[Int64]) -> list[Int64]:
             photon = self._photon(i, there, lanes)
             to = photon.p - p
-            on_surface = dr.abs(dr.dot(to, n)) <= self._height
+            on_surface = (dr.abs(dr.dot(to, n)) <= self.height) & (dr.dot(photon.n, n) >= FACING)
             counts = there & on_surface & (dr.squared_norm(to) <= self._square) & (photon.edges <= most)
             color = worth(photon) * self._scale
             return [t + Int64(dr.round(dr.select(counts, c, 0))) for t, c in zip(total, color, strict=True)]
