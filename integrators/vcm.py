@@ -54,7 +54,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     """
 
     # Many photons take their time at each of the vertices, and first of all connections need many samples.
-    default_photon_count = 60_000
+    default_photon_count = 250_000
     paths_per_sample = 1
     crowd = 4.0
     weighs_photons = True

@@ -18,7 +18,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.kernels import as_float, while_loop
+from djpt.kernels import as_float, while_loop, wide
 from djpt.photons.photon import MOST_EDGES, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.types import (
     Array4f,
@@ -43,8 +43,11 @@ DIGITS = 32
 LENGTH = 1 / 2
 """The length of a cell along x, in relation to the radius."""
 
-WIDTH = 1.0
+WIDTH = 2.0
 """Its width along y and z."""
+
+SHIFT = 0.382
+"""Where the origin lies in its cell along y and z: floors at 0 are common, and shouldn't lie between two cells."""
 
 MOST_ALONG, MOST_ACROSS = 6, 4
 """The cells along x, and along y or z, that a ball may reach into: one more than fit, since numbers are rounded."""
@@ -116,7 +119,7 @@ class PhotonMap:
 
     def _across(self, c: Float) -> Int32:
         """The number of the cell along y or z."""
-        return cell(c * self._per_width)
+        return cell(dr.fma(c, self._per_width, SHIFT))
 
     def _hash(self, x: Int32, y: Int32, z: Int32) -> UInt32:
         return (UInt32(x) + UInt32(y) * ALONG_Y + UInt32(z) * ALONG_Z) & self._mask
@@ -137,7 +140,7 @@ class PhotonMap:
 
     def _distance(self, c: Float, number: Int32) -> Float:
         """How far a coordinate y or z is from the cells of a number."""
-        low = Float(number) * self._width
+        low = (Float(number) - SHIFT) * self._width
         beside: Float = dr.maximum(low - c, c - low - self._width)
         return dr.select(beside > 0, beside, Float(0))
 
@@ -191,10 +194,11 @@ class PhotonMap:
             start, stop = self._run(p, x, y, z, done & (z <= z1))
             return y, z, dr.select(done, start, i), dr.select(done, stop, end), total
 
-        # A lane begins before the first row, and ends behind the last one.
-        none = dr.zeros(UInt32, lanes)
+        # A lane ends behind the last row.
+        z0 = dr.select(active, z0, z1 + 1)
+        start, stop = self._run(p, x, y0, z0, active)
         sums = [dr.zeros(Int64, lanes) for _ in range(3)]
-        state = (y0 - 1, dr.select(active, z0, z1 + 1), none, UInt32(none), sums)
+        state = (wide(y0, lanes), wide(z0, lanes), wide(start, lanes), wide(stop, lanes), sums)
         done = while_loop(state, lambda y, z, i, end, total: z <= z1, step, label="photons")
         return Color3f(*(Float(Float64(t)) * self._unit for t in done[4]))
 
