@@ -350,9 +350,7 @@ class BidirectionalPath(SplattingIntegrator):
         survives = sampler.next_1d() < chance
         return arriving_between(scene, sampler, ray, dr.select(survives, value * dr.rcp(chance), 0))
 
-    def merged(
-        self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool
-    ) -> Color3f | None:
+    def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f | None:
         """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""
         return None
 

@@ -167,8 +167,7 @@ class PhotonMap:
         most = Float(dr.minimum(edges, MOST_EDGES))
         # How far the disk reaches, with the photons above and below it.
         x, y, z = (
-            dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c))
-            for c in n
+            dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c)) for c in n
         )
         y0, z0 = self._across(p.y - y), self._across(p.z - z)
         y1 = dr.minimum(self._across(p.y + y), y0 + (MOST_ACROSS - 1))
