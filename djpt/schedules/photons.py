@@ -157,7 +157,7 @@ def first_radius(job: Job, store: PhotonStore) -> float:
 
 
 def trace(job: Job, store: PhotonStore, first: float, number: int) -> PhotonMapping:
-    """Follow the light paths of the pass `number`, and return the integrator with their map; `first` is the radius of the first one."""
+    """The integrator with the map of the pass `number`; `first` is the radius of the first pass."""
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
     paths = integrator.photon_count
