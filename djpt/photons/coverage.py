@@ -2,8 +2,8 @@
 
 A sum over the photons of a disk is divided by its area. Where a surface ends within the disk, at an edge or at the foot
 of a wall, photons can only lie on the share c of it, and the sum is too small by as much: all edges are dark by a
-radius. So points of the disk are looked at until one is on the surface. Their number K is 1 nearly everywhere, and has the
-mean 1 / c everywhere: sums times K have no such error, since K doesn't depend on the photons.
+radius. So points of the disk are looked at until one is on the surface. Their number K is 1 nearly everywhere, and has
+the mean 1 / c everywhere: sums times K have no such error, since K doesn't depend on the photons.
 
 T. E. Booth, "Unbiased Monte Carlo Estimation of the Reciprocal of an Integral", 2007; H. Qin, X. Sun, Q. Hou, B. Guo
 and K. Zhou, "Unbiased Photon Gathering for Light Transport Simulation", 2015, use it for other paths.
@@ -33,7 +33,7 @@ MOST = 16
 """Points of a disk, at most. In the corner of a room, where c = 1/4, one in a hundred such sequences ends too early."""
 
 PRECISION = 2.0**-17
-"""The least height of where rays begin, in relation to 1 + the largest coordinate: else rounding decides what they hit."""
+"""The least height of where rays begin over 1 + the largest coordinate: below it rounding decides what they hit."""
 
 
 @dataclass
@@ -52,7 +52,8 @@ def inverse_coverage(
     """An estimate of 1 / c, c being the share of the disk about a point where photons count; 1 where not `active`.
 
     A point of the disk counts if it is seen from the centre along the surface, and the surface there lies near the
-    tangent plane and faces the same way. If none arrives, because what is there is smaller than the disk, the estimate is 1.
+    tangent plane and faces the same way. If none is found, because what is there is smaller than the disk, the
+    estimate is 1.
     """
     lanes = dr.width(si.p, active, sampler)
     frame = Frame3f(si.n)

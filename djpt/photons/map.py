@@ -130,7 +130,7 @@ class PhotonMap:
         Runs over the last hash value go on at the first one, which is counted on from the number of photons.
         """
         rest = self._square - dr.square(self._distance(p.y, y)) - dr.square(self._distance(p.z, z))
-        asked &= rest > 0
+        asked = asked & (rest > 0)
         reach = dr.minimum(reach, dr.safe_sqrt(rest))
         first, last = self._along(p.x - reach), self._along(p.x + reach)
         begin, end = self._hash(first, y, z), self._hash(dr.minimum(last + 1, first + MOST_ALONG), y, z)

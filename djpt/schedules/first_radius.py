@@ -117,15 +117,19 @@ def radius_of_crowd(seen: Seen, fill: Callable[[PhotonMap], None], paths: int, w
         paths: the number of those light paths.
         wanted: the number of photons, for as many light paths.
     """
-    radius, points = seen.largest_radius(), float(np.count_nonzero(np.array(seen.there)))
+    radius = seen.largest_radius()
     for _ in range(TRIES):
-        # Each photon is worth as much as makes their number of the density.
-        worth = math.pi * radius**2 * paths
-        photon_map, one = PhotonMap(radius, paths, 1.0), dr.opaque(Float, worth)
+        photon_map = PhotonMap(radius, paths, 1.0)
         fill(photon_map)
-        counts = photon_map.density(seen.p, seen.n, UInt32(MOST_COUNTED), seen.there, lambda photon: Color3f(one))
-        mean = float(np.array(counts.x, np.float64).sum()) / points
+        mean = mean_count(seen, photon_map, math.pi * radius**2 * paths)
         if mean <= TOLERANCE * wanted:
             break
         radius *= math.sqrt(wanted / mean)
     return radius
+
+
+def mean_count(seen: Seen, photon_map: PhotonMap, expected: float) -> float:
+    """The photons of a map about a point that is seen, on average; `expected`: what densities are multiplied by."""
+    worth = dr.opaque(Float, expected)
+    counts = photon_map.density(seen.p, seen.n, UInt32(MOST_COUNTED), seen.there, lambda photon: Color3f(worth))
+    return float(np.array(counts.x, np.float64).sum()) / float(np.count_nonzero(np.array(seen.there)))
