@@ -46,15 +46,14 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     and all ways are weighted against each other: mergings count little where connections do well.
 
-    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`, with a `photon_count` of 60000.
+    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`, with a light path for each camera path.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
     Simulation", 2012.
     """
 
-    # Many photons take their time at each of the vertices, and first of all connections need many samples.
-    default_photon_count = 250_000
+    # A photon takes its time at each of the vertices, and first of all connections need many samples.
     paths_per_sample = 1
     crowd = 4.0
     weighs_photons = True
@@ -71,6 +70,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
         integrator = super().looking_at(photons)
+        # Those about a vertex share its camera path: they count for one sample.
         integrator._merging = self.h(photons.expected * dr.opaque(Float, 1 / self.crowd))
         return integrator
 
