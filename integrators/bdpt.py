@@ -269,7 +269,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         further = on & (end.depth < self.longest)
         joins = further & place.is_smooth()
         glow = None if glow is None else come.throughput * glow
-        merged = self.merged(scene, end, place, joins)
+        merged = self.merged(scene, end, place, sampler, joins)
         if merged is not None:
             glow = merged if glow is None else glow + merged
         # Through null surfaces all paths go on.
@@ -357,7 +357,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         survives = sampler.next_1d() < chance
         return arriving_between(scene, sampler, ray, dr.select(survives, value * dr.rcp(chance), 0))
 
-    def merged(self, scene: Scene, end: End, place: Place, joins: Bool) -> Color3f | None:
+    def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f | None:
         """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""
         return None
 

@@ -6,7 +6,6 @@ import copy
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import drjit as dr
-import numpy as np
 
 from djpt.description.frozen import recording
 from djpt.description.properties import Properties
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PhotonMapping", "over_cosine", "scatters"]
 
-SHARE = 0.01
-"""The first radius in relation to the longest side of the box about the scene."""
-
 MOST_PATHS = 2**26
 """The most light paths of a pass."""
 
@@ -37,7 +33,7 @@ class PhotonMapping(SplattingIntegrator):
     """An estimator whose camera paths look at photons: at what light paths have left near a point on a surface.
 
     An image is made in passes. Each traces `photon_count` light paths, whose photons make a map, and one sample of each
-    pixel, or as many as give a quarter of as many camera paths, which look at it. To count all photons within a radius
+    pixel, or as many as give one camera path for `paths_per_sample` light paths, which look at it. To count all photons within a radius
     as if they had come to the point itself is to blur, which is an error; it vanishes, because the radius shrinks from
     pass to pass::
 
@@ -47,8 +43,12 @@ class PhotonMapping(SplattingIntegrator):
     these parameters alone, so an image is a function of (scene, spp, seed).
 
     Parameters, besides those of the estimator: `photon_count` (light paths of a pass, default 250000),
-    `initial_radius` (in the scene's units, > 0; default 0: a hundredth of the longest side of the box about the
-    scene), `alpha` (in (0, 1], default 2/3; 1 keeps the radius).
+    `initial_radius` (in the scene's units, > 0; default 0: from what the sensor sees, see below), `alpha` (in (0, 1],
+    default 2/3; 1 keeps the radius).
+
+    The first radius is such that the points that some camera rays see have `crowd` photons about them on average, but
+    at most a hundredth of the median of their distances (`djpt.schedules.first_radius`). It doesn't depend on the seed
+    or on the samples per pixel.
 
     T. Hachisuka and H. W. Jensen, "Stochastic Progressive Photon Mapping", 2009; C. Knaus and M. Zwicker, "Progressive
     Photon Mapping: A Probabilistic Approach", 2011; A. Kaplanyan and C. Dachsbacher, "Adaptive Progressive Photon
@@ -61,6 +61,12 @@ class PhotonMapping(SplattingIntegrator):
 
     default_photon_count: ClassVar[int] = 250_000
     """The light paths of a pass, unless a description says something else."""
+
+    paths_per_sample: ClassVar[int] = 4
+    """The light paths of a pass for each of its camera paths, at most."""
+
+    crowd: ClassVar[float] = 32.0
+    """The photons within the first radius about a point that the camera sees, on average, unless it is given."""
 
     weighs_photons: ClassVar[bool] = False
     """Whether photons keep the weights of their light paths."""
@@ -92,13 +98,8 @@ class PhotonMapping(SplattingIntegrator):
 
     # ---- passes ------------------------------------------------------------------------
 
-    def radius(self, scene: Scene, number: int) -> float:
-        """The radius of a pass: `number` = 0, 1, .."""
-        first = self.initial_radius
-        if first == 0:
-            low, high = (np.array(corner, np.float64).ravel() for corner in scene.bbox())
-            side = float((high - low).max())
-            first = SHARE * side if 0 < side < np.inf else SHARE
+    def radius(self, first: float, number: int) -> float:
+        """The radius of the pass `number` = 0, 1, .. of an image whose `first` radius is given."""
         return first * (number + 1) ** ((self.alpha - 1) / 2)
 
     def looking_at(self: Self, photons: PhotonMap) -> Self:

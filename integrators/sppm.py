@@ -18,7 +18,7 @@ from djpt.integrators.ptracer import leave_light
 from djpt.integrators.splatting import Sink
 from djpt.integrators.termination import roulette
 from djpt.materials.adjoint import sample_light
-from djpt.photons import Photon, PhotonStore
+from djpt.photons import Photon, PhotonStore, inverse_coverage
 from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float, Point2f
@@ -44,8 +44,8 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
     The light of that surface comes from three sources, each of which is all light of its kind:
 
     * straight from emitters: by light samples and BSDF samples, as in `path`;
-    * over other surfaces: 1 / (pi r^2 N) times the sum of f flux over the photons within the radius r, of N light paths
-      of two and more edges;
+    * over other surfaces: 1 / (c pi r^2 N) times the sum of f flux over the photons within the radius r, of N light
+      paths of two and more edges, c being the share of the disk that is surface;
     * through its own mirrors, if it has any, such as a coat: the path goes on.
 
     Finds what no unbiased method does: caustics of point lights in mirrors and panes, light that is reflected,
@@ -86,7 +86,9 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
             return over_cosine(value, si, photon) * photon.flux
 
         edges = self.longest - state.depth - 1
-        v.emitted = v.emitted + state.throughput * self.photons.density(si.p, si.n, edges, looks, worth)
+        over_surfaces = self.photons.density(si.p, si.n, edges, looks, worth)
+        covered = inverse_coverage(scene, self.photons, si, sampler, dr.max(over_surfaces) > 0)
+        v.emitted = v.emitted + state.throughput * over_surfaces * covered
         v.reflected = dr.select(before, v.reflected, 0)
         v.active &= before
         return v
@@ -106,7 +108,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
         flux = path.flux * scene.transmittance(ray, si.t)
         # One more edge at least leads to the camera.
         on = si.is_valid() & (path.depth < self.longest)
-        photon = Photon(si.p, Float(path.depth), ray.d, flux)
+        photon = Photon(si.p, si.n, Float(path.depth), ray.d, flux)
         store.add(photon, on & scatters(si) & ((path.depth > 1) | path.beam) & (dr.max(flux) > 0))
 
         bs, weight = si.bsdf().visit(lambda bsdf: sample_light(bsdf, si, sample1, sample2, on), on)

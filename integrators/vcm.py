@@ -15,7 +15,7 @@ from djpt.integrators.both_ends import End, mis_weight
 from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.places import Place
 from djpt.integrators.termination import roulette
-from djpt.photons import Photon, PhotonMap, PhotonStore
+from djpt.photons import Photon, PhotonMap, PhotonStore, inverse_coverage
 from djpt.samplers.base import SampleStream
 from djpt.types import Bool, Color3f, Float
 
@@ -46,15 +46,16 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     and all ways are weighted against each other: mergings count little where connections do well.
 
-    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`, with a `photon_count` of 60000.
+    Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`, with a light path for each camera path.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport
     Simulation", 2012.
     """
 
-    # Many photons take their time at each of the vertices, and first of all connections need many samples.
-    default_photon_count = 60_000
+    # A photon takes its time at each of the vertices, and first of all connections need many samples.
+    paths_per_sample = 1
+    crowd = 4.0
     weighs_photons = True
 
     def __init__(self, props: Properties) -> None:
@@ -69,7 +70,8 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
 
     def looking_at(self, photons: PhotonMap) -> VertexConnectionMerging:
         integrator = super().looking_at(photons)
-        integrator._merging = self.h(photons.expected)
+        # Those about a vertex share its camera path: they count for one sample.
+        integrator._merging = self.h(photons.expected * dr.opaque(Float, 1 / self.crowd))
         return integrator
 
     # ---- where paths meet --------------------------------------------------------------
@@ -78,7 +80,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         """The end at a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
         return replace(end, vcm=end.vcm + self._merging)
 
-    def merged(self, scene: Scene, end: End, place: Place, joins: Bool) -> Color3f:
+    def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f:
         """The light of the photons about a vertex of a camera path."""
         assert self.photons is not None
         si = place.si
@@ -91,7 +93,8 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
             return over_cosine(value, si, photon) * photon.flux * weight
 
         edges = dr.select(end.depth < self.joined, self.joined - end.depth, 0)
-        return end.throughput * self.photons.density(si.p, si.n, edges, joins, worth)
+        found = self.photons.density(si.p, si.n, edges, joins, worth)
+        return end.throughput * found * inverse_coverage(scene, self.photons, si, sampler, dr.max(found) > 0)
 
     # ---- photons -----------------------------------------------------------------------
 
@@ -107,7 +110,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         end = path.end.arrived(place, scene.transmittance(ray, si.t), self.h)
         on = si.is_valid() & (end.depth < self.joined)
         flux = end.throughput * path.power
-        photon = Photon(si.p, Float(end.depth), ray.d, flux, end.vcm, end.vc)
+        photon = Photon(si.p, si.n, Float(end.depth), ray.d, flux, end.vcm, end.vc)
         store.add(photon, on & scatters(si) & (dr.max(flux) > 0))
 
         s = place.scatter(scene, False, None, sampler, on)

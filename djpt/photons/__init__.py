@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from djpt.photons.coverage import inverse_coverage
 from djpt.photons.map import PhotonMap
 from djpt.photons.photon import Photon, PhotonStore
 
-__all__ = ["Photon", "PhotonMap", "PhotonStore"]
+__all__ = ["Photon", "PhotonMap", "PhotonStore", "inverse_coverage"]

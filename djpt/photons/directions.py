@@ -16,24 +16,38 @@ import drjit as dr
 from djpt.types import Float, Int32, Point2f, UInt32, Vector3f
 from djpt.warp.octahedron import direction_at, place_of
 
-__all__ = ["packed", "unpacked"]
+__all__ = ["coded", "decoded", "packed", "unpacked"]
 
 DIGITS = 16
-"""Binary digits of a coordinate."""
+"""Binary digits of a coordinate of a direction that fills a word."""
 
-HALF = 2 ** (DIGITS - 1) - 1
-"""The steps from the square's centre to its side."""
+
+def coded(d: Vector3f, digits: int) -> UInt32:
+    """A unit vector in a whole number with twice as many binary `digits` as each of its two coordinates has."""
+    half = half_of(digits)
+    low, high = (UInt32(Int32(dr.round(dr.fma(c, half, half)))) for c in place_of(d)[0])
+    return low | (high << digits)
+
+
+def decoded(bits: UInt32, digits: int) -> Vector3f:
+    """The unit vector that `coded` has made a number of."""
+    inverse = 1 / half_of(digits)
+    u, v = (dr.fma(Float(Int32(c)), inverse, -1) for c in (bits & (2**digits - 1), bits >> digits))
+    return direction_at(Point2f(u, v))
 
 
 def packed(d: Vector3f) -> Float:
     """A unit vector in the bits of a `Float`, which isn't a number to compute with."""
-    low, high = (UInt32(Int32(dr.round(dr.fma(c, HALF, HALF)))) for c in place_of(d)[0])
-    word: Any = dr.reinterpret_array(Float, low | (high << DIGITS))
+    word: Any = dr.reinterpret_array(Float, coded(d, DIGITS))
     return Float(word)
 
 
 def unpacked(word: Float) -> Vector3f:
     """The unit vector that `packed` has put into a word."""
     bits: Any = dr.reinterpret_array(UInt32, word)
-    u, v = (dr.fma(Float(Int32(c)), 1 / HALF, -1) for c in (bits & (2**DIGITS - 1), bits >> DIGITS))
-    return direction_at(Point2f(u, v))
+    return decoded(UInt32(bits), DIGITS)
+
+
+def half_of(digits: int) -> int:
+    """The steps from the square's centre to its side."""
+    return int(2 ** (digits - 1) - 1)

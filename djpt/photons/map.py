@@ -18,8 +18,8 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.kernels import as_float, while_loop
-from djpt.photons.photon import WORDS, Photon, PhotonStore, memory_for, unpacked
+from djpt.kernels import as_float, while_loop, wide
+from djpt.photons.photon import MOST_EDGES, WORDS, Photon, PhotonStore, memory_for, unpacked
 from djpt.types import (
     Array4f,
     ArrayXf,
@@ -43,14 +43,20 @@ DIGITS = 32
 LENGTH = 1 / 2
 """The length of a cell along x, in relation to the radius."""
 
-WIDTH = 1.0
+WIDTH = 2.0
 """Its width along y and z."""
+
+SHIFT = 0.382
+"""Where the origin lies in its cell along y and z: floors at 0 are common, and shouldn't lie between two cells."""
 
 MOST_ALONG, MOST_ACROSS = 6, 4
 """The cells along x, and along y or z, that a ball may reach into: one more than fit, since numbers are rounded."""
 
 FLATNESS = 0.1
 """How far from the tangent plane photons count, in relation to the radius: those on other sides of an edge don't."""
+
+FACING = 0.5
+"""The least cosine of a photon's normal to the surface's: those on walls don't count for the floor below."""
 
 AT_ONCE = 4
 """Photons that a lane looks at before it asks whether its run has ended."""
@@ -79,8 +85,9 @@ class PhotonMap:
         density = math.pi * radius**2 * paths
         self.expected = as_float(density)
         """The photons within the radius per density of light paths: pi radius^2 paths."""
-        self._radius, self._square = as_float(radius), as_float(radius**2)
-        self._height = as_float(FLATNESS * radius)
+        self.radius, self._square = as_float(radius), as_float(radius**2)
+        self.height = as_float(FLATNESS * radius)
+        """How far from the tangent plane they count."""
         self._width = as_float(WIDTH * radius)
         self._per_length, self._per_width = as_float(1 / (LENGTH * radius)), as_float(1 / (WIDTH * radius))
         self._scale, self._unit = as_float(2.0**DIGITS / (unit * density)), as_float(unit * 2.0**-DIGITS)
@@ -112,7 +119,7 @@ class PhotonMap:
 
     def _across(self, c: Float) -> Int32:
         """The number of the cell along y or z."""
-        return cell(c * self._per_width)
+        return cell(dr.fma(c, self._per_width, SHIFT))
 
     def _hash(self, x: Int32, y: Int32, z: Int32) -> UInt32:
         return (UInt32(x) + UInt32(y) * ALONG_Y + UInt32(z) * ALONG_Z) & self._mask
@@ -123,7 +130,7 @@ class PhotonMap:
         Runs over the last hash value go on at the first one, which is counted on from the number of photons.
         """
         rest = self._square - dr.square(self._distance(p.y, y)) - dr.square(self._distance(p.z, z))
-        asked &= rest > 0
+        asked = asked & (rest > 0)
         reach = dr.minimum(reach, dr.safe_sqrt(rest))
         first, last = self._along(p.x - reach), self._along(p.x + reach)
         begin, end = self._hash(first, y, z), self._hash(dr.minimum(last + 1, first + MOST_ALONG), y, z)
@@ -133,7 +140,7 @@ class PhotonMap:
 
     def _distance(self, c: Float, number: Int32) -> Float:
         """How far a coordinate y or z is from the cells of a number."""
-        low = Float(number) * self._width
+        low = (Float(number) - SHIFT) * self._width
         beside: Float = dr.maximum(low - c, c - low - self._width)
         return dr.select(beside > 0, beside, Float(0))
 
@@ -151,16 +158,16 @@ class PhotonMap:
         Args:
             p: the point, on a surface.
             n: the surface's normal.
-            edges: the most edges of the photons' paths that count.
+            edges: the most edges of the photons' paths that count; all paths of more than `MOST_EDGES` of
+                `djpt.photons.photon` count alike.
             active: where there is a sum at all; else it is 0.
             worth: what a photon within the radius counts, a colour.
         """
         lanes = dr.width(p, active)
-        most = Float(edges)
+        most = Float(dr.minimum(edges, MOST_EDGES))
         # How far the disk reaches, with the photons above and below it.
         x, y, z = (
-            dr.minimum(self._radius, self._radius * dr.safe_sqrt(1 - dr.square(c)) + self._height * dr.abs(c))
-            for c in n
+            dr.minimum(self.radius, self.radius * dr.safe_sqrt(1 - dr.square(c)) + self.height * dr.abs(c)) for c in n
         )
         y0, z0 = self._across(p.y - y), self._across(p.z - z)
         y1 = dr.minimum(self._across(p.y + y), y0 + (MOST_ACROSS - 1))
@@ -169,7 +176,7 @@ class PhotonMap:
         def add(i: UInt32, there: Bool, total: list[Int64]) -> list[Int64]:
             photon = self._photon(i, there, lanes)
             to = photon.p - p
-            on_surface = dr.abs(dr.dot(to, n)) <= self._height
+            on_surface = (dr.abs(dr.dot(to, n)) <= self.height) & (dr.dot(photon.n, n) >= FACING)
             counts = there & on_surface & (dr.squared_norm(to) <= self._square) & (photon.edges <= most)
             color = worth(photon) * self._scale
             return [t + Int64(dr.round(dr.select(counts, c, 0))) for t, c in zip(total, color, strict=True)]
@@ -186,10 +193,11 @@ class PhotonMap:
             start, stop = self._run(p, x, y, z, done & (z <= z1))
             return y, z, dr.select(done, start, i), dr.select(done, stop, end), total
 
-        # A lane begins before the first row, and ends behind the last one.
-        none = dr.zeros(UInt32, lanes)
+        # A lane ends behind the last row.
+        z0 = dr.select(active, z0, z1 + 1)
+        start, stop = self._run(p, x, y0, z0, active)
         sums = [dr.zeros(Int64, lanes) for _ in range(3)]
-        state = (y0 - 1, dr.select(active, z0, z1 + 1), none, UInt32(none), sums)
+        state = (wide(y0, lanes), wide(z0, lanes), wide(start, lanes), wide(stop, lanes), sums)
         done = while_loop(state, lambda y, z, i, end, total: z <= z1, step, label="photons")
         return Color3f(*(Float(Float64(t)) * self._unit for t in done[4]))
 

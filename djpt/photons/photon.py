@@ -10,7 +10,7 @@ import drjit as dr
 from djpt.errors import RenderError
 from djpt.photons import directions
 from djpt.process.memory import RESERVE, shortage
-from djpt.types import ArrayXf, Bool, Color3f, Float, Point3f, UInt32, Vector2f, Vector3f
+from djpt.types import ArrayXf, Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
 
 __all__ = ["WORDS", "Photon", "PhotonStore", "bytes_of", "memory_for", "require_memory", "unpacked"]
 
@@ -27,6 +27,12 @@ it, and three for each hash value, of which there are less than two to a photon.
 PER_PATH = 6
 """Photons of a path that there is memory for at first."""
 
+NORMAL_DIGITS, EDGES_DIGITS = 8, 16
+"""Binary digits of a coordinate of a photon's normal, and of its number of edges: together they make a word."""
+
+MOST_EDGES = 2**EDGES_DIGITS - 1
+"""The largest number of edges that a photon keeps; longer paths count as if they had as many."""
+
 MOST = 2**27
 """The most photons of a pass: their numbers are counted in 32 bits, with room for those that don't fit."""
 
@@ -36,8 +42,10 @@ class Photon:
     """A vertex of a light path: where light of a certain power arrives on a surface."""
 
     p: Point3f
+    n: Normal3f
+    """The surface's geometric normal, which is kept to about a degree."""
     edges: Float
-    """The number of edges of the light path until there: a whole number."""
+    """The number of edges of the light path until there: a whole number, of which `MOST_EDGES` are kept."""
     d: Vector3f
     """The direction in which it travels."""
     flux: Color3f
@@ -135,11 +143,16 @@ def memory_for(photons: int, weighted: bool) -> tuple[Float, Float]:
 def packed(photon: Photon) -> ArrayXf:
     """A photon as a packet, without its weights."""
     p, flux = photon.p, photon.flux
-    return ArrayXf([p.x, p.y, p.z, photon.edges, flux.x, flux.y, flux.z, directions.packed(photon.d)])
+    edges = dr.minimum(UInt32(photon.edges), MOST_EDGES)
+    word: Any = dr.reinterpret_array(Float, edges | (directions.coded(photon.n, NORMAL_DIGITS) << EDGES_DIGITS))
+    return ArrayXf([p.x, p.y, p.z, Float(word), flux.x, flux.y, flux.z, directions.packed(photon.d)])
 
 
 def unpacked(packet: ArrayXf, weights: Vector2f | None) -> Photon:
     """The photon of a packet, and of weights if it has some."""
-    x, y, z, edges, red, green, blue, way = packet
-    photon = Photon(Point3f(x, y, z), edges, directions.unpacked(way), Color3f(red, green, blue))
+    x, y, z, word, red, green, blue, way = packet
+    bits: Any = dr.reinterpret_array(UInt32, word)
+    n = Normal3f(directions.decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
+    edges = Float(UInt32(bits) & MOST_EDGES)
+    photon = Photon(Point3f(x, y, z), n, edges, directions.unpacked(way), Color3f(red, green, blue))
     return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)

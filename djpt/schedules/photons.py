@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.films.splats import Splats
 from djpt.integrators.photon_mapping import PhotonMapping
@@ -12,21 +13,28 @@ from djpt.llvm.lanes import small_blocks
 from djpt.photons import PhotonMap, PhotonStore
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
+from djpt.schedules.first_radius import radius_of_crowd, seen_from
 from djpt.schedules.job import Band, Job
 from djpt.schedules.light_walk import Lane, follow, lanes
 from djpt.schedules.splatting import SplattedSamples, Splatting
 from djpt.types import Bool, Float, UInt32
 
-__all__ = ["Photons"]
+if TYPE_CHECKING:
+    from djpt.scene import Scene
 
-SHARED = 4
-"""Light paths of a pass for each camera path, at most: less noise than with the same number of both in equal time."""
+__all__ = ["Photons"]
 
 STRIPS = {4: 2, 2: 8, 1: 2**32}
 """The rows of a strip, by the most samples per pixel of a pass: a packet then covers about a square."""
 
 APART = 0x9E3779B9
 """Keeps the hashes of passes apart from those of samples."""
+
+FIRST_PATHS = 2**15
+"""The light paths, at most, whose photons are counted for the first radius."""
+
+LARGEST_SIDE = 0.01
+"""The first radius in relation to the longest side of the box about the scene, if the sensor sees no surface."""
 
 
 class Photons(Splatting):
@@ -44,6 +52,7 @@ class PhotonSamples(SplattedSamples):
     def __init__(self, splats: Splats) -> None:
         super().__init__(splats)
         self._store: PhotonStore | None = None
+        self._first = 0.0
         self._number = -1
         self._looking: PhotonMapping | None = None
 
@@ -76,8 +85,9 @@ class PhotonSamples(SplattedSamples):
                 self._store = PhotonStore(
                     job.integrator.id(), job.integrator.photon_count, job.integrator.weighs_photons
                 )
+                self._first = first_radius(job, self._store)
             self._looking = None  # its map's memory is that of the next one
-            self._looking = trace(job, self._store, number)
+            self._looking = trace(job, self._store, self._first, number)
             self._number = number
         return self._looking
 
@@ -121,20 +131,45 @@ class NearLanes:
 
 
 def samples_of_pass(job: Job) -> int:
-    """The samples per pixel of a pass: as few as give one camera path, at least, for `SHARED` light paths."""
+    """The samples per pixel of a pass: as few as give each camera path `paths_per_sample` light paths, at most."""
     assert isinstance(job.integrator, PhotonMapping)
-    return -(-job.integrator.photon_count // (SHARED * job.width * job.height))
+    return -(-job.integrator.photon_count // (job.integrator.paths_per_sample * job.width * job.height))
 
 
-def trace(job: Job, store: PhotonStore, number: int) -> PhotonMapping:
-    """Follow the light paths of a pass, and return the integrator with their map."""
+def first_radius(job: Job, store: PhotonStore) -> float:
+    """The radius of the first pass: that of the integrator, or one that follows from what the sensor sees."""
+    scene, integrator = job.scene, job.integrator
+    assert isinstance(integrator, PhotonMapping)
+    if integrator.initial_radius > 0:
+        return integrator.initial_radius
+    seen = seen_from(job)
+    largest = seen.largest_radius()
+    if largest == 0:
+        low, high = (np.array(corner, np.float64).ravel() for corner in scene.bbox())
+        side = float((high - low).max())
+        return LARGEST_SIDE * side if 0 < side < np.inf else LARGEST_SIDE
+    # Whatever the seed is: rounds of one image begin alike.
+    paths = min(integrator.photon_count, FIRST_PATHS)
+    looking = integrator.looking_at(PhotonMap(largest, integrator.photon_count, scene.brightness))
+    count = walk(scene, looking, store, paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
+    wanted = integrator.crowd * paths / integrator.photon_count
+    return radius_of_crowd(seen, lambda photons: photons.fill(store, count), paths, wanted)
+
+
+def trace(job: Job, store: PhotonStore, first: float, number: int) -> PhotonMapping:
+    """The integrator with the map of the pass `number`; `first` is the radius of the first pass."""
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
     paths = integrator.photon_count
-    photons = PhotonMap(integrator.radius(scene, number), paths, scene.brightness)
+    photons = PhotonMap(integrator.radius(first, number), paths, scene.brightness)
     looking = integrator.looking_at(photons)
-    seed = dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF)
-    seed, _ = sample_tea_32(job.seed_value, seed)
+    seed, _ = sample_tea_32(job.seed_value, dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF))
+    photons.fill(store, walk(scene, looking, store, paths, seed))
+    return looking
+
+
+def walk(scene: Scene, looking: PhotonMapping, store: PhotonStore, paths: int, seed: UInt32) -> int:
+    """Follow light paths, fill the store with their photons, and return the number of those."""
 
     def fresh(number: UInt32) -> tuple[Any, Any]:
         sampler = IndependentStream.seeded(*sample_tea_32(seed, number))
@@ -148,5 +183,4 @@ def trace(job: Job, store: PhotonStore, number: int) -> PhotonMapping:
         store.clear()
         follow(lanes(paths), paths, fresh, step, store.sinks, "photons")
         count = store.count()
-    photons.fill(store, count)
-    return looking
+    return count

@@ -11,7 +11,7 @@ import pytest
 
 from djpt.errors import RenderError
 from djpt.photons import Photon, PhotonMap, PhotonStore, directions, photon
-from djpt.photons.map import ALONG_Y, ALONG_Z, FEWEST, FLATNESS, LENGTH, MOST_ACROSS, MOST_ALONG, WIDTH
+from djpt.photons.map import ALONG_Y, ALONG_Z, FACING, FEWEST, FLATNESS, LENGTH, MOST_ACROSS, MOST_ALONG, WIDTH
 from djpt.photons.photon import FOUND, WEIGHTS, WORDS, bytes_of
 from djpt.process import memory
 from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
@@ -26,6 +26,11 @@ def photons(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rng.uniform(-0.3, 0.3, (count, 3)).astype(np.float32), rng.random((count, 3)).astype(np.float32), edges
 
 
+def normals(count: int) -> Normal3f:
+    """Along x, y and z in turn."""
+    return Normal3f(np.eye(3, dtype=np.float32)[np.arange(count) % 3].T)
+
+
 def filled(
     p: np.ndarray, flux: np.ndarray, edges: np.ndarray, radius: float = RADIUS, weighted: bool = True
 ) -> PhotonMap:
@@ -36,7 +41,7 @@ def filled(
         along_x = dr.arange(UInt32, count) % 2 == 0
         d = Vector3f(dr.select(along_x, 1, 0), 0, dr.select(along_x, 0, 1))
         store.add(
-            Photon(Point3f(p.T), Float(edges), d, Color3f(flux.T), Float(edges) * 2, Float(edges) * 3),
+            Photon(Point3f(p.T), normals(count), Float(edges), d, Color3f(flux.T), Float(edges) * 2, Float(edges) * 3),
             dr.full(Bool, True, count),
         )
         dr.eval(store.sinks)
@@ -64,7 +69,8 @@ def test_sums_are_those_over_all_photons(count: int) -> None:
     found = map_of.density(Point3f(points.T), Normal3f(n.T), UInt32(most), Bool(active), worth)
     to = (p[None] - points[:, None]).astype(np.float64) if count else np.zeros((64, 0, 3))
     flat = np.abs((to * n[:, None]).sum(axis=2)) <= FLATNESS * RADIUS
-    counts = flat & (np.linalg.norm(to, axis=2) <= RADIUS) & (edges[None] <= most[:, None]) & active[:, None]
+    faces = np.eye(3)[np.arange(count) % 3] @ n.T.astype(np.float64) >= FACING
+    counts = flat & faces.T & (np.linalg.norm(to, axis=2) <= RADIUS) & (edges[None] <= most[:, None]) & active[:, None]
     value = flux * ((np.arange(count) % 2 == 0) + 6.0 * edges**2)[:, None]
     expected = (counts @ value if count else np.zeros((64, 3))) / (math.pi * RADIUS**2 * PATHS)
     np.testing.assert_allclose(np.array(found).T, expected, rtol=1e-5, atol=1e-6)
@@ -75,6 +81,7 @@ def test_a_crowd_in_one_place() -> None:
     """All photons have one hash value."""
     p, flux, edges = photons(2000)
     map_of = filled(p * 0 + 0.01, flux, edges)
+    flux = flux[1::3]  # those that face along y
     point, n, active = Point3f(0.02, 0.01, 0), Normal3f(0, 1, 0), dr.full(Bool, True, 1)
     one = map_of.density(point, n, UInt32(9), active, lambda photon: photon.flux)
     np.testing.assert_allclose(np.array(one).ravel(), flux.sum(axis=0) / (math.pi * RADIUS**2 * PATHS), rtol=1e-5)
@@ -111,6 +118,16 @@ def test_radii_that_rounding_swallows(place: float) -> None:
     assert (np.array(found) <= (1 + 1e-5) * count / (math.pi * 1e-12 * PATHS)).all()
 
 
+def test_normals_and_edges_share_a_word() -> None:
+    d = np.random.default_rng(7).normal(size=(1000, 3)).astype(np.float32)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    edges = np.arange(1000) * 100
+    one = Photon(Point3f(0), Normal3f(d.T), Float(edges), Vector3f(0, 0, 1), Color3f(1))
+    found = photon.unpacked(photon.packed(one), None)
+    assert np.linalg.norm(np.array(found.n).T - d, axis=1).max() < 0.02
+    np.testing.assert_array_equal(np.array(found.edges), np.minimum(edges, photon.MOST_EDGES))
+
+
 def test_directions_in_a_word() -> None:
     d = np.random.default_rng(6).normal(size=(100_000, 3)).astype(np.float32)
     d[:6] = np.concatenate([np.eye(3), -np.eye(3)])
@@ -129,7 +146,7 @@ def test_a_store_grows(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def walk() -> int | None:
         store.clear()
-        one = Photon(Point3f(p.T), Float(edges), Vector3f(0, 0, 1), Color3f(flux.T), Float(0), Float(0))
+        one = Photon(Point3f(p.T), normals(100), Float(edges), Vector3f(0, 0, 1), Color3f(flux.T), Float(0), Float(0))
         store.add(one, dr.full(Bool, True, 100))
         dr.eval(store.sinks)
         return store.count()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any
 
 import drjit as dr
@@ -13,6 +14,7 @@ import djpt
 from djpt.errors import RenderError, SceneError
 from djpt.photons import photon
 from djpt.process import memory
+from djpt.transforms import ScalarTransform4f as T
 from tests.integrators.test_bdpt import MATERIALS
 from tests.kit.emitters import NAMES, entry, plugin_of
 from tests.kit.lit_floor import floor_scene
@@ -145,14 +147,67 @@ def test_caustic_of_a_parabolic_mirror() -> None:
 
 
 def test_radii_shrink() -> None:
-    scene = djpt.load_dict(box(8))
-    low, high = (np.array(corner).ravel() for corner in scene.bbox())
-    default = djpt.load_dict({"type": "sppm"})
-    assert default.radius(scene, 0) == pytest.approx(0.01 * (high - low).max())
-    own = djpt.load_dict({"type": "vcm", "initial_radius": 0.5, "alpha": 0.5})
-    assert own.radius(scene, 15) == pytest.approx(0.5 * 16**-0.25)
-    constant = djpt.load_dict({"type": "sppm", "initial_radius": 0.5, "alpha": 1.0})
-    assert constant.radius(scene, 15) == 0.5
+    own = djpt.load_dict({"type": "vcm", "alpha": 0.5})
+    assert own.radius(0.5, 15) == pytest.approx(0.5 * 16**-0.25)
+    constant = djpt.load_dict({"type": "sppm", "alpha": 1.0})
+    assert constant.radius(0.5, 15) == 0.5
+
+
+def mirrored_lamp(extent: float = 50.0, size: int = 16, wall: float = 1.0) -> dict[str, Any]:
+    """A point light 1 above a large floor beside a mirror, of which the camera sees a square below the light."""
+    return {
+        "type": "scene",
+        "floor": {"type": "rectangle", "to_world": T().scale(extent), "bsdf": {"type": "diffuse", "reflectance": 0.8}},
+        "mirror": {
+            "type": "rectangle",
+            "to_world": T().translate([wall, 0, 0]).rotate([0, 1, 0], -90).scale(extent),
+            "bsdf": {"type": "conductor", "material": "none"},
+        },
+        "light": {"type": "point", "position": [0, 0, 1], "intensity": 1.0},
+        "sensor": {
+            "type": "perspective",
+            "fov": 30.0,
+            "to_world": T().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+        },
+    }
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_point_light_beside_a_mirror(kind: str) -> None:
+    """The light and its mirror image: inverse squares and cosines."""
+    half = 3 * math.tan(math.radians(15))
+    place = (np.arange(256) + 0.5) / 128 * half - half
+    x, y = np.meshgrid(place, place)
+    expected = 0.8 / math.pi * sum(((x - at) ** 2 + y**2 + 1) ** -1.5 for at in (0.0, 2.0)).mean()
+    found = image(mirrored_lamp(), kind, 1024, max_depth=6)
+    assert found.mean() == pytest.approx(expected, rel=5e-3)
+
+
+def first_radius_in(scene: dict[str, Any], kind: str, monkeypatch: pytest.MonkeyPatch, seed: int = 0) -> float:
+    """The first radius that an image is made with."""
+    found: list[float] = []
+    plugin = djpt.load_dict({"type": kind, "max_depth": 4})
+    monkeypatch.setattr(type(plugin), "radius", lambda self, first, number: found.append(first) or first)
+    djpt.render(djpt.load_dict(scene), integrator=plugin, spp=1, seed=seed)
+    return found[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_first_radius_follows_from_what_is_seen(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not from the size of the scene, and not from the seed."""
+    near = first_radius_in(mirrored_lamp(50.0), kind, monkeypatch)
+    assert near == first_radius_in(mirrored_lamp(50.0), kind, monkeypatch, seed=1)
+    assert 0.005 < near < 0.04
+    assert first_radius_in(mirrored_lamp(5000.0), kind, monkeypatch) == pytest.approx(near, rel=0.05)
+
+
+def test_edges_are_not_dark() -> None:
+    """Half of the disk about a point near a wall holds no photons: with a wide one that is several per cent."""
+    scene = djpt.load_dict(box(16))
+    keys = {"max_depth": 4}
+    ours, theirs = image(scene, "sppm", 256, initial_radius=0.06, alpha=1.0, **keys), image(scene, "path", 2048, **keys)
+    assert ours[8:].mean() == pytest.approx(theirs[8:].mean(), rel=0.006)
 
 
 # ---------------------------------------------------------------- contracts
