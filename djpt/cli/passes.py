@@ -162,9 +162,14 @@ class Passes:
             from distributed import Client
         except ImportError:
             raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+        from djpt.cluster.patience import within
+
         try:
             with interruption.waiting():
-                client: Any = Client(self.cluster, timeout=CONNECTION_SECONDS)  # type: ignore[no-untyped-call]
+                client: Any = within(
+                    CONNECTION_SECONDS,
+                    lambda: Client(self.cluster, timeout=CONNECTION_SECONDS),  # type: ignore[no-untyped-call]
+                )
         except Exception as error:  # also what the answer of a server of another kind leads to
             raise RenderError(f"no scheduler answers at '{self.cluster}': {unanswered(error)}") from None
         try:

@@ -35,8 +35,8 @@ def render_passes(
     """Render in rounds on the workers of a cluster, and give what exists after each, as `djpt.render_passes` does.
 
     Rounds are tasks, added up in the order of their numbers: the image has the bits of `djpt.render_passes` on one
-    machine, with any number of workers that have its processor's vector width. A worker that dies, stops, hangs or comes
-    late changes nothing but the time. The scene travels once to each worker, with the files that it names.
+    machine, with any number of workers that have its processor's vector width. A worker that dies, stops, hangs or
+    comes late changes nothing but the time. The scene travels once to each worker, with the files that it names.
 
     Args:
         client: A `distributed.Client`.
@@ -50,8 +50,8 @@ def render_passes(
         time_budget: Stop after so many seconds.
         resume_from: What to go on with.
         schedule: How lanes are filled.
-        on_wait: Called with a message if there are no workers for five seconds; the render goes on when some come.
-            Default: a `RuntimeWarning`.
+        on_wait: Called with a message if there are no workers for five seconds, or the scheduler doesn't answer for
+            ten; the render goes on when they do. Default: a `RuntimeWarning`.
 
     Raises:
         BackendError: `distributed` is missing, or a worker has another version of djpt or Dr.Jit.

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from djpt.cluster.bundle import Bundle
+from djpt.cluster.patience import within
 from djpt.cluster.work import Answer, software
 from djpt.errors import BackendError, DjptError, RenderError
 
@@ -55,7 +56,7 @@ class InOrder:
         bundle: the scene.
         work: called on workers with (bundle, *arguments).
         arguments: those of the task with a number.
-        on_wait: told once why nothing comes if there are no workers.
+        on_wait: told once why nothing comes, if there are no workers or the scheduler doesn't answer.
     """
 
     def __init__(
@@ -74,6 +75,8 @@ class InOrder:
         self._attempts: dict[int, list[Attempt]] = {}
         self._submissions = 0
         self._watch = Watch()
+        self._silent = False
+        """Whether the scheduler doesn't answer."""
         self._came = threading.Event()
         """Set when a task has ended."""
         self._software = software()
@@ -108,9 +111,18 @@ class InOrder:
             yield from attempts
 
     def _look(self) -> frozenset[str]:
-        """The workers there are, which the watch has seen."""
+        """The workers there are, which the watch sees, or if the scheduler says nothing has seen."""
         self._require_scheduler()
-        return self._watch.look(self._client.scheduler_info(n_workers=-1)["workers"])
+        try:
+            found = within(SILENCE, lambda: self._client.scheduler_info(n_workers=-1))
+        except TimeoutError:
+            if not self._silent:
+                self._silent = True
+                self._on_wait(f"the scheduler at {self._client.scheduler.address} doesn't answer: waiting for it")
+        else:
+            self._silent = False
+            self._watch.look(found["workers"])
+        return self._watch.live | self._watch.stopped
 
     # ---- giving ------------------------------------------------------------------------------
 
@@ -212,8 +224,8 @@ class Watch:
         self._signs: dict[str, tuple[float, float]] = {}
         """By address the last sign of life, and when it was seen first."""
 
-    def look(self, workers: dict[str, Any]) -> frozenset[str]:
-        """Take note of what the scheduler knows of its workers; gives the addresses of all."""
+    def look(self, workers: dict[str, Any]) -> None:
+        """Take note of what the scheduler knows of its workers."""
         now = time.monotonic()
         signs = {address: float(worker["last_seen"]) for address, worker in workers.items()}
         old = self._signs
@@ -223,7 +235,6 @@ class Watch:
         }
         self.stopped = frozenset(address for address, (_, since) in self._signs.items() if now - since > SILENCE)
         self.live = frozenset(signs) - self.stopped
-        return frozenset(signs)
 
     def trusts(self, allowed: frozenset[str] | None) -> bool:
         """Whether a task that only some workers may run is with one that lives; None: any worker may."""

@@ -164,7 +164,8 @@ def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     watch = tasks.Watch()
     for now in range(0, 30, 2):
         signs = {"moves": float(now), "stops": min(now, 8.0)}
-        assert watch.look({address: {"last_seen": sign - 1e9} for address, sign in signs.items()}) == {"moves", "stops"}
+        watch.look({address: {"last_seen": sign - 1e9} for address, sign in signs.items()})
+        assert watch.live | watch.stopped == {"moves", "stops"}
         assert watch.stopped == ({"stops"} if now - 8 > tasks.SILENCE else set())
     assert watch.live == {"moves"}
     assert not watch.trusts(None) and not watch.trusts(frozenset({"moves", "stops"}))
@@ -180,6 +181,23 @@ def test_without_workers_it_says_so(fresh_cluster: Cluster) -> None:
             fresh_cluster.client, box(), spp=4, on_wait=lambda text: (tasks.warn(text), fresh_cluster.add())[0]
         )
         assert last(images).spp == 4
+
+
+def test_a_scheduler_that_says_nothing_is_told(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    silent, told = iter([True, True, False]), []
+    ask = cluster.client.scheduler_info
+
+    def late(n_workers: int) -> Any:
+        if next(silent, False):
+            time.sleep(1)
+        return ask(n_workers=n_workers)
+
+    monkeypatch.setattr(tasks, "SILENCE", 0.5)
+    monkeypatch.setattr(cluster.client, "scheduler_info", late)
+    images = djpt.cluster.render_passes(cluster.client, box(), spp=8, round_spp=4, on_wait=told.append)
+    assert last(images).spp == 8
+    (text,) = told
+    assert "doesn't answer" in text
 
 
 def test_a_scheduler_that_is_gone_is_told() -> None:
