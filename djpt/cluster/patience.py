@@ -1,37 +1,47 @@
-"""Waiting for others, but not for ever, as `distributed` waits for a scheduler that is there and says nothing."""
+"""Waiting for others, but not for ever, as `distributed` waits for who is there and says nothing."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Generic, TypeVar
 
-__all__ = ["within"]
+__all__ = ["Question", "within"]
 
 T = TypeVar("T")
 
 
-def within(seconds: float, ask: Callable[[], T]) -> T:
-    """What `ask` gives, which runs in a thread of its own; it is left alone if it takes too long.
+class Question(Generic[T]):
+    """A call that runs in a thread of its own, and is left alone there if it takes too long."""
 
-    Raises:
-        TimeoutError: It takes longer than `seconds`.
-        Exception: What `ask` raises.
-    """
-    found: list[T] = []
-    raised: list[Exception] = []
+    def __init__(self, ask: Callable[[], T]) -> None:
+        self._ask = ask
+        self._found: list[T] = []
+        self._raised: list[Exception] = []
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
-    def answer() -> None:
+    def _run(self) -> None:
         try:
-            found.append(ask())
+            self._found.append(self._ask())
         except Exception as error:  # handed on
-            raised.append(error)
+            self._raised.append(error)
 
-    thread = threading.Thread(target=answer, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if raised:
-        raise raised[0]
-    if not found:
+    def ended(self, seconds: float) -> bool:
+        """Wait for the answer for some time; whether it is there."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def answer(self) -> T:
+        """What the call has given, or raised, once it has ended."""
+        if self._raised:
+            raise self._raised[0]
+        return self._found[0]
+
+
+def within(seconds: float, ask: Callable[[], T]) -> T:
+    """What a call gives; raises `TimeoutError` if it takes longer than some time."""
+    question = Question(ask)
+    if not question.ended(seconds):
         raise TimeoutError(f"no answer in {seconds:g} s")
-    return found[0]
+    return question.answer()

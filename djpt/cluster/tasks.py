@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from djpt.cluster.bundle import Bundle
-from djpt.cluster.patience import within
+from djpt.cluster.patience import Question, within
 from djpt.cluster.work import Answer, software
 from djpt.errors import BackendError, DjptError, RenderError
 
@@ -164,16 +164,18 @@ class InOrder:
         killed = 0
         while True:
             attempt = self._ended(number)
+            question: Question[Answer] = Question(attempt.future.result)
+            if not self._fetched(question, attempt):
+                self._retry(number, attempt)
+                continue
             try:
-                answer: Answer = attempt.future.result()
+                answer = question.answer()
             except (KilledWorker, FutureCancelledError) as error:
                 self._require_scheduler()
                 killed += 1
                 if killed == ATTEMPTS:
                     raise RenderError(f"a task has ended {ATTEMPTS} workers, the last time with: {error}") from None
-                self._attempts[number].remove(attempt)
-                if not self._attempts[number]:
-                    self._submit(number)
+                self._retry(number, attempt)
                 continue
             except DjptError as error:
                 raise type(error)(f"on a worker: {error}") from None
@@ -182,6 +184,21 @@ class InOrder:
             for ended in self._attempts.pop(number):
                 ended.future.release()
             return answer.value
+
+    def _fetched(self, question: Question[Answer], attempt: Attempt) -> bool:
+        """Wait for a result to arrive; whether it does: a worker that has stopped keeps what it has found."""
+        while not question.ended(LOOK_SECONDS):
+            self._look()
+            if self._watch.live and not self._watch.trusts(attempt.allowed):
+                return False
+        return True
+
+    def _retry(self, number: int, attempt: Attempt) -> None:
+        """Do without an attempt that has failed."""
+        self._attempts[number].remove(attempt)
+        attempt.future.release()
+        if not self._attempts[number]:
+            self._submit(number)
 
     def _ended(self, number: int) -> Attempt:
         """An attempt at a task that has ended, well or not; waits for one."""

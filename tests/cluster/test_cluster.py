@@ -158,6 +158,28 @@ def test_a_stopped_worker_has_its_share_taken(fresh_cluster: Cluster, monkeypatc
     assert np.array_equal(found.image().numpy(), expected.image().numpy())
 
 
+@pytest.mark.slow
+def test_what_a_stopped_worker_has_found_is_found_again(
+    fresh_cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its results are there, for the scheduler, but can't be fetched."""
+    monkeypatch.setattr(tasks, "SILENCE", 4.0)
+    options = {"spp": 32, "round_spp": 4, "seed": 5}
+    expected = last(djpt.render_passes(djpt.load_dict(box()), **options))
+    stopped = fresh_cluster.add()
+    fresh_cluster.wait(1)
+    images = djpt.cluster.render_passes(fresh_cluster.client, box(), **options)
+    next(images)
+    time.sleep(3)  # the rounds ahead of their turn are done
+    os.kill(stopped.pid, signal.SIGSTOP)
+    fresh_cluster.add()
+    fresh_cluster.wait(2)
+    start = time.monotonic()
+    found = last(images)
+    assert time.monotonic() - start < 60
+    assert np.array_equal(found.image().numpy(), expected.image().numpy())
+
+
 def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
     monkeypatch.setattr(tasks.time, "monotonic", lambda: now)
