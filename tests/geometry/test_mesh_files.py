@@ -209,7 +209,7 @@ def test_obj_with_lines_in_any_order() -> None:
     assert found.indices.tolist() == [[0, 1, 2], [3, 4, 5]]
     for name in ("positions", "indices", "normals", "texcoords"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found 2 words"):
+    with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found fewer words"):
         read_obj(mixed.replace("g f 1 2 3", "v 1 2").encode(), "x.obj")
 
 
@@ -429,8 +429,8 @@ def test_a_binary_ply_that_is_cut_short_says_where(tmp_path: Path) -> None:
         (OBJ + "f 1/x 2/ 3/", "a.obj, line 5: can't understand the corner '1/x'"),
         (OBJ + "f 1/1/1/ 2 3", "a.obj, line 5: can't understand the corner '1/1/1/'"),
         (OBJ + "f 1.5 2 3", "a.obj, line 5: can't understand the corner '1.5'"),
-        ("v 0 0\n" + OBJ, "a.obj, line 1: 'v' must be followed by 3 numbers, found 2 words"),
-        (OBJ + "vt nothing", "a.obj, line 5: 'vt' must be followed by 2 numbers, found 'nothing'"),
+        ("v 0 0\n" + OBJ, "a.obj, line 1: 'v' must be followed by 3 numbers, found fewer words"),
+        (OBJ + "vt nothing", "a.obj, line 5: 'vt' must be followed by 2 numbers, found fewer words"),
         (OBJ, "a.obj: the mesh is empty: 0 vertices, no triangle"),
         ("", "a.obj: the mesh is empty"),
     ],

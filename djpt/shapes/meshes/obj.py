@@ -98,7 +98,7 @@ def read_numbers(lines: Lines, kind: str, where: str) -> NDArray[np.float32]:
         except ValueError:
             at = f"{where}, line {lines.numbers[i]}"
             # Not what was found: the file may be anything that its owner can read, and the scene a stranger's.
-            found = f"found {len(words)} words" if len(words) < least else "found other words"
+            found = "found fewer words" if len(words) < least else "found other words"
             raise SceneError(f"{at}: '{kind}' must be followed by {least} numbers, {found}") from None
     return result
 
