@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from djpt.cli.console import has_terminal, short
+from djpt.cli.console import announce, has_terminal, short
 from djpt.cli.terminal import beneath, visible
 from djpt.errors import BackendError, FileError, RenderError
-from djpt.files import check_target
-from djpt.process.interruption import interruptible
+from djpt.files import check_target, reason
+from djpt.process.interruption import Interruption, interruptible
 
 if TYPE_CHECKING:
     from djpt.long_renders.accumulation import Accumulation
@@ -25,6 +25,12 @@ __all__ = ["Passes", "seconds_of", "share_of", "status"]
 
 PREVIEW_SECONDS = 1.0
 """The least time between two writings of the preview."""
+
+CONNECTION_SECONDS = 6.0
+"""The time that a scheduler has to answer."""
+
+CLOSING_SECONDS = 2.0
+"""The time that it has in the end."""
 
 UNITS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
@@ -52,6 +58,8 @@ class Passes:
         """Raise an error if options contradict each other, or the checkpoint would be lost by a new render."""
         if self.resume and self.checkpoint is None:
             raise RenderError("--resume needs --checkpoint FILE: what to go on with")
+        if self.cluster is not None and not self.cluster.strip():
+            raise RenderError("--cluster takes the address of a scheduler, such as tcp://host:8786; found ''")
         if self.cluster is not None and self.adaptive:
             raise RenderError("--adaptive needs each round for the next one, so --cluster can't share them")
         if self.preview is not None:
@@ -120,14 +128,14 @@ class Passes:
             "resume_from": begun,
             "schedule": schedule,
         }
-        with interruptible(keeps=False) as interruption, line, self.connected() as client:
+        with interruptible(keeps=False) as interruption, line, self.connected(interruption) as client:
             try:
                 if client is None:
                     images = djpt.render_passes(scene, adaptive=self.adaptive, interruption=interruption, **options)
                 else:
                     from djpt.cluster.rendering import render_passes
 
-                    images = render_passes(client, description, **options)
+                    images = at_once(interruption, render_passes(client, description, on_wait=line.announce, **options))
                 for found in images:
                     if time.perf_counter() - shown >= PREVIEW_SECONDS:
                         show()
@@ -149,7 +157,7 @@ class Passes:
         return found, 0 if found is begun else found.spp - first, leave
 
     @contextlib.contextmanager
-    def connected(self) -> Iterator[Any]:
+    def connected(self, interruption: Interruption) -> Iterator[Any]:
         """A client of the cluster, or None where there is none to ask."""
         if self.cluster is None:
             yield None
@@ -158,12 +166,41 @@ class Passes:
             from distributed import Client
         except ImportError:
             raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+        from djpt.cluster.patience import within
+
         try:
-            client: Any = Client(self.cluster)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError, TypeError) as error:
-            raise RenderError(f"no scheduler answers at '{self.cluster}': {error}") from None
-        with client:
+            with interruption.waiting():
+                client: Any = within(
+                    CONNECTION_SECONDS,
+                    lambda: Client(self.cluster, timeout=CONNECTION_SECONDS),  # type: ignore[no-untyped-call]
+                )
+        except Exception as error:  # also what the answer of a server of another kind leads to
+            raise RenderError(f"no scheduler answers at '{self.cluster}': {unanswered(error)}") from None
+        try:
             yield client
+        finally:
+            with contextlib.suppress(Exception):  # the scheduler may have stopped
+                client.close(timeout=CLOSING_SECONDS)
+
+
+def at_once(interruption: Interruption, images: Iterator[Accumulation]) -> Iterator[Accumulation]:
+    """What is rendered elsewhere: signals needn't wait for it."""
+    try:
+        while True:
+            with interruption.waiting():
+                found = next(images, None)
+            if found is None:
+                return
+            yield found
+    finally:
+        images.close()  # type: ignore[attr-defined]
+
+
+def unanswered(error: Exception) -> str:
+    """Why there is no connection to a scheduler."""
+    if isinstance(error, (OSError, ValueError, TypeError)) and not isinstance(error, UnicodeError):
+        return reason(error)
+    return "what answers there isn't a scheduler"
 
 
 def status(
@@ -208,6 +245,11 @@ class Line:
         """Replace the line, if there is a terminal."""
         if self.visible:
             print(f"\r\x1b[2K{visible(text)}", end="", file=beneath(sys.stderr), flush=True)
+
+    def announce(self, text: str) -> None:
+        """Print a line that stays, whatever is shown."""
+        self.show("")
+        announce(f"djpt: {text}")
 
     def __enter__(self) -> Line:
         return self

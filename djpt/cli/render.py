@@ -95,7 +95,7 @@ def command(
     name, description = described(scene, parameters(define))
     in_rounds = None
     stops = target_error is not None or time_budget is not None
-    if checkpoint or resume or adaptive or cluster or preview or stops:
+    if checkpoint or resume or adaptive or cluster is not None or preview or stops:
         from djpt.cli.passes import Passes, seconds_of, share_of
 
         in_rounds = Passes(

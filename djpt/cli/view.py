@@ -21,7 +21,7 @@ __all__ = ["command"]
 @options.integrator
 @click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors, counted from 0.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8642, help="The port of the page; 0: a free one.")
-@click.option("--host", default="127.0.0.1", help="Where to listen. Whoever can reach it can look, and change values.")
+@click.option("--host", default="127.0.0.1", help="Where to listen, such as 0.0.0.0: everywhere.")
 @click.option("--open", "opens", is_flag=True, help="Open the page in the browser.")
 @options.define
 @options.quiet
@@ -43,7 +43,7 @@ def command(
     """Show SCENE on a page while it is rendered.
 
     The camera is moved by the mouse, parameters by sliders; the scene is loaded again when its files change. Ctrl-C
-    ends it.
+    ends it. The address of the page has a secret: who knows it can look, and change values.
     """
     from djpt.description.overrides import described, override
     from djpt.viewer.server import Server

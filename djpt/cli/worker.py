@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import signal
+from typing import Any
 
 import click
 
 from djpt.cli.console import Command, require_positive
 from djpt.errors import BackendError, RenderError
+from djpt.files import reason
+from djpt.process.interruption import Terminated, end_at_once
 
 __all__ = ["command"]
+
+CONNECTION_SECONDS = 6.0
+"""The time that a scheduler has to answer a worker that comes."""
+
+LEAVING_SECONDS = 10.0
+"""The time that it has to take what a worker that leaves has."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @click.command("worker", cls=Command)
@@ -26,9 +38,12 @@ def command(
 
     ADDRESS is that of its scheduler, such as tcp://host:8786.
 
-    SIGINT and SIGTERM let the worker hand on what it has and leave. TLS is configured as Dask says.
+    SIGINT and SIGTERM let the worker hand on what it has and leave; a second one ends it at once. TLS is configured as
+    Dask says.
     """
     require_positive(threads=threads)
+    if not scheduler.strip():
+        raise RenderError("ADDRESS must be that of a scheduler, such as tcp://host:8786; found ''")
     try:
         from distributed import Worker
     except ImportError:
@@ -40,15 +55,51 @@ def command(
     if threads is not None:
         dr.set_thread_count(threads)
 
-    async def work() -> None:
+    async def start() -> None:
         # One task at a time: Dr.Jit's threads share each of them.
-        async with Worker(scheduler, nthreads=1, name=name) as worker:
-            loop = asyncio.get_running_loop()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                loop.add_signal_handler(number, lambda: asyncio.ensure_future(worker.close_gracefully()))
-            await worker.finished()
+        await work(Worker(scheduler, nthreads=1, name=name, death_timeout=CONNECTION_SECONDS))
 
     try:
-        asyncio.run(work())
+        asyncio.run(start())
+    except asyncio.TimeoutError:
+        raise RenderError(
+            f"can't work for '{scheduler}': no scheduler has answered in {CONNECTION_SECONDS:g} s"
+        ) from None
     except (OSError, ValueError, TypeError) as error:
         raise RenderError(f"can't work for '{scheduler}': {error}") from None
+    except RuntimeError as error:  # by which distributed hides why a worker hasn't started
+        cause = error.__cause__
+        why = reason(cause) if isinstance(cause, OSError) else "what answers there isn't a scheduler"
+        raise RenderError(f"can't work for '{scheduler}': {why}") from None
+
+
+async def work(worker: Any) -> None:
+    """Let a worker work until it has ended or a signal comes; a signal that comes before it has started ends it."""
+    signals: asyncio.Queue[int] = asyncio.Queue()
+
+    def note(number: int) -> None:
+        if not signals.empty() or leaving:
+            end_at_once()
+        signals.put_nowait(number)
+
+    leaving = False
+    for number in SIGNALS:
+        asyncio.get_running_loop().add_signal_handler(number, note, number)
+    signalled = asyncio.ensure_future(signals.get())
+    starting = asyncio.ensure_future(worker.start())
+    await asyncio.wait({starting, signalled}, return_when=asyncio.FIRST_COMPLETED)
+    if not starting.done():
+        leaving = True
+        starting.cancel()
+        await asyncio.wait({starting})
+        await worker.close(timeout=0, executor_wait=False)
+        raise KeyboardInterrupt if signalled.result() == signal.SIGINT else Terminated("terminated")
+    starting.result()
+    working = asyncio.ensure_future(worker.finished())
+    await asyncio.wait({working, signalled}, return_when=asyncio.FIRST_COMPLETED)
+    if not working.done():
+        leaving = True
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(worker.close_gracefully(), LEAVING_SECONDS)
+        await worker.close()
+    signalled.cancel()

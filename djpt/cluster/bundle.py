@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import djpt
 from djpt.description.named_files import named_files, with_files
-from djpt.errors import SceneError
-from djpt.files import read_bytes, replacing
+from djpt.errors import FileError, SceneError
+from djpt.files import read_bytes, shortened, writing
+from djpt.scene import Scene
 
 __all__ = ["Bundle"]
 
@@ -43,21 +45,40 @@ class Bundle:
         files = {}
         for name, path in named_files(description).items():
             contents = read_bytes(path)
-            files[name] = (hashlib.blake2b(contents, digest_size=16).hexdigest() + path.suffix, contents)
+            files[name] = (named(contents, path.suffix), contents)
         total = hashlib.blake2b(packed, digest_size=16)
         for name, (stored, _) in sorted(files.items()):
             total.update(f"{name}\0{stored}\0".encode())
         return cls(total.hexdigest(), packed, files)
 
-    def unpacked(self) -> dict[str, Any]:
-        """The description, naming files that are written here, in the folder for temporary files."""
+    def loaded(self) -> Scene:
+        """The scene.
+
+        Its files are written into a new folder that only this user can enter, and are gone once they are read.
+
+        Raises:
+            FileError: The contents of a file aren't those that were packed, or can't be written.
+            SceneError: The scene is wrong.
+        """
+        with tempfile.TemporaryDirectory(prefix="djpt-cluster-", ignore_cleanup_errors=True) as folder:
+            return djpt.load_dict(self.unpacked(Path(folder)))
+
+    def unpacked(self, folder: Path) -> dict[str, Any]:
+        """The description, naming files that are written into a folder.
+
+        Raises:
+            FileError: The contents of a file aren't those that were packed, or can't be written.
+        """
         places = {}
-        folder = Path(tempfile.gettempdir()) / f"djpt-cluster-{self.key}"
         for name, (stored, contents) in self.files.items():
-            folder.mkdir(mode=0o700, exist_ok=True)
-            place = folder / stored
-            if not place.exists():
-                with replacing(place) as temporary:
-                    temporary.write_bytes(contents)
-            places[name] = str(place)
+            if stored != named(contents, Path(name).suffix):
+                raise FileError(f"'{shortened(name)}' has changed on its way: its contents aren't those of its hash")
+            with writing(folder / stored) as temporary:
+                temporary.write_bytes(contents)
+            places[name] = str(folder / stored)
         return with_files(pickle.loads(self.description), places)
+
+
+def named(contents: bytes, suffix: str) -> str:
+    """The name of a file that has some contents: their hash, and an extension."""
+    return hashlib.blake2b(contents, digest_size=16).hexdigest() + suffix

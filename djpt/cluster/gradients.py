@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.cluster.bundle import Bundle
-from djpt.cluster.tasks import InOrder, require_client
+from djpt.cluster.tasks import InOrder, require_client, warn
 from djpt.cluster.work import differentiated
 from djpt.errors import ParameterError, RenderError
 from djpt.long_renders.rounds import round_seed
@@ -65,7 +65,8 @@ def gradient(
 
     total = 0.0
     sums: dict[str, Any] = dict.fromkeys(values, 0.0)
-    for value, derivatives in InOrder(client, Bundle.of(description), differentiated, arguments).results(0, len(views)):
+    tasks = InOrder(client, Bundle.of(description), differentiated, arguments, warn)
+    for value, derivatives in tasks.results(0, len(views)):
         total += value
         for key, derivative in derivatives.items():
             sums[key] = sums[key] + derivative.astype(np.float64)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import djpt
 from djpt.cluster.bundle import Bundle
-from djpt.cluster.tasks import InOrder, require_client
+from djpt.cluster.tasks import InOrder, require_client, warn
 from djpt.cluster.work import rendered
 from djpt.description.numeric import whole
 from djpt.errors import RenderError
@@ -31,12 +30,13 @@ def render_passes(
     time_budget: float | None = None,
     resume_from: Accumulation | None = None,
     schedule: str = "auto",
+    on_wait: Callable[[str], None] = warn,
 ) -> Iterator[Accumulation]:
     """Render in rounds on the workers of a cluster, and give what exists after each, as `djpt.render_passes` does.
 
     Rounds are tasks, added up in the order of their numbers: the image has the bits of `djpt.render_passes` on one
-    machine, with any number of workers that have its processor's vector width. A worker that dies, is stopped or comes
-    late changes nothing but the time. The scene travels once to each worker, with the files that it names.
+    machine, with any number of workers that have its processor's vector width. A worker that dies, stops, hangs or
+    comes late changes nothing but the time. The scene travels once to each worker, with the files that it names.
 
     Args:
         client: A `distributed.Client`.
@@ -50,15 +50,17 @@ def render_passes(
         time_budget: Stop after so many seconds.
         resume_from: What to go on with.
         schedule: How lanes are filled.
+        on_wait: Called with a message if there are no workers for five seconds, or the scheduler doesn't answer for
+            ten; the render goes on when they do. Default: a `RuntimeWarning`.
 
     Raises:
         BackendError: `distributed` is missing, or a worker has another version of djpt or Dr.Jit.
-        RenderError: Arguments are out of range, or a task ends its workers again and again.
+        RenderError: Arguments are out of range, a task ends its workers again and again, or the scheduler is gone.
         SceneError: The scene is wrong, or holds what can't travel.
     """
     require_client(client)
     bundle = Bundle.of(description)
-    scene = djpt.load_dict(bundle.unpacked())
+    scene = bundle.loaded()
     number = whole(sensor)
     if number is None:
         raise RenderError(f"'sensor' must be the number of a sensor of the scene, found {sensor!r}")
@@ -69,7 +71,8 @@ def render_passes(
     def arguments(number_of_round: int) -> tuple[Any, ...]:
         return number, image.count(number_of_round), schedule, round_seed(plan.seed, number_of_round)
 
-    image.results = InOrder(client, bundle, rendered, arguments).results(first.whole.rounds, plan.goal.rounds)
+    found = InOrder(client, bundle, rendered, arguments, on_wait)
+    image.results = found.results(first.whole.rounds, plan.goal.rounds)
     return closing(rounds(first, plan.goal, image), image.results)
 
 

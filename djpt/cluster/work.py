@@ -53,7 +53,7 @@ def software() -> str:
 def scene_of(bundle: Bundle) -> Scene:
     """The scene of a bundle, loaded when it is first asked for."""
     if bundle.key not in loaded:
-        loaded[bundle.key] = djpt.load_dict(bundle.unpacked())
+        loaded[bundle.key] = bundle.loaded()
     loaded.move_to_end(bundle.key)
     while len(loaded) > KEPT:
         loaded.popitem(last=False)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from djpt.errors import FileError
 from djpt.files import as_path, shortened
 
-__all__ = ["FileResolver", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
+__all__ = ["FileResolver", "confined", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
 
 T = TypeVar("T")
 
@@ -143,6 +143,12 @@ def set_file_resolver(resolver: FileResolver, /) -> None:
 def resolve(name: str) -> Path:
     """The path of a file that is named by the description being loaded; raises `FileError`."""
     return (_current.get() or _of_process).find(name)
+
+
+def confined() -> bool:
+    """Whether the description being loaded is a stranger's, which may not leave a folder."""
+    resolver = _current.get() or _of_process
+    return resolver.root is not None
 
 
 # ---- what is read --------------------------------------------------------------------------

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-__all__ = ["LARGEST", "MAX_DEPTH", "MAX_FILES", "MAX_INCLUDES", "MAX_NAME", "MAX_NODES", "MAX_PARTS"]
+__all__ = [
+    "LARGEST",
+    "MAX_DEPTH",
+    "MAX_FILES",
+    "MAX_INCLUDES",
+    "MAX_NAME",
+    "MAX_NODES",
+    "MAX_NUMBERS",
+    "MAX_PARTS",
+    "NUMBERS_PER_BYTE",
+]
 
 LARGEST = (2 - 2**-23) * 2.0**127
 """The largest number of float32, in which kernels compute."""
@@ -19,6 +29,13 @@ through all of them. Real materials need about ten."""
 
 MAX_NAME = 1000
 """Longest name of a node, in characters."""
+
+MAX_NUMBERS = 2**24
+"""Most numbers of an image that a stranger's file may hold whatever its size: 64 MiB."""
+
+NUMBERS_PER_BYTE = 128
+"""Most numbers that each byte of a stranger's larger image may stand for. Photographs have about ten, uniform images up
+to a thousand."""
 
 MAX_INCLUDES = 15
 """Deepest nesting of includes, as in Mitsuba."""

@@ -36,6 +36,7 @@ __all__ = [
     "encode_png",
     "hdr_header",
     "pfm_header",
+    "picture_numbers",
     "png_metadata",
     "to_rgbe",
     "write_npy",
@@ -134,7 +135,7 @@ def _read_hdr(path: Path) -> Pixels:
         raise ValueError("no Radiance header")
     words = size.split()
     if len(words) != 4 or words[0] != b"-Y" or words[2] != b"+X":
-        raise ValueError(f"unsupported orientation '{size.decode('latin-1')[:40]}'")
+        raise ValueError("unsupported orientation of its rows: possible is '-Y HEIGHT +X WIDTH'")
     height, width = int(words[1]), int(words[3])
     if height <= 0 or width <= 0:
         raise ValueError(f"size {width} x {height}")
@@ -310,6 +311,15 @@ def _save(file: Path | IO[bytes], pixels: Bytes, **options: Any) -> None:
 
 def _as_bytes(image: npt.NDArray[Any]) -> Bytes:
     return image if image.dtype == np.uint8 else to_srgb8(image)
+
+
+def picture_numbers(path: Path) -> int:
+    """The numbers of a picture once it is decoded, by its header: colours of palettes count as four channels."""
+    from PIL import Image
+
+    with Image.open(path, formats=_PICTURES) as file:
+        width, height = file.size
+        return width * height * (4 if file.mode == "P" else len(file.getbands()))
 
 
 def _read_picture(path: Path) -> Codes | Pixels:

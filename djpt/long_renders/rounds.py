@@ -122,7 +122,7 @@ class Rounds:
             if job.channel_names() and not how.in_bands:
                 return waiting_for_image(how.image(job), spp, constant)
             summed = list(how.rows(job)) if job.channel_names() else []
-        if len(summed) == 1 and can_be_recorded(job) and spp == self.spp:
+        if len(summed) == 1 and how.can_be_recorded and can_be_recorded(job) and spp == self.spp:
             self._job, self._streak = job, streak(job, how)
             self._inputs = inputs(scene, sensor, integrator)
 

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from djpt.files import remove_unfinished
 
-__all__ = ["Interruption", "Terminated", "ending_at_once", "interruptible", "noticing"]
+__all__ = ["Interruption", "Terminated", "end_at_once", "ending_at_once", "interruptible", "noticing"]
 
 
 class Terminated(SystemExit):
@@ -45,6 +45,7 @@ class Interruption:
         self._before: float | None = 0.0
         self._part = 1.0
         """The share of all samples that earlier parts have taken, None: nobody knows; and that of the part at hand."""
+        self._waits = False
 
     @property
     def requested(self) -> bool:
@@ -70,10 +71,23 @@ class Interruption:
         self._before, self._part = before, part
 
     def note(self, number: int) -> None:
-        """Note a signal. A second SIGINT raises `KeyboardInterrupt`."""
+        """Note a signal. A second SIGINT raises `KeyboardInterrupt`, and within `waiting` any signal its exception."""
         if self.requested and number == signal.SIGINT:
             raise KeyboardInterrupt("interrupted twice")
         self.signal = self.signal or number
+        if self._waits:
+            self.leave("nothing is kept")
+
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Let signals raise their exceptions at once: where other machines are waited for, no pass has to end."""
+        self._waits = True
+        try:
+            if self.signal is not None:
+                self.leave("nothing is kept")
+            yield
+        finally:
+            self._waits = False
 
     def check(self) -> None:
         """Raise the exception of the signal that has come, unless what exists is to be kept."""

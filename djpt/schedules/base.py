@@ -33,6 +33,9 @@ class Schedule:
     in_bands: ClassVar[bool] = True
     """Whether the image is computed from top to bottom, and there are `rows`; if not, all of it at once."""
 
+    can_be_recorded: ClassVar[bool] = True
+    """Whether the kernels of `rows` can be launched again without Python (`dr.freeze`)."""
+
     def image(self, job: Job) -> TensorXf:
         """The image of a job, (height, width, channels), without derivatives."""
         return image_of_rows(job, self.rows(job))

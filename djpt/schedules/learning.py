@@ -36,6 +36,7 @@ class Learning(Schedule):
     """Runs a `LearningIntegrator`: what it has been taught is rendered by another schedule."""
 
     name = "learning"
+    can_be_recorded = False  # what is learned are results of kernels
 
     def rows(self, job: Job) -> Iterator[Summed]:
         job = taught(job)

@@ -135,9 +135,10 @@ def read_curves(data: bytes, where: str) -> tuple[NDArray[np.float64], list[int]
         except ValueError:
             point = []
         if len(point) != 4 or not all(np.isfinite(point)) or point[3] < 0:
-            raise SceneError(
-                f"{where}, line {number}: must be x y z and a radius of at least 0, found '{line.strip()}'"
-            )
+            # Not what was found: the file may be anything that its owner can read, and the scene a stranger's.
+            negative = len(point) == 4 and point[3] < 0
+            found = "fewer words" if len(words) < 4 else "a negative radius" if negative else "other words"
+            raise SceneError(f"{where}, line {number}: must be x y z and a radius of at least 0, found {found}")
         if not inside:
             lengths.append(0)
             inside = True

@@ -9,11 +9,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.files import resolve
+from djpt.description.files import confined, resolve
 from djpt.description.limits import LARGEST
 from djpt.description.numeric import describe
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
+from djpt.images.claims import require_modest
 from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import read_pixels
@@ -44,6 +45,8 @@ def load_texels(props: Properties, raw: bool, precision: str = "variant") -> Ten
         else:
             if key == "filename":
                 path = resolve(props.string(key))
+                if confined():
+                    require_modest(path)
                 pixels, srgb = read_pixels(path, raw), Path(path).suffix.lower() in DISPLAY_FORMATS
             else:
                 pixels, srgb = from_object(value, raw), is_encoded(value)

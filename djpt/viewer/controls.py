@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
+from djpt.description.limits import MAX_NAME
 from djpt.errors import ParameterError
 from djpt.parameters import SceneParameters
+from djpt.viewer.messages import is_number
 
 __all__ = ["MOST", "changed", "controls"]
 
@@ -78,8 +79,9 @@ def changed(params: SceneParameters, key: Any, numbers: Any) -> None:
     Raises:
         ParameterError: There is no such parameter, or the value doesn't fit.
     """
-    valid = isinstance(numbers, list) and len(numbers) in (1, 3)
-    if not valid or not all(isinstance(x, (int, float)) and math.isfinite(x) for x in numbers):
-        raise ParameterError(f"{key}: one number or three are expected, found {numbers!r}")
+    if not isinstance(key, str):
+        raise ParameterError(f"the name of a parameter is expected, found {type(key).__name__}")
+    if not isinstance(numbers, list) or len(numbers) not in (1, 3) or not all(map(is_number, numbers)):
+        raise ParameterError(f"{key[:MAX_NAME]}: one finite number or three are expected")
     params[key] = numbers[0] if len(numbers) == 1 else numbers
     params.update()

@@ -6,15 +6,16 @@ import json
 import queue
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from djpt.description.named_files import files_of
-from djpt.errors import DjptError, RenderError
+from djpt.errors import RenderError
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
 from djpt.long_renders.rounds import Rounds, round_seed
+from djpt.viewer.messages import in_one_line, number, whole_number
 from djpt.viewer.picture import Picture
 from djpt.viewer.stage import LAYERS, Stage
 from djpt.viewer.watch import Watch
@@ -36,6 +37,15 @@ Browsers take time to show a frame, which rounds that run meanwhile take from th
 LOOK_SECONDS = 0.5
 """The time between two looks at the files of the scene."""
 
+RETRY_SECONDS = 2.0
+"""The time after which a scene that couldn't be loaded is tried again, though no known file of it has changed."""
+
+RETRY_SHARE = 10
+"""How much longer than an attempt took the time to the next one is at least."""
+
+MESSAGES = 1000
+"""The messages that are taken between two rounds at most."""
+
 LARGEST_HALF = float(np.finfo(np.float16).max)
 
 TONE = {
@@ -47,6 +57,10 @@ TONE = {
     "agx_stops": list(AGX_STOPS),
 }
 """The constants of the tone curves, for the page that computes them."""
+
+
+Inbox: TypeAlias = "queue.SimpleQueue[dict[str, Any]] | queue.Queue[dict[str, Any]]"
+"""The messages of pages, in their order."""
 
 
 class Session:
@@ -81,22 +95,31 @@ class Session:
         self.stage = Stage(description, sensor)
         self.picture = Picture(self.stage.channels)
         self._round_spp, self._paused, self._asked = 1, False, 0
+        self._touched = False
+        """Whether somebody has changed the scene since it was loaded first."""
+        self._problem, self._retry = "", 0.0
+        """Why the scene's files can't be loaded any more, and when to try again."""
+        self._failure = ""
+        """Why the scene can't be rendered as it is."""
         self._rounds: Rounds | None = None
         self._start = self._looked = self._published = time.perf_counter()
 
-    def run(self, inbox: queue.SimpleQueue[dict[str, Any]]) -> None:
+    def run(self, inbox: Inbox) -> None:
         """Render and take messages until an exception ends it, such as `KeyboardInterrupt`."""
         while True:
             self.turn(inbox)
 
-    def turn(self, inbox: queue.SimpleQueue[dict[str, Any]], patience: float = LOOK_SECONDS) -> None:
-        """Take all messages that have come, look at the files of the scene if it is time, and render a round.
+    def turn(self, inbox: Inbox, patience: float = LOOK_SECONDS) -> None:
+        """Take the messages that have come, look at the files of the scene if it is time, and render a round.
 
         If nothing is to be rendered, a message is waited for, for `patience` seconds at most.
+
+        Raises:
+            DjptError: The scene can't be rendered, though nobody has changed it.
         """
         # All that has come is taken before a round: a pointer that moves asks for more than can be rendered.
         waiting = self.waits
-        while True:
+        for _ in range(MESSAGES):
             try:
                 self.take(inbox.get(waiting, patience))
                 waiting = False
@@ -105,15 +128,22 @@ class Session:
         if time.perf_counter() - self._looked > LOOK_SECONDS:
             self.reload_if_changed()
             self._looked = time.perf_counter()
-        if not self.waits:
+        if self.waits:
+            return
+        try:
             self.render_round()
+        except Exception as error:  # whatever the values that pages choose lead to
+            if not self._touched:
+                raise
+            self._failure = in_one_line(error)
+            self._tell({"error": self._failure})
 
     # ---- rounds ------------------------------------------------------------------------------
 
     @property
     def waits(self) -> bool:
         """Whether nothing is to be rendered until something changes."""
-        return self._paused or self.picture.spp >= self.spp
+        return self._paused or bool(self._failure) or self.picture.spp >= self.spp
 
     def render_round(self) -> None:
         """Add a round to the picture, and publish it."""
@@ -172,28 +202,35 @@ class Session:
                 self.publish()
             elif do == "pause":
                 self._paused = bool(message.get("paused"))
-            elif do in CHANGES:
+            elif isinstance(do, str) and do in CHANGES:
                 variable = LAYERS[self.stage.layer]
+                self._touched = True
                 CHANGES[do](self.stage, message)
-                number = message.get("number")
-                self._asked = number if isinstance(number, int) else 0
+                asked = message.get("number")
+                self._asked = asked if type(asked) is int and 0 <= asked < 2**53 else 0
                 if do == "show" and LAYERS[self.stage.layer] == variable:
                     self.publish()  # light and its error are of the same rounds
                 else:
                     self.begin()
             else:
-                raise RenderError(f"unknown message {do!r}")
-        except (DjptError, TypeError, ValueError, KeyError) as error:
-            self._tell({"error": " ".join(str(error).split())})
+                raise RenderError(f"unknown message '{str(do)[:40]}'")
+        except Exception as error:  # whatever a message leads to, it mustn't end the viewer of all pages
+            self._tell({"error": in_one_line(error)})
 
     def begin(self) -> None:
         """Begin the picture anew, with rounds of one sample per pixel."""
         self.picture, self._round_spp, self._rounds = Picture(self.stage.channels), 1, None
+        self._failure = ""
         self._start = time.perf_counter()
 
     def reload_if_changed(self) -> None:
-        """Load the scene again if one of its files has changed; its errors are told, and the old one stays."""
-        if not self._watch.has_changed():
+        """Load the scene again if one of its files has changed; its errors are told, and the old one stays.
+
+        What can't be loaded is tried again from time to time: the mend may be in a file that isn't known yet.
+        """
+        start = time.perf_counter()
+        changed = self._watch.has_changed()
+        if not changed and not (self._problem and start >= self._retry):
             return
         try:
             description = self._describe()
@@ -203,10 +240,15 @@ class Session:
                 fresh.home.to_world, self.stage.home.to_world
             ):
                 fresh.hold(self.stage.camera)
-        except DjptError as error:
-            self._tell({"error": " ".join(str(error).split())})
+        except Exception as error:  # whatever stands in a file that is being edited
+            found, end = in_one_line(error), time.perf_counter()
+            self._retry = end + max(RETRY_SECONDS, RETRY_SHARE * (end - start))
+            if changed or found != self._problem:
+                self._problem = found
+                self._tell({"error": found})
             return
-        self.stage, self._watch = fresh, Watch(files_of(description))
+        self.stage, self._watch, self._problem = fresh, Watch(files_of(description)), ""
+        self._touched = True
         self.begin()
         self._tell(self.state())
 
@@ -219,17 +261,18 @@ class Session:
             "controls": self.stage.controls(),
             "tone": TONE,
             "paused": self._paused,
+            "problem": self._problem or self._failure,
         }
 
 
 CHANGES: dict[str, Callable[[Stage, Mapping[str, Any]], None]] = {
-    "turn": lambda stage, m: stage.turn(float(m["yaw"]), float(m["pitch"])),
-    "shift": lambda stage, m: stage.shift(float(m["right"]), float(m["up"])),
-    "approach": lambda stage, m: stage.approach(float(m["factor"])),
+    "turn": lambda stage, m: stage.turn(number(m, "yaw"), number(m, "pitch")),
+    "shift": lambda stage, m: stage.shift(number(m, "right"), number(m, "up")),
+    "approach": lambda stage, m: stage.approach(number(m, "factor")),
     "home": lambda stage, m: stage.return_home(),
-    "crop": lambda stage, m: stage.crop(*(int(m[name]) for name in ("x", "y", "width", "height"))),
-    "set": lambda stage, m: stage.change(m["key"], m["value"]),
-    "show": lambda stage, m: stage.show(m["layer"]),
+    "crop": lambda stage, m: stage.crop(*(whole_number(m, name) for name in ("x", "y", "width", "height"))),
+    "set": lambda stage, m: stage.change(m.get("key"), m.get("value")),
+    "show": lambda stage, m: stage.show(m.get("layer")),
 }
 """The messages that change what is looked at, and what they do."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 import djpt
 from djpt.errors import RenderError, near_miss
 from djpt.integrators.base import Integrator
@@ -96,8 +98,9 @@ class Stage:
 
     def show(self, layer: Any) -> None:
         """Show another layer."""
-        if layer not in LAYERS:
-            raise RenderError(f"unknown layer '{layer}'{near_miss(str(layer), LAYERS)}")
+        if not isinstance(layer, str) or layer not in LAYERS:
+            name = str(layer)[:40]
+            raise RenderError(f"unknown layer '{name}'{near_miss(name, LAYERS)}")
         self.layer = layer
 
     def change(self, key: Any, numbers: Any) -> None:
@@ -135,6 +138,12 @@ class Stage:
         self.hold(self.home)
 
     def hold(self, camera: HeldCamera) -> None:
-        """Put the camera somewhere."""
+        """Put the camera somewhere.
+
+        Raises:
+            RenderError: That is so far away, or so near to what the camera turns about, that it can't be told where.
+        """
+        if not (np.isfinite(camera.to_world).all() and np.isfinite(camera.distance) and camera.distance > 0):
+            raise RenderError("the camera can't go there: its place isn't a number any more")
         self.params.update({self._to_world: ScalarTransform4f(camera.to_world)})
         self.camera = camera

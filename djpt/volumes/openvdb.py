@@ -7,12 +7,15 @@ tinyvdb 0.9 skips constant tiles, so a file whose own count of voxels says that 
 from __future__ import annotations
 
 import importlib
+import math
 import os
 from typing import Any
 
 import numpy as np
 from drjit.scalar import Array3f as ScalarPoint3f
 
+from djpt.description.files import confined
+from djpt.description.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
 from djpt.errors import FileError, near_miss
 from djpt.files import require_regular
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
@@ -78,6 +81,11 @@ def dense(where: str, grid: Any) -> VolumeGrid:
             "be read: store it without them (OpenVDB's voxelizeActiveTiles)"
         )
     low, high = places.min(axis=0), places.max(axis=0)
+    box = math.prod(int(n) for n in high.astype(np.int64) - low + 1)
+    if confined() and box > max(MAX_NUMBERS, NUMBERS_PER_BYTE * len(places)):
+        raise FileError(
+            f"{where} has {len(places)} active voxels in a box of {box}, more than an untrusted scene may ask for"
+        )
     voxels = np.full((high - low + 1)[::-1], grid.float_background(), np.float32)
     x, y, z = (places - low).T
     voxels[z, y, x] = np.frombuffer(sparse["values"], np.float32)

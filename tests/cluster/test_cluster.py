@@ -2,11 +2,14 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +18,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.cluster import tasks
 from djpt.cluster.bundle import Bundle
 from djpt.description.overrides import described, override
-from djpt.errors import BackendError, DjptError, ParameterError, RenderError, SceneError
+from djpt.errors import BackendError, DjptError, FileError, ParameterError, RenderError, SceneError
 from djpt.long_renders.rounds import round_seed
 from tests.kit.commands import run
 
@@ -111,6 +115,166 @@ def test_workers_that_are_killed_join_and_leave(cluster: Cluster) -> None:
             cluster.add()
     assert found.rounds == 40
     assert np.array_equal(found.image().numpy(), expected.image().numpy())
+
+
+@pytest.fixture
+def fresh_cluster() -> Iterator[Cluster]:
+    """A cluster without workers, whose workers may be stopped and killed."""
+    with distributed.LocalCluster(
+        n_workers=0, dashboard_address=None, protocol="tcp://", host="127.0.0.1"
+    ) as scheduler:
+        result = Cluster(scheduler)
+        yield result
+        for worker in result.workers:
+            worker.kill()
+            worker.wait()
+        result.client.close()
+
+
+@pytest.mark.slow
+def test_a_stopped_worker_has_its_share_taken(fresh_cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker that is stopped keeps its connection, and the scheduler waits for it for minutes."""
+    monkeypatch.setattr(tasks, "SILENCE", 4.0)
+    options = {"spp": 160, "round_spp": 4, "seed": 3}
+    expected = last(djpt.render_passes(djpt.load_dict(box(integrator="bdpt")), **options))
+    stopped = fresh_cluster.add()
+    fresh_cluster.wait(1)
+    images = djpt.cluster.render_passes(fresh_cluster.client, box(integrator="bdpt"), **options)
+    next(images)
+    other = fresh_cluster.add()
+    fresh_cluster.wait(2)
+    start = 0.0
+    for found in images:
+        if found.rounds == 10:
+            # It alone has the scene, or rounds of its own.
+            os.kill(stopped.pid, signal.SIGSTOP)
+            start = time.monotonic()
+        if found.rounds == 30:
+            # The first one is back, and now the other one stops.
+            os.kill(stopped.pid, signal.SIGCONT)
+            os.kill(other.pid, signal.SIGSTOP)
+    assert time.monotonic() - start < 60
+    assert found.rounds == 40
+    assert np.array_equal(found.image().numpy(), expected.image().numpy())
+
+
+@pytest.mark.slow
+def test_what_a_stopped_worker_has_found_is_found_again(
+    fresh_cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its results are there, for the scheduler, but can't be fetched."""
+    monkeypatch.setattr(tasks, "SILENCE", 4.0)
+    options = {"spp": 32, "round_spp": 4, "seed": 5}
+    expected = last(djpt.render_passes(djpt.load_dict(box()), **options))
+    stopped = fresh_cluster.add()
+    fresh_cluster.wait(1)
+    images = djpt.cluster.render_passes(fresh_cluster.client, box(), **options)
+    next(images)
+    time.sleep(3)  # the rounds ahead of their turn are done
+    os.kill(stopped.pid, signal.SIGSTOP)
+    fresh_cluster.add()
+    fresh_cluster.wait(2)
+    start = time.monotonic()
+    found = last(images)
+    assert time.monotonic() - start < 60
+    assert np.array_equal(found.image().numpy(), expected.image().numpy())
+
+
+def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr(tasks.time, "monotonic", lambda: now)
+    watch = tasks.Watch()
+    for now in range(0, 30, 2):
+        signs = {"moves": float(now), "stops": min(now, 8.0)}
+        watch.look({address: {"last_seen": sign - 1e9} for address, sign in signs.items()})
+        assert watch.live | watch.stopped == {"moves", "stops"}
+        assert watch.stopped == ({"stops"} if now - 8 > tasks.SILENCE else set())
+    assert watch.live == {"moves"}
+    assert not watch.trusts(None) and not watch.trusts(frozenset({"moves", "stops"}))
+    assert watch.trusts(frozenset({"moves"})) and watch.trusts(frozenset({"moves", "gone"}))
+    assert not watch.trusts(frozenset({"gone"}))
+    watch.look({"stops": {"last_seen": 1.0}})
+    assert watch.live == {"stops"} and watch.trusts(None)
+
+
+def test_without_workers_it_says_so(fresh_cluster: Cluster) -> None:
+    with pytest.warns(RuntimeWarning, match="there are no workers at tcp://"):
+        images = djpt.cluster.render_passes(
+            fresh_cluster.client, box(), spp=4, on_wait=lambda text: (tasks.warn(text), fresh_cluster.add())[0]
+        )
+        assert last(images).spp == 4
+
+
+def test_a_scheduler_that_says_nothing_is_told(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    silent, told = iter([True, True, False]), []
+    ask = cluster.client.scheduler_info
+
+    def late(n_workers: int) -> Any:
+        if next(silent, False):
+            time.sleep(1)
+        return ask(n_workers=n_workers)
+
+    monkeypatch.setattr(tasks, "SILENCE", 0.5)
+    monkeypatch.setattr(cluster.client, "scheduler_info", late)
+    images = djpt.cluster.render_passes(cluster.client, box(), spp=8, round_spp=4, on_wait=told.append)
+    assert last(images).spp == 8
+    (text,) = told
+    assert "doesn't answer" in text
+
+
+def test_a_scheduler_that_is_gone_is_told() -> None:
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=True) as own:
+        client = distributed.Client(own, timeout=2)
+        images = djpt.cluster.render_passes(client, box(), spp=400000, round_spp=4)
+        next(images)
+        own.close()
+        with pytest.raises(RenderError, match="scheduler of the cluster is gone"):
+            last(images)
+        client.close()
+
+
+def folders() -> set[str]:
+    return {path.name for path in Path(tempfile.gettempdir()).glob("djpt-cluster-*")}
+
+
+def painted(path: Path) -> dict[str, Any]:
+    """A scene that names a file."""
+    djpt.write(path, np.linspace(0, 1, 48, dtype=np.float32).reshape(4, 4, 3))
+    return {**box(), "white": {"type": "diffuse", "reflectance": {"type": "bitmap", "filename": str(path)}}}
+
+
+def test_files_of_bundles_are_ones_own_and_gone_in_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bundle, before = Bundle.of(painted(tmp_path / "paint.png")), folders()
+    seen = []
+
+    def load(description: Any) -> Any:
+        folder = Path(description["white"]["reflectance"]["filename"]).parent
+        seen.append((folder.stat().st_mode & 0o777, folder.stat().st_uid, [path.suffix for path in folder.iterdir()]))
+        return load_dict(description)
+
+    load_dict = djpt.load_dict
+    monkeypatch.setattr(djpt, "load_dict", load)
+    scene = bundle.loaded()
+    assert seen == [(0o700, os.getuid(), [".png"])]
+    assert folders() == before
+    assert np.isfinite(djpt.render(scene, spp=1).numpy()).all()
+
+
+def test_files_that_have_changed_on_their_way_are_refused(tmp_path: Path) -> None:
+    bundle = Bundle.of(painted(tmp_path / "paint.png"))
+    ((name, (stored, contents)),) = bundle.files.items()
+    places = [(stored, contents + b"x"), ("0" * 32 + ".png", contents), ("../" + stored, contents)]
+    for place, found in places:
+        with pytest.raises(FileError, match="has changed on its way"):
+            replace(bundle, files={name: (place, found)}).loaded()
+    # Nobody is asked for what lies in a folder that everybody can write to.
+    planted = Path(tempfile.gettempdir()) / f"djpt-cluster-{bundle.key}"
+    planted.mkdir()
+    try:
+        (planted / stored).write_bytes(b"not what was packed")
+        bundle.loaded()
+    finally:
+        shutil.rmtree(planted)
 
 
 def test_files_travel(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

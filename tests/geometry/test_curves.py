@@ -340,8 +340,10 @@ def test_to_world_moves_points_and_keeps_radii(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "keys", "message"),
     [
-        ("0 0 0 1\n0 0 1\n", {}, "line 2: must be x y z and a radius of at least 0, found '0 0 1'"),
-        ("0 0 0 1\n0 0 1 -1\n", {}, "line 2: must be x y z and a radius of at least 0"),
+        ("0 0 0 1\n0 0 1\n", {}, "line 2: must be x y z and a radius of at least 0, found fewer words"),
+        ("0 0 0 1\n0 0 1 -1\n", {}, "line 2: must be x y z and a radius of at least 0, found a negative radius"),
+        ("0 0 0 1\n0 0 one 1\n", {}, "line 2: must be x y z and a radius of at least 0, found other words"),
+        ("0 0 0 1\n0 0 nan 1\n", {}, "line 2: must be x y z and a radius of at least 0, found other words"),
         ("0 0 0 1\n\n0 0 1 1\n1 1 1 1", {}, "curve 0 has 1 control points; 2 are needed"),
         ("\n\n", {}, "no control points in the file"),
         ("0 0 0 1\n0 0 1 1\n", {"emitter": {"type": "area"}}, "curves can't shine"),

@@ -209,7 +209,7 @@ def test_obj_with_lines_in_any_order() -> None:
     assert found.indices.tolist() == [[0, 1, 2], [3, 4, 5]]
     for name in ("positions", "indices", "normals", "texcoords"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found '1 2'"):
+    with pytest.raises(SceneError, match=r"x.obj, line 13: 'v' must be followed by 3 numbers, found fewer words"):
         read_obj(mixed.replace("g f 1 2 3", "v 1 2").encode(), "x.obj")
 
 
@@ -383,7 +383,7 @@ def ply_error(tmp_path: Path, **replacements: str) -> str:
         ({"float_y": "float x"}, "bad.ply: the element 'vertex' declares a property twice"),
         ({"float_y": "float why"}, "bad.ply: vertices need the properties x, y, z; found: x, why, z"),
         ({"element_vertex": "element verteks"}, "needs the elements 'vertex' and 'face', found: verteks, face"),
-        ({"element_face_2": "elements"}, "bad.ply, line 8: can't understand 'elements'"),
+        ({"element_face_2": "elements"}, "bad.ply, line 8: can't understand this line of 'elements'"),
         ({"end_header": ""}, "the file ends in its header: no line 'end_header'"),
         ({"1_1_0": "1 1"}, "bad.ply, line 13: row 2 of the element 'vertex' should have 3 numbers, found 2"),
         ({"1_1_0": "1 one 0"}, "bad.ply, line 13: 'one' isn't a number"),
@@ -429,8 +429,8 @@ def test_a_binary_ply_that_is_cut_short_says_where(tmp_path: Path) -> None:
         (OBJ + "f 1/x 2/ 3/", "a.obj, line 5: can't understand the corner '1/x'"),
         (OBJ + "f 1/1/1/ 2 3", "a.obj, line 5: can't understand the corner '1/1/1/'"),
         (OBJ + "f 1.5 2 3", "a.obj, line 5: can't understand the corner '1.5'"),
-        ("v 0 0\n" + OBJ, "a.obj, line 1: 'v' must be followed by 3 numbers, found '0 0'"),
-        (OBJ + "vt nothing", "a.obj, line 5: 'vt' must be followed by 2 numbers, found 'nothing'"),
+        ("v 0 0\n" + OBJ, "a.obj, line 1: 'v' must be followed by 3 numbers, found fewer words"),
+        (OBJ + "vt nothing", "a.obj, line 5: 'vt' must be followed by 2 numbers, found fewer words"),
         (OBJ, "a.obj: the mesh is empty: 0 vertices, no triangle"),
         ("", "a.obj: the mesh is empty"),
     ],

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import socket
+import struct
 import sys
+import time
+import tracemalloc
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,6 +46,9 @@ IRREGULAR: list[tuple[str, Callable[[Path], None]]] = [
 NAMES: dict[str, Callable[[str], Any]] = {
     "obj": lambda name: djpt.load_dict({"type": "obj", "filename": name}),
     "ply": lambda name: djpt.load_dict({"type": "ply", "filename": name}),
+    "txt": lambda name: djpt.load_dict({"type": "linearcurve", "filename": name}),
+    "hdr": lambda name: djpt.load_dict({"type": "bitmap", "filename": name}),
+    "pfm": lambda name: djpt.load_dict({"type": "bitmap", "filename": name}),
     "serialized": lambda name: djpt.load_dict({"type": "serialized", "filename": name}),
     "vol": lambda name: djpt.load_dict({"type": "sdfgrid", "filename": name}),
     "exr": lambda name: djpt.load_dict({"type": "envmap", "filename": name}),
@@ -74,6 +81,36 @@ def test_messages_dont_quote_other_files(tmp_path: Path, suffix: str) -> None:
         NAMES[suffix](str(path))
     assert "alice" not in str(caught.value)
     assert "hidden" not in str(caught.value)
+
+
+@pytest.mark.parametrize("begin", ["v 1 ", "v ", "vn ", "vt ", "f 1 2 ", ""])
+def test_lines_of_other_files_arent_quoted(tmp_path: Path, begin: str) -> None:
+    """A line that a format understands by its first word may hold anything in the others."""
+    for kind, name in (("obj", "a.obj"), ("bsplinecurve", "a.txt")):
+        (tmp_path / name).write_text(f"{begin}token = {SECRET}\n")
+        with pytest.raises(djpt.DjptError) as caught:
+            djpt.load_dict({"type": kind, "filename": str(tmp_path / name)})
+        assert "alice" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["ply\nformat ascii 1.0\n{} password\n", "ply\n{} {}\n", "ply\nelement v 1\nproperty list float int\t{} {}\n"],
+)
+def test_headers_of_other_files_arent_quoted(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text(header.format("key", SECRET))
+    with pytest.raises(djpt.SceneError) as caught:
+        djpt.load_dict({"type": "ply", "filename": str(path)})
+    assert "alice" not in str(caught.value) and "password" not in str(caught.value)
+
+
+def test_the_header_of_a_radiance_picture_isnt_quoted(tmp_path: Path) -> None:
+    path = tmp_path / "a.hdr"
+    path.write_text(f"#?\n\n{SECRET}\n")
+    with pytest.raises(djpt.SceneError) as caught:
+        djpt.load_dict({"type": "bitmap", "filename": str(path)})
+    assert "alice" not in str(caught.value)
 
 
 # ---- a root --------------------------------------------------------------------------------
@@ -233,7 +270,7 @@ FACES = "element face {faces}\nproperty list uchar int vertex_indices\nend_heade
 @pytest.mark.parametrize(
     ("vertices", "faces", "message"),
     [
-        ("9" * 5000, "1", "line 3: can't understand 'element vertex 99"),
+        ("9" * 5000, "1", "line 3: can't understand this line of 'element'"),
         ("4000000000", "1", "row 0 of the element|the file is cut short, in row 3 of 4000000000"),
         ("9" * 18, "1", "row 0 of the element|the file is cut short, in row 3 of 999999999999999999"),
         ("3", "0", "the mesh is empty: 3 vertices, no triangle"),
@@ -261,3 +298,124 @@ def test_a_header_without_elements(tmp_path: Path, kind: str) -> None:
     path.write_text("ply\nformat ascii 1.0\nend_header\n")
     with pytest.raises(djpt.SceneError, match=rf"{kind}: a\.ply: (the file has no elements|a mesh needs the elements)"):
         djpt.load_dict({"type": kind, "filename": str(path)})
+
+
+def untrusted(folder: Path, content: str) -> Any:
+    """Load a scene of a stranger."""
+    path = folder / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{content}</scene>')
+    return djpt.load_file(path, trusted=False)
+
+
+def bitmap(name: str) -> str:
+    return (
+        '<shape type="sphere"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+        f'<string name="filename" value="{name}"/></texture></bsdf></shape>'
+    )
+
+
+def forged_exr(path: Path, width: int, height: int) -> None:
+    """A small image whose header claims another size."""
+    djpt.write(path, np.zeros((4, 4, 3), np.float32))
+    data = bytearray(path.read_bytes())
+    for name in (b"dataWindow", b"displayWindow"):
+        place = data.index(name + b"\0box2i\0") + len(name) + 7 + 4
+        data[place : place + 16] = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    path.write_bytes(data)
+
+
+def png(path: Path, width: int, height: int, depth: int, color: int) -> None:
+    """A whole PNG of zeros."""
+    channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[color]
+    row = 1 + (width * depth * channels + 7) // 8
+    packer = zlib.compressobj(9)
+    packed = b"".join(packer.compress(bytes(row)) for _ in range(height)) + packer.flush()
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)
+    palette = chunk(b"PLTE", bytes(6)) if color == 3 else b""
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + palette + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize(("width", "height"), [(31623, 31623), (10**9, 1), (1, 10**9), (8192, 8192)])
+def test_an_exr_that_claims_too_much_is_refused_by_its_header(tmp_path: Path, width: int, height: int) -> None:
+    forged_exr(tmp_path / "a.exr", width, height)
+    tracemalloc.start()
+    with pytest.raises(djpt.SceneError, match=r"a\.exr.*by its header its \d+ bytes hold \d+ numbers"):
+        untrusted(tmp_path, bitmap("a.exr"))
+    with pytest.raises(djpt.SceneError, match="by its header"):
+        untrusted(tmp_path, '<emitter type="envmap"><string name="filename" value="a.exr"/></emitter>')
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**24
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "depth", "color"),
+    [(8192, 8192, 8, 2), (20000, 20000, 1, 0), (20000, 20000, 1, 3), (10000, 10000, 16, 6)],
+)
+def test_a_png_that_inflates_too_much_is_refused(
+    tmp_path: Path, width: int, height: int, depth: int, color: int
+) -> None:
+    png(tmp_path / "a.png", width, height, depth, color)
+    tracemalloc.start()
+    with pytest.raises(djpt.SceneError, match=r"a\.png"):
+        untrusted(tmp_path, bitmap("a.png"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**24
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 31623 +X 31623\n" + bytes(1000)),
+        ("a.pfm", b"PF\n31623 31623\n-1.0\n" + bytes(1000)),
+        ("a.npy", None),
+        ("a.ppm", b"P6\n31623 31623\n255\n" + bytes(1000)),
+        ("a.bmp", b"BM" + struct.pack("<IIIIiiHHIIIIII", 1054, 0, 54, 40, 31623, 31623, 1, 24, 0, 0, 0, 0, 0, 0)),
+        ("a.jpg", None),
+    ],
+)
+def test_other_pictures_that_claim_too_much_are_refused(tmp_path: Path, name: str, data: bytes | None) -> None:
+    path = tmp_path / name
+    if name == "a.npy":
+        np.save(path, np.zeros((4, 4, 3), np.float32))
+        data = path.read_bytes().replace(b"(4, 4, 3), }        ", b"(31623, 31623, 3), }")
+    if name == "a.jpg":
+        djpt.write(path, np.zeros((16, 16, 3), np.float32))
+        data = path.read_bytes().replace(struct.pack(">HH", 16, 16), struct.pack(">HH", 60000, 60000), 1)
+    assert data is not None
+    path.write_bytes(data)
+    tracemalloc.start()
+    with pytest.raises(djpt.SceneError, match=name):
+        untrusted(tmp_path, bitmap(name))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**24
+
+
+def test_large_uniform_pictures_of_ones_own_are_read(tmp_path: Path) -> None:
+    """What may claim too much is only refused where the scene is a stranger's."""
+    png(tmp_path / "a.png", 6000, 4000, 8, 0)
+    with pytest.raises(djpt.SceneError, match="by its header"):
+        untrusted(tmp_path, bitmap("a.png"))
+    assert djpt.load_file(tmp_path / "scene.xml") is not None
+    png(tmp_path / "a.png", 600, 400, 8, 2)
+    assert untrusted(tmp_path, bitmap("a.png")) is not None
+
+
+@pytest.mark.parametrize("length", [2000, 300_000_000])
+def test_the_name_of_a_serialized_mesh_is_bounded(tmp_path: Path, length: int) -> None:
+    packer = zlib.compressobj(9)
+    packed = packer.compress(struct.pack("<I", 0))
+    packed += b"".join(packer.compress(b"x" * 100_000) for _ in range(max(1, length // 100_000))) + packer.flush()
+    (tmp_path / "a.serialized").write_bytes(struct.pack("<HH", 0x041C, 4) + packed)
+    start = time.monotonic()
+    with pytest.raises(djpt.SceneError, match=r"a\.serialized: the name of the mesh has more than 1000 bytes"):
+        untrusted(tmp_path, '<shape type="serialized"><string name="filename" value="a.serialized"/></shape>')
+    assert time.monotonic() - start < 5

@@ -181,6 +181,7 @@ def test_a_file_that_changes_is_loaded_again(viewed: Viewed) -> None:
     assert "scene.xml" in viewed.page.run("problem.textContent")
     viewed.file.write_text(SCENE)
     viewed.until(f"{expected} != '#597ce7'")
+    assert viewed.page.run("problem.hidden")
     viewed.until_done()
 
 

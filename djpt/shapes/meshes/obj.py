@@ -96,9 +96,10 @@ def read_numbers(lines: Lines, kind: str, where: str) -> NDArray[np.float32]:
                 raise ValueError
             result[i] = [float(word) for word in words]
         except ValueError:
-            found = row.decode("latin-1").strip()[:60]
             at = f"{where}, line {lines.numbers[i]}"
-            raise SceneError(f"{at}: '{kind}' must be followed by {least} numbers, found '{found}'") from None
+            # Not what was found: the file may be anything that its owner can read, and the scene a stranger's.
+            found = "found fewer words" if len(words) < least else "found other words"
+            raise SceneError(f"{at}: '{kind}' must be followed by {least} numbers, {found}") from None
     return result
 
 

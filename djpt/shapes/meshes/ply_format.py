@@ -59,6 +59,9 @@ class Column:
     """The length of each row's list; None if the property isn't a list."""
 
 
+LONGEST_WORD = 40
+"""The characters of a word of a file that messages show."""
+
 DIGITS = 18
 """The digits of the largest number of rows that a header may declare."""
 
@@ -121,14 +124,14 @@ def read_header(data: bytes, where: str) -> tuple[list[Element], str | None, int
             continue
         if words[0] == "format" and len(words) == 3:
             if words[1] not in ORDERS:
-                raise SceneError(f"{at}: unknown format '{words[1]}'{near_miss(words[1], ORDERS)}")
+                raise SceneError(f"{at}: unknown format '{words[1][:LONGEST_WORD]}'{near_miss(words[1], ORDERS)}")
             order, known = ORDERS[words[1]], True
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) <= DIGITS:
             elements.append(Element(words[1], int(words[2])))
         elif words[0] == "property" and elements and len(words) in (3, 5):
             elements[-1].properties.append(read_property(words, at))
         else:
-            raise SceneError(f"{at}: can't understand '{' '.join(words)[:80]}'")
+            raise SceneError(f"{at}: can't understand this line of '{words[0][:LONGEST_WORD]}'")
     if not known:
         raise SceneError(f"{where}: the header has no line 'format'")
     return elements, order, position, number + 1
@@ -139,11 +142,11 @@ def read_property(words: list[str], at: str) -> Property:
     names = words[1:2] if len(words) == 3 else words[2:4]
     for name in names:
         if name not in TYPES:
-            raise SceneError(f"{at}: unknown type '{name}'{near_miss(name, TYPES)}")
+            raise SceneError(f"{at}: unknown type '{name[:LONGEST_WORD]}'{near_miss(name, TYPES)}")
     if len(words) == 3:
         return Property(words[2], TYPES[words[1]])
     if words[1] != "list" or TYPES[words[2]][0] == "f":
-        raise SceneError(f"{at}: can't understand '{' '.join(words)[:80]}'")
+        raise SceneError(f"{at}: a list is counted by whole numbers: property list uchar int NAME")
     return Property(words[4], TYPES[words[3]], TYPES[words[2]])
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.description.limits import MAX_NAME
 from djpt.errors import SceneError
 from djpt.shapes.meshes.cleaning import check_indices
 from djpt.shapes.meshes.data import MeshData
@@ -49,8 +50,11 @@ def read_serialized(data: bytes, where: str, shape_index: int = 0) -> MeshData:
     stream = Stream(data, offset + 4, where)
     (flags,) = struct.unpack("<I", stream.take(4, "its flags"))
     if version == 4:
+        length = 0
         while stream.take(1, "its name") != b"\0":
-            pass
+            length += 1
+            if length > MAX_NAME:
+                raise SceneError(f"{where}: the name of the mesh has more than {MAX_NAME} bytes")
     vertex_count, face_count = struct.unpack("<QQ", stream.take(16, "its counts"))
     number = "<f8" if flags & DOUBLE else "<f4"
 

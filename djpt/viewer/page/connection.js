@@ -7,8 +7,10 @@ export function connect({ onFrame, onMessage, onState }) {
   let number = 0;
 
   function open() {
-    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
-    socket = new WebSocket(`${scheme}//${location.host}/socket`);
+    // Beside the page, whose address has the secret.
+    const address = new URL("socket", location.href);
+    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => onState("connected");
     socket.onmessage = ({ data }) => {
@@ -16,7 +18,7 @@ export function connect({ onFrame, onMessage, onState }) {
       else onFrame(frame(data));
     };
     socket.onclose = () => {
-      onState("djpt has ended: waiting for it to come back");
+      onState("no connection to djpt: trying again; when djpt view is started again, open its new address");
       setTimeout(open, RETRY);
     };
   }

@@ -18,6 +18,7 @@ const connection = connect({
   onState: (text) => (part("status").textContent = text),
   onMessage: (message) => {
     if (message.error) return complain(message.error);
+    complain(message.problem);
     picture.constants = message.tone;
     part("layer").replaceChildren(...message.layers.map((name) => new Option(name)));
     part("layer").value = message.layer;
