@@ -14,12 +14,15 @@ from djpt.description.document import Document
 from djpt.errors import SceneError, near_miss
 from djpt.files import require_regular
 
-__all__ = ["described", "integrator_name", "override", "rfilter_name"]
+__all__ = ["described", "integrator_name", "override", "reduced", "rfilter_name"]
 
 SENSORS = frozenset(
     {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
 )
 """The types of nodes that hold a film."""
+
+WIDTH, HEIGHT = 768, 576
+"""The pixels of a film that doesn't say how many it has."""
 
 METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
 """The types of sensors that measure numbers and take no pictures."""
@@ -117,6 +120,24 @@ def override(
     return result
 
 
+def reduced(scene: Mapping[str, Any], side: int) -> dict[str, Any]:
+    """A copy of `scene` whose pictures are at most `side` pixels wide and high; they keep their aspect ratio.
+
+    Smaller pictures stay as they are, as do films with a crop window and sensors that aren't described by a dict.
+    """
+    result = scene.copy() if isinstance(scene, Document) else dict(scene)
+    for key, node in scene.items():
+        if not isinstance(node, Mapping) or node.get("type") not in SENSORS - METERS:
+            continue
+        name = _film_key(dict(node))
+        film = dict(node.get(name, {"type": "hdrfilm"}))
+        width, height = film.get("width", WIDTH), film.get("height", HEIGHT)
+        if max(width, height) > side and not any(entry.startswith("crop_") for entry in film):
+            _set_size(film, f"{key}.{name}", *((side, None) if width >= height else (None, side)))
+            result[key] = {**node, name: film}
+    return result
+
+
 def rfilter_name(scene: Mapping[str, Any]) -> str:
     """The type of the first sensor's reconstruction filter; Mitsuba's default is `gaussian`."""
     for sensor in scene.values():
@@ -145,7 +166,7 @@ def _film_key(sensor: Mapping[str, Any]) -> str:
 def _set_size(film: dict[str, Any], node: str, width: int | None, height: int | None) -> None:
     if any(key.startswith("crop_") for key in film):
         raise SceneError(f"{node}: the film has a crop window, so its size can't be changed from outside")
-    old_width, old_height = film.get("width", 768), film.get("height", 576)
+    old_width, old_height = film.get("width", WIDTH), film.get("height", HEIGHT)
     if width is None:
         assert height is not None
         width = max(1, round(old_width * height / old_height))

@@ -18,7 +18,7 @@ SHARE, LEAST = 0.1, 0.02
 """The step as a share of the largest entry that is changed, and the least one for entries near zero."""
 
 HALVINGS = 12
-"""How often a step that leaves the parameter's range is halved."""
+"""The most times that a step which leaves the parameter's range is halved."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,11 @@ class Step:
     size: float
     sides: int
     """0: central; 1: ahead only; -1: behind only."""
+
+    @property
+    def renders(self) -> int:
+        """The images that `difference` renders."""
+        return 4 if self.sides == 0 else 6
 
     def difference(self, seed: int) -> Difference:
         """The derivative at a seed, by two steps and Richardson's extrapolation, of fourth order (central) or third."""

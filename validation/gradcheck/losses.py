@@ -22,6 +22,9 @@ __all__ = ["Loss", "MitsubaLoss", "weights"]
 NEAR_ZERO = 1e-6
 """Entries below this are taken for zero."""
 
+NEAR_END = 1e-3
+"""Entries that are no farther from an end of their range are taken for the end."""
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -66,7 +69,7 @@ class Loss:
             self._assign(self.values)
 
     def allows(self, entries: Floats) -> bool:
-        """Whether the parameter can have these entries."""
+        """True if the parameter can have these entries."""
         try:
             self._assign(entries)
         except ParameterError:
@@ -75,12 +78,21 @@ class Loss:
             self._assign(self.values)
         return True
 
+    def inward(self) -> Floats:
+        """The direction into the parameter's range for entries at its ends, 1 or -1, and 0 for the others, (n,)."""
+        found = np.zeros_like(self.values)
+        for sign, end in ((1.0, self.values.min()), (-1.0, self.values.max())):
+            at_end = np.abs(self.values - end) <= NEAR_END
+            if not self.allows(self.values - sign * NEAR_END * at_end):
+                found[at_end] = sign
+        return found
+
     def value(self, image: npt.NDArray[np.floating]) -> float:
         """The loss of an image."""
         return float(np.mean(np.asarray(image, np.float64) * self.weights))
 
     def reverse(self, seed: int) -> Floats:
-        """The derivative of the loss by each entry, by reverse mode, (n,)."""
+        """The derivative of the loss with respect to each entry, by reverse mode, (n,)."""
         self._attach()
         try:
             image = self._rendered(seed)
@@ -116,7 +128,7 @@ class Loss:
 
 
 REPLAYING = {"path": "prb", "volpath": "prbvolpath", "volpathmis": "prbvolpath"}
-"""Mitsuba's integrators that need not record loops to be differentiated, in place of others."""
+"""The integrators that replace others in Mitsuba, since they need not record loops to be differentiated."""
 
 
 class MitsubaLoss:
@@ -142,7 +154,7 @@ class MitsubaLoss:
                 raise ComparisonError(f"Mitsuba's parameter '{key}' has {np.array(self.params[key]).size} entries")
 
     def reverse(self, seed: int) -> Floats:
-        """The derivative of the loss by each entry, (n,)."""
+        """The derivative of the loss with respect to each entry, (n,)."""
         with mitsuba_scene(None) as (mi, _):
             dr.enable_grad(self.params[self.key])
             self.params.update()
