@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -190,9 +189,7 @@ class SceneParameters(Mapping[str, Any]):
     def _entry(self, key: str) -> Entry:
         if isinstance(key, str) and key in self._entries:
             return self._entries[key]
-        # A scene has hundreds of names: the message lists the nearest ones.
-        nearest = difflib.get_close_matches(str(key), self._entries, n=6, cutoff=0.3)
-        raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), nearest)}")
+        raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), self._entries)}")
 
     # ---- narrowing down ------------------------------------------------------------------
 

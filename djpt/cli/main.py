@@ -15,6 +15,7 @@ import click
 
 import djpt
 from djpt.cli.console import ExitCode
+from djpt.errors import near_miss
 from djpt.files import reason
 
 __all__ = ["COMMANDS", "app", "main", "run"]
@@ -38,6 +39,13 @@ class Commands(click.Group):
             return None
         command: click.Command = importlib.import_module(f"djpt.cli.{cmd_name}").command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            ctx.fail(f"unknown command '{args[0]}'{near_miss(args[0], COMMANDS)}")
+        return super().resolve_command(ctx, args)
 
 
 def print_version(context: click.Context, option: click.Parameter, wanted: bool) -> None:

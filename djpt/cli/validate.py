@@ -48,10 +48,13 @@ def command(
     for name in names:
         if name not in CASES:
             raise RenderError(f"unknown closed form '{name}'{near_miss(name, CASES)}")
+    cases = [CASES[name] for name in names or CASES]
+    able = {name for case in cases for name in case.integrators}
     for name in integrators:
         if name not in registered("integrator"):
-            raise RenderError(f"unknown integrator '{name}'{near_miss(name, registered('integrator'))}")
-    cases = [CASES[name] for name in names or CASES]
+            raise RenderError(f"unknown integrator '{name}'{near_miss(name, able)}")
+        if name not in able:
+            raise RenderError(f"the integrator '{name}' finds the light of none of the cases{near_miss('', able)}")
     outcomes = []
     for outcome in validate(cases, integrators or None, spp=spp, seed=seed):
         outcomes.append(outcome)

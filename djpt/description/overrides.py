@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.errors import SceneError, near_miss
+from djpt.errors import FileError, SceneError, near_miss, nearest
 from djpt.files import require_regular
 
 __all__ = ["described", "integrator_name", "override", "reduced", "rfilter_name"]
@@ -54,6 +54,8 @@ def described(
     """
     if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
         # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
+        if not os.path.lexists(scene):
+            raise FileError(f"can't read '{os.fspath(scene)}': there is no such file{scene_like(os.fspath(scene))}")
         require_regular(scene)
         from djpt.description.xml.reading import read_file
 
@@ -76,6 +78,22 @@ def described(
         hint = f"; the file would be '{scene}.xml'" if os.path.exists(f"{scene}.xml") else ""
         raise SceneError(f"unknown scene '{scene}'{hint}{near_miss(scene, scenes.NAMES)}")
     return scene, getattr(scenes, scene)()
+
+
+def scene_like(missing: str) -> str:
+    """A suggestion for the name of a scene file that doesn't exist: a file beside it, or a built-in scene."""
+    from djpt import scenes
+
+    folder, name = os.path.split(missing)
+    try:
+        files = [entry for entry in os.listdir(folder or ".") if entry.lower().endswith(".xml")]
+    except OSError:
+        return ""
+    beside = nearest(name, files)
+    if beside is not None:
+        return f"; did you mean '{os.path.join(folder, beside)}'?"
+    built_in = nearest(os.path.splitext(name)[0], scenes.NAMES)
+    return f"; did you mean the built-in scene '{built_in}'?" if built_in else ""
 
 
 def override(

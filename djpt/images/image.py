@@ -205,7 +205,7 @@ def _format(path: Path, verb: str) -> Format:
     except KeyError:
         known = [suffix[1:] for suffix in FORMATS]
         if not path.suffix:
-            hint = f"the name has no extension; possible: {', '.join(known)}"
+            hint = f"the name has no extension{near_miss('', known)}"
         else:
             hint = f"unknown extension '{path.suffix[1:]}'{near_miss(path.suffix[1:], known)}"
         raise FileError(f"can't {verb} '{path}': {hint}") from None

@@ -10,7 +10,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import registered
 from djpt.emitters import Emitter
-from djpt.errors import SceneError
+from djpt.errors import SceneError, near_miss
 from djpt.geometry.contents import unseen
 from djpt.materials import BSDF, Diffuse
 from djpt.sensors import Sensor
@@ -66,12 +66,9 @@ def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
 def adopt(shape: Shape, nested: Any) -> Any:
     """An emitter or sensor that a shape has, nested or by reference, told which shape that is."""
     if not nested.on_shape:
-        fitting = ", ".join(
-            name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False)
-        )
-        raise SceneError(
-            f"{shape.id()}: the {nested.kind} '{nested.id()}' can't be nested in a shape; possible: {fitting}"
-        )
+        fitting = (name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False))
+        hint = near_miss("", fitting)
+        raise SceneError(f"{shape.id()}: the {nested.kind} '{nested.id()}' can't be nested in a shape{hint}")
     if nested.shape not in (None, shape):
         raise SceneError(f"{shape.id()}: its {nested.kind} already belongs to '{nested.shape.id()}'")
     nested.shape = shape

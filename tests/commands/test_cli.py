@@ -216,11 +216,26 @@ def test_speeds_are_short() -> None:
 # ---------------------------------------------------------------- errors
 
 
+def test_misspelt_commands() -> None:
+    code, _, err = run("rendr", "cornell_box")
+    assert code == ExitCode.BAD_INPUT
+    assert "unknown command 'rendr'; did you mean 'render'? (possible: render, " in err
+    assert "unknown command 'zzz'; possible: animate, bounces, compare" in run("zzz")[2]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["render", "cornel_box"], "unknown scene 'cornel_box'; did you mean 'cornell_box'?"),
         (["render", "scene.xml"], "can't read 'scene.xml': there is no such file"),
+        (["render", "nowhere/cornel_box.xml"], "can't read 'nowhere/cornel_box.xml': there is no such file\n"),
+        (["render", "cornel_box.xml"], "no such file; did you mean the built-in scene 'cornell_box'?"),
+        (["compare", "cornell_box", "--integrator", "pth"], "unknown integrator 'pth'; did you mean 'path'?"),
+        (
+            ["render", "glass_ball", *SMALL[1:], "--adaptive"],
+            "the integrator 'bdpt' can't render adaptively; possible: path, ",
+        ),
+        (["validate", "--integrator", "depth"], "'depth' finds the light of none of the cases; possible: bdpt, "),
         (["render", "cornell_box", "-o", "a.exe"], "unknown extension 'exe'; did you mean 'exr'?"),
         (["render", "cornell_box", "-o", "nowhere/a.exr"], "there is no folder"),
         (["render", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),

@@ -179,7 +179,7 @@ def test_equal_images_give_equal_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "image", "message"),
     [
-        ("a", radiance(), "the name has no extension; possible: exr"),
+        ("a", radiance(), "the name has no extension; possible: bmp, exr"),
         ("a.exe", radiance(), "unknown extension 'exe'; did you mean 'exr'"),
         ("nowhere/a.exr", radiance(), "there is no folder"),
         ("a.png", radiance(channels=5), "png holds 1 to 4 channels, found 5"),

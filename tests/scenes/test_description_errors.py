@@ -66,7 +66,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     # names
     "unknown plugin": (
         scene(a={"type": "difuse"}),
-        r"^scene\.a: unknown plugin 'difuse'; did you mean 'diffuse'\? \(possible: .*cube.*\)$",
+        r"^scene\.a: unknown plugin 'difuse'; did you mean 'diffuse'\? \(possible: diffuse.* and \d+ more\)$",
     ),
     "of Mitsuba": (
         scene(a={"type": "measured_polarized"}),
@@ -90,7 +90,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     # references
     "missing reference": (
         sphere(bsdf={"type": "ref", "id": "whit"}),
-        r"^scene\.ball\.bsdf: nothing has the id 'whit'; did you mean 'white'\? \(possible: ball, white\)$",
+        r"^scene\.ball\.bsdf: nothing has the id 'whit'; did you mean 'white'\? \(possible: white\)$",
     ),
     "missing path": (sphere(bsdf={"type": "ref", "id": "ball.bsd"}), r"^scene\.ball\.bsdf: nothing has the id"),
     "reference alone": ({"type": "ref", "id": "x"}, r"^ref: nothing has the id 'x'$"),

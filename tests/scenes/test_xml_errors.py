@@ -142,7 +142,7 @@ WRONG = {
     ),
     "unknown plugin": (
         scene('<shape type="spher"/>'),
-        ":2: <shape>: unknown shape 'spher'; did you mean 'sphere'? (possible: bsplinecurve, cone, cube",
+        ":2: <shape>: unknown shape 'spher'; did you mean 'sphere'? (possible: sphere, ",
     ),
     "range": (sphere('<float name="radius" value="-1"/>'), ":3: scene.a: 'radius' must be greater than 0, found -1"),
     "wrong type": (

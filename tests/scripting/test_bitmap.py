@@ -353,7 +353,7 @@ def test_a_file_is_known_by_its_content(tmp_path: Path) -> None:
         ("a.png", np.zeros((2, 2, 3), np.float32), "png holds numbers of type uint8 or uint16, found float32"),
         ("a.exr", np.zeros((2, 2, 3), np.uint8), "exr holds numbers of type float16 or float32 or uint32, found uint8"),
         ("a.ppm", np.zeros((2, 2, 4), np.uint8), "ppm holds 3 channels, found 4"),
-        ("a.gif", np.zeros((2, 2, 3), np.uint8), "unknown format 'gif'; possible: exr"),
+        ("a.gif", np.zeros((2, 2, 3), np.uint8), "unknown format 'gif'; did you mean 'tif'\\?.* exr"),
     ],
 )
 def test_files_that_cant_hold_a_bitmap(tmp_path: Path, name: str, pixels: np.ndarray, message: str) -> None:
