@@ -42,6 +42,10 @@ __all__ = ["Image", "check_writable", "checked_labels", "read", "read_metadata",
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
 
+SHOWN = 256
+"""Pixels: images that notebooks show are enlarged up to this size."""
+
+
 class Image:
     """A view of an image that notebooks display: `Image(djpt.render(scene))` as the last line of a cell.
 
@@ -84,8 +88,11 @@ class Image:
         return f"Image({width} x {height}, {channels} channels, {self._pixels.dtype})"
 
     def _repr_png_(self) -> bytes:
+        """The image as notebooks show it. Small ones are enlarged by a whole factor: each pixel becomes a square."""
+        shown = self.srgb()
+        factor = max(1, SHOWN // max(shown.shape[:2]))
         stream = io.BytesIO()
-        encode_png(stream, self.srgb())
+        encode_png(stream, shown.repeat(factor, axis=0).repeat(factor, axis=1))
         return stream.getvalue()
 
 
