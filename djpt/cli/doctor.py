@@ -249,8 +249,8 @@ def main() -> int:
 
 @click.command("doctor", cls=Command)
 def command() -> None:
-    """Print what djpt found on this machine, and what to do.
+    """Report what djpt found on this machine, and how to fix problems.
 
-    It says what was chosen and why.
+    Every choice is printed with its reason.
     """
     raise click.exceptions.Exit(main())

@@ -27,7 +27,7 @@ SIDE = 64
 @click.argument("keys", metavar="[KEY]...", nargs=-1)
 @click.option("--spp", type=int, default=64, help="Samples per pixel of each render.")
 @click.option("--seeds", type=int, default=8, help="Number of seeds to start with.")
-@click.option("--most-seeds", type=int, default=64, help="Limit; seeds are added until --precision is reached.")
+@click.option("--most-seeds", type=int, default=64, help="Largest number; seeds are added up to --precision.")
 @click.option("--precision", type=float, default=0.01, help="Standard error to reach, relative to the derivative.")
 @click.option("--samples", type=int, default=4, help="Single entries to check of large parameters such as bitmaps.")
 @click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0.")

@@ -26,7 +26,7 @@ __all__ = ["command"]
 @options.height
 @options.rfilter
 @options.integrator
-@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors, counted from 0.")
+@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0.")
 @click.option("--schedule", default="auto", help="How lanes are filled: auto, flat, machine or wave.")
 @click.option("--tonemap", help="For png and jpg: srgb (the default: clipped), reinhard, aces or agx.")
 @options.exposure

@@ -27,7 +27,7 @@ def checked(target: Path) -> Path:
     """
     check_writable(target)
     if target.suffix.lower() not in DISPLAY_FORMATS:
-        raise RenderError(f"a strip has labels, it is written as png or jpg, found '{target}'")
+        raise RenderError(f"a strip has labels, so it is written as png or jpg, found '{target}'")
     return target
 
 

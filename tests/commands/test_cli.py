@@ -235,7 +235,7 @@ def test_misspelt_commands() -> None:
             ["render", "glass_ball", *SMALL[1:], "--adaptive"],
             "the integrator 'bdpt' can't render adaptively; possible: path, ",
         ),
-        (["validate", "--integrator", "depth"], "'depth' finds the light of none of the cases; possible: bdpt, "),
+        (["validate", "--integrator", "depth"], "'depth' can't find the light of any of the cases; possible: bdpt, "),
         (["render", "cornell_box", "-o", "a.exe"], "unknown extension 'exe'; did you mean 'exr'?"),
         (["render", "cornell_box", "-o", "nowhere/a.exr"], "there is no folder"),
         (["render", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),

@@ -125,7 +125,7 @@ def test_the_command_writes_a_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ("arguments", "message"),
     [
         (["diffusse"], "the gallery has no panel 'diffusse'; did you mean 'diffuse'?"),
-        (["diffuse", "-o", "a.exr"], "a gallery has labels, it is written as png or jpg, found 'a.exr'"),
+        (["diffuse", "-o", "a.exr"], "a gallery has labels, so it is written as png or jpg, found 'a.exr'"),
         (["diffuse", "--size", "0"], "--size must be at least 1, found 0"),
         (["diffuse", "--spp", "0"], "--spp must be at least 1, found 0"),
     ],
