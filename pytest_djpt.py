@@ -92,7 +92,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of this plugin."""
     group = parser.getgroup("djpt", "djpt: comparing images")
     group.addoption("--djpt-update", action="store_true", help="write new references for djpt_compare")
-    group.addoption("--djpt-reports", metavar="DIR", default="djpt-reports", help="folder for the reports of failed comparisons")
+    group.addoption("--djpt-reports", metavar="DIR", default="djpt-reports", help="folder for reports of failures")
 
 
 def pytest_configure(config: pytest.Config) -> None:

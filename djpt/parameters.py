@@ -219,7 +219,7 @@ class SceneParameters(Mapping[str, Any]):
     def __setitem__(self, key: str, value: Any) -> None:
         entry = self._entry(key)
         if entry.flags & ParamFlags.ReadOnly:
-            raise ParameterError(f"{key}: can't be assigned: it follows from other parameters")
+            raise ParameterError(f"{key}: can't be assigned: it is computed from other parameters")
         current, loan = entry.read(), self._lent.get(key)
         if loan is not None and loan.is_copy and value is loan.value and not loan.is_edited():
             return

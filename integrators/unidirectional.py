@@ -35,7 +35,7 @@ def first_roulette(props: Properties, max_depth: int) -> int:
     if max_depth < 0 and depth > LATE:
         warnings.warn(
             f"{props.node}: paths may have {UNBOUNDED} edges where little is absorbed, with 'max_depth' -1 and "
-            f"'rr_depth' {depth}; bound one of them",
+            f"'rr_depth' {depth}; limit one of them",
             stacklevel=2,
         )
     return depth

@@ -156,7 +156,7 @@ class Comparison:
             names = f"noise, {'ours' if self.titles[0] == 'djpt' else self.titles[0]} / {self.titles[1]}"
             rows.append((names, f"{self.noise_ratio:.3f}", "", ""))
         for test in self.tests:
-            limit = f"{test.critical:.2f}, sees {test.detectable:.2g} of the mean"
+            limit = f"{test.critical:.2f}, detects {100 * test.detectable:.2g} % of the mean"
             rows.append((f"worst z, {test.name}", f"{test.z:+.2f}", limit, "ok" if test.passed else "FAILED"))
         if self.same_seed:
             share, wanted = self.same_seed.share, self.limits.get("same_seed")

@@ -88,7 +88,9 @@ def side_of(value: Any, schedule: str = "auto", **changes: Any) -> Side:
     if is_described(value):
         return scene_side(override(described(value)[1], **changed), schedule)
     if "integrator" in changed:
-        raise ComparisonError(f"compare: only a described scene takes another integrator, not {kind_of(value)}")
+        raise ComparisonError(
+            f"compare: only a scene description can be given another integrator, not {kind_of(value)}"
+        )
     if isinstance(value, (str, os.PathLike)):
         return file_side(Path(value))
     if isinstance(value, Reference):

@@ -125,7 +125,7 @@ def claim(folder: Path, job: dict[str, Any]) -> None:
             differing = [f"the scene ({same_nodes})"] if same_nodes else []
             differing += [name for name in ("motion", "spp", "seed", "facts") if found[name] != job[name]]
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FileError(f"'{note}' isn't readable: {error}; remove it with the frames beside it") from None
+            raise FileError(f"'{note}' can't be read: {error}; remove it together with its frames") from None
         if differing:
             raise FileError(
                 f"'{folder}' has frames of another animation, which differs in {', '.join(differing)}: choose "
@@ -135,7 +135,7 @@ def claim(folder: Path, job: dict[str, Any]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(f"can't make the folder '{folder}': {error.strerror}") from None
+        raise FileError(f"can't create the folder '{folder}': {error.strerror}") from None
     with writing(note) as temporary:
         temporary.write_text(json.dumps(job, indent=1) + "\n", encoding="utf-8")
 

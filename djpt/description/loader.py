@@ -135,7 +135,7 @@ class Loader:
     def _name_node(self, name: str, path: str) -> None:
         if self.paths.setdefault(name, path) != path:
             other = self.name(self.paths[name])
-            raise SceneError(f"{self.name(path)}: the name '{name}' is taken already by {other}")
+            raise SceneError(f"{self.name(path)}: the name '{name}' is already taken by {other}")
 
     # ---- second walk: plugins ------------------------------------------------------------
 
@@ -149,7 +149,7 @@ class Loader:
             return node
         if path in self.open:
             circle = [*self.open[self.open.index(path) :], path]
-            raise SceneError(f"{self.name(path)}: references run in a circle: {' -> '.join(circle)}")
+            raise SceneError(f"{self.name(path)}: references form a cycle: {' -> '.join(circle)}")
         if len(self.open) >= MAX_DEPTH:
             raise SceneError(f"{self.name(path)}: nested deeper than {MAX_DEPTH} levels")
         self.open.append(path)

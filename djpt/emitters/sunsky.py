@@ -100,7 +100,7 @@ class SunSky(Daylight):
         sun = dr.normalize(self.world_to_local(self.sun_direction))
         elevation, azimuth = dr.safe_asin(sun.z), dr.atan2(sun.y, sun.x)
         if not recording() and number(sun.z) < 0:
-            warnings.warn(f"{self.id()}: the sun is below the horizon: no light comes from the sky", stacklevel=2)
+            warnings.warn(f"{self.id()}: the sun is below the horizon, so no light comes from the sky", stacklevel=2)
         irradiance, of_sun, of_sky = irradiances(self.turbidity, elevation)
         self.dome.set(self.turbidity, self.albedo.eval(None), elevation)
         self.disc.set(self.turbidity, sun, irradiance)

@@ -129,7 +129,7 @@ class TimedSunSky(Daylight):
             )
         )
         if after < first:
-            raise ParameterError(f"the end must not be before the start, found {first - after:g} days less")
+            raise ParameterError(f"the end must not be before the start, found {first - after:g} days earlier")
         self.first_day, self.days = as_float(first), as_float(max(after - first, 1.0))
         controls = atmosphere(self.turbidity, self.albedo.eval(None))
         dr.make_opaque(controls.numbers)

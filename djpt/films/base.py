@@ -67,7 +67,7 @@ class Film(Plugin):
                 place = f"{size[axis]} at offset {offset[axis]}"
                 raise SceneError(
                     f"{node}: a crop of {name} {place} doesn't fit in {self._size[axis]} pixels; "
-                    f"'crop_{name}' says how many are rendered, all by default"
+                    f"'crop_{name}' sets how many are rendered, by default all"
                 )
 
     # ---- parameters -------------------------------------------------------------

@@ -123,7 +123,7 @@ def write(
     pixels = _pixels(image, f"'{target}'")
     if pixels.dtype == np.uint8 and target.suffix.lower() not in DISPLAY_FORMATS:
         suffix = target.suffix.lower()[1:]
-        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix} holds linear values")
+        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, but {suffix} holds linear values")
     labels = checked_labels(target, pixels.shape[2], channels, metadata or {})
     with writing(target) as temporary:
         form.encode(temporary, pixels, labels)
@@ -140,7 +140,7 @@ def checked_labels(target: Path, count: int, channels: Sequence[str] | None, met
         )
     if channels is not None:
         if suffix != ".exr":
-            raise FileError(f"can't write '{target}': only exr names its channels")
+            raise FileError(f"can't write '{target}': only exr stores the names of channels")
         if len(set(channels)) != count or len(channels) != count or any(not c or "," in c for c in channels):
             raise FileError(f"can't write '{target}': {count} different channel names needed, found {list(channels)}")
     return Labels(channels, _texts(target, metadata))

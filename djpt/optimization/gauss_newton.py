@@ -107,7 +107,10 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
             RenderError: No curvature was measured, or none was found since nothing depends on the variables.
         """
         if not any(np.any(np.array(extra[2])) for _, _, _, extra in self.state.values()):
-            raise RenderError("'GaussNewton' has no curvature: call 'measure'; or the residuals depend on no variable")
+            raise RenderError(
+                "'GaussNewton' has no curvature: call 'measure' first, and check that the residuals depend on a "
+                "variable"
+            )
         super().step(**options)
 
     def _step(self, cache: Any, value: Any, grad: Any, lr: Any, extra: tuple[Any, Any, Any], /) -> Any:

@@ -87,4 +87,6 @@ def residual_of(loss: str | Loss) -> Loss:
         return RESIDUALS[loss]
     name = f"'{loss}'" if isinstance(loss, str) else "a function"
     possible = ", ".join(RESIDUALS)
-    raise RenderError(f"'gauss_newton' needs a loss of squares ({possible}), found {name}; 'adam' takes any loss")
+    raise RenderError(
+        f"'gauss_newton' needs a sum of squares as its loss ({possible}), found {name}; 'adam' takes any loss"
+    )

@@ -37,7 +37,7 @@ def total_variation(texture: Any) -> Any:
 def differences(texture: Any) -> tuple[Any, Any]:
     """The differences of neighbours along the rows and along the columns of a texture (H, W, C)."""
     if not dr.is_tensor_v(texture) or len(texture.shape) != 3:
-        raise ParameterError("priors of neighbours are for textures (height, width, channels)")
+        raise ParameterError("priors on neighbours apply to textures only (height, width, channels)")
     return texture[1:, :, :] - texture[:-1, :, :], texture[:, 1:, :] - texture[:, :-1, :]
 
 

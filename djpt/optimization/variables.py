@@ -55,7 +55,7 @@ class Variable:
         self._check_start(np.array(value, np.float64))
         self.shape: tuple[int, ...] = tuple(np.shape(np.array(value)))
         if shrunk and not (dr.is_tensor_v(value) and len(self.shape) == 3):
-            raise ParameterError(f"{key}: only textures (height, width, channels) can begin coarse")
+            raise ParameterError(f"{key}: only textures (height, width, channels) can start coarse")
         self.start = self.inverse(coarse(np.array(value, np.float64), shrunk))
 
     def _check_start(self, value: npt.NDArray[np.float64]) -> None:
@@ -67,7 +67,7 @@ class Variable:
             )
         if self.kind != "free" and value.size and (value.min() < low - ROUNDING or value.max() > high + ROUNDING):
             raise ParameterError(
-                f"{self.key}: starts at {value.min():g} .. {value.max():g}, out of its bounds {self.bounds}: "
+                f"{self.key}: starts at {value.min():g} .. {value.max():g}, outside its bounds {self.bounds}: "
                 "give 'bounds' for the parameter, or keeping='free'"
             )
 

@@ -159,7 +159,7 @@ class Sensor(SampledRays, Endpoint):
 
     def move_into(self, frame: Frame) -> None:
         """By default sensors can't be moved: each class knows where it stands, and which lengths it has."""
-        raise Rooted(f"{self.id()}: it isn't known where it is")
+        raise Rooted(f"{self.id()}: its place is unknown")
 
     def move_nested(self, frame: Frame) -> None:
         """Move the medium and the shape that the sensor stands in; each class moves what else it has nested."""

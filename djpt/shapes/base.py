@@ -124,7 +124,7 @@ class Shape(ShapeQuestions):
         from djpt.transforms.lanes import Transform4f
 
         if name != "to_world" or not self.silhouette_discontinuity_types():
-            raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
+            raise ParameterError(f"{self.id()}.{name}: gradients with respect to this parameter aren't available")
         transform = AttachedTransform(Transform4f(value))
         as_transform(transform)  # raises if it can't be used
         return transform

@@ -36,13 +36,13 @@ def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
         if isinstance(plugin, Shape) and plugin.emitter() is not None:
             adopt(plugin, plugin.emitter())
             if plugin.emitter() in found:
-                raise SceneError(f"{plugin.id()}: a shape that emits light can't stand in the scene twice")
+                raise SceneError(f"{plugin.id()}: a shape that emits light can't appear in the scene twice")
             found.append(plugin.emitter())
         elif isinstance(plugin, Emitter):
             (of_shapes if plugin.on_shape else found).append(plugin)
     for emitter in of_shapes:
         if emitter.shape is None:
-            warnings.warn(f"{emitter.id()}: no shape refers to this emitter: it sends out no light", stacklevel=2)
+            warnings.warn(f"{emitter.id()}: no shape refers to this emitter, so it emits no light", stacklevel=2)
     return found
 
 

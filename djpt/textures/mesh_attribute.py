@@ -82,7 +82,7 @@ class MeshAttribute(Texture):
         return value.x * r + value.y * g + value.z * b
 
     def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
-        raise SceneError(f"{self.node}: a mesh attribute has no gradient by uv, so it can't be a bump map")
+        raise SceneError(f"{self.node}: a mesh attribute has no gradient with respect to uv, so it can't be a bump map")
 
     def _value(self, si: Any, active: Bool | bool) -> Any:
         return si.scene.geometry.attribute(self.name, si.face, si.prim_uv, active) * self.scale

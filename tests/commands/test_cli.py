@@ -68,7 +68,7 @@ def test_render_takes_the_sensor_that_was_asked_for() -> None:
     assert out.startswith("a.npy: 1 x 1, 4 spp")
     assert run("render", "two.xml", "--width", "8", "-o", "b.npy")[1].startswith("b.npy: 8 x 4, 2 spp")
     code, _, err = run("render", "two.xml", "--sensor", "2")
-    assert (code, "the scene has 2 sensors; there is no number 2" in err) == (ExitCode.BAD_INPUT, True)
+    assert (code, "there is no sensor 2: the scene has 2, numbered from 0" in err) == (ExitCode.BAD_INPUT, True)
 
 
 def test_files_say_how_they_were_rendered() -> None:

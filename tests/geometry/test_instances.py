@@ -93,7 +93,7 @@ def test_parameters_have_the_names_of_mitsuba(mi: Any) -> None:
         ({"type": "shapegroup", "i": {"type": "instance", "g": GROUP}}, "'i' is itself a group or an instance"),
         (
             {"type": "shapegroup", "lamp": {"type": "sphere", "emitter": {"type": "area"}}},
-            "'lamp' has an emitter; what is instanced can't emit light",
+            "'lamp' has an emitter; instanced shapes can't emit light",
         ),
         ({"type": "shapegroup", "x": GROUP["a"], "to_world": T()}, "unknown key 'to_world' of shape 'shapegroup'"),
         ({"type": "instance"}, "instance: an 'instance' needs one 'shapegroup' or a reference to one, found: none"),

@@ -229,7 +229,7 @@ def test_a_mesh_can_get_another_size() -> None:
     params = djpt.traverse(mesh)
     params["vertex_positions"] = bumpy_sheet()["positions"]
     params["faces"] = bumpy_sheet()["faces"]
-    with pytest.warns(UserWarning, match="vertex_texcoords: the mesh has another size now"):
+    with pytest.warns(UserWarning, match="vertex_texcoords: the size of the mesh has changed"):
         params.update()
     assert mesh.indices.shape == (32, 3)
     assert not mesh.texcoords.any()

@@ -135,7 +135,10 @@ def test_copies_are_equal_until_something_changes() -> None:
         (lambda: Bitmap([[1.0, 2.0]]), "an array or tensor of numbers"),
         (lambda: Bitmap(np.zeros((2, 3, 5)), Bitmap.PixelFormat.RGB), "RGB has 3 channels, found 5"),
         (lambda: Bitmap(np.zeros((2, 3, 5)), channel_names=["a"]), "5 different channel names needed"),
-        (lambda: Bitmap(np.zeros((2, 3, 5))).convert(Bitmap.PixelFormat.RGB), "channel 'R' can't be had from ch0, ch1"),
+        (
+            lambda: Bitmap(np.zeros((2, 3, 5))).convert(Bitmap.PixelFormat.RGB),
+            "channel 'R' can't be computed from ch0, ch1",
+        ),
         (lambda: Bitmap(numbers("RGB", "UInt8")).resample((2, 2)), "only floating point numbers are resampled"),
         (lambda: Bitmap(np.zeros((2, 2))).write(io.BytesIO()), "give the 'format'"),
         (lambda: Bitmap(np.zeros((2, 2))).accumulate(Bitmap(np.zeros((2, 2, 3)))), "convert it first"),

@@ -109,7 +109,7 @@ def test_ends_of_ranges() -> None:
     scene["red"]["reflectance"] = {"type": "rgb", "value": [0.0, 1.0, 0.5]}
     result = check_gradient(scene, "red.reflectance.value", seeds=4, most_seeds=8)
     assert result.passed, result
-    assert any("divides by what it differentiates" in note for note in result.notes)
+    assert any("divides by the differentiated value" in note for note in result.notes)
 
 
 @pytest.mark.slow

@@ -141,7 +141,7 @@ class MitsubaLoss:
     def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, like: Loss) -> None:
         self.key, self.spp, self.sensor, self.like = key, spp, sensor, like
         if np.any(np.abs(like.values) < NEAR_ZERO):
-            raise ComparisonError("its replay divides by what it differentiates, which is zero here")
+            raise ComparisonError("its path replay divides by the differentiated value, which is zero here")
         node = scene.get("integrator")
         kind = node.get("type") if isinstance(node, Mapping) else None
         if kind in REPLAYING:
