@@ -166,7 +166,7 @@ def test_set_variant_is_refused_once_types_are_in_use() -> None:
     djpt.Float(1)
     set_variant("llvm_ad_rgb")
     set_variant("cuda_ad_rgb", "llvm_ad_rgb")
-    with pytest.raises(BackendError, match="can't change to 'cuda_ad_rgb', the types of 'llvm_ad_rgb' are in use"):
+    with pytest.raises(BackendError, match="can't change to 'cuda_ad_rgb', the types of 'llvm_ad_rgb' are already in use"):
         set_variant("cuda_ad_rgb")
     with pytest.raises(BackendError, match=r"none of these.*\ncuda_ad_rgb: .*already in use.*\nfoo: .*unknown variant"):
         set_variant("cuda_ad_rgb", "foo")
@@ -184,7 +184,7 @@ def test_unknown_variants() -> None:
 @pytest.mark.parametrize("name", ["llvm_ad_spectral", "scalar_mono", "scalar_rgb_double", "cuda_ad_rgb_polarized"])
 def test_variants_that_compute_something_else(name: str) -> None:
     with pytest.raises(
-        BackendError, match=f"the variant '{name}' can't be had: djpt computes with red, green and blue"
+        BackendError, match=f"the variant '{name}' isn't available: djpt computes with red, green and blue"
     ):
         set_variant(name)
     set_variant(name, "llvm_ad_rgb")

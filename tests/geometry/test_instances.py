@@ -199,7 +199,7 @@ def test_surface_points_on_analytic_shapes(mi: Any, kind: str) -> None:
 
 
 def test_what_a_shape_cannot_be_is_explained() -> None:
-    with pytest.raises(SceneError, match=r"i0: g\.s\.to_world: .* sphere may scale uniformly"):
+    with pytest.raises(SceneError, match=r"i0: g\.s\.to_world: .* sphere may only scale uniformly"):
         djpt.load_dict(row_of(SHAPES["sphere"], {"stretched": AFFINE["stretched"]}))
 
 

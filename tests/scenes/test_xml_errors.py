@@ -129,7 +129,7 @@ WRONG = {
     "alias": (scene('<alias id="a" as="b"/>'), ":2: <alias>: nothing above has the id 'a'"),
     "alias taken": (
         scene('<bsdf type="diffuse" id="a"/>', '<alias id="a" as="a"/>'),
-        ":3: <alias>: the id 'a' is taken",
+        ":3: <alias>: the id 'a' is already taken",
     ),
     "circle": (
         scene('<bsdf type="twosided" id="a">', '<ref id="a"/>', "</bsdf>"),
@@ -242,7 +242,7 @@ def test_includes_in_a_circle(tmp_path: Path) -> None:
     main = write(
         tmp_path, main='<include filename="b.xml"/>', b='\n<include filename="c.xml"/>', c='<include filename="b.xml"/>'
     )
-    with pytest.raises(djpt.SceneError, match=r"in a circle: b\.xml -> c\.xml -> b\.xml") as caught:
+    with pytest.raises(djpt.SceneError, match=r"in a cycle: b\.xml -> c\.xml -> b\.xml") as caught:
         djpt.load_file(main)
     assert str(caught.value).startswith(f"{tmp_path}/c.xml:2: <include>: ")
 
@@ -250,7 +250,7 @@ def test_includes_in_a_circle(tmp_path: Path) -> None:
 def test_a_file_that_includes_itself_by_another_name(tmp_path: Path) -> None:
     (tmp_path / "x").mkdir()
     main = write(tmp_path / "x", main='<include filename="../x/main.xml"/>')
-    with pytest.raises(djpt.SceneError, match=r"in a circle: main\.xml -> main\.xml"):
+    with pytest.raises(djpt.SceneError, match=r"in a cycle: main\.xml -> main\.xml"):
         djpt.load_file(main)
 
 
