@@ -46,7 +46,9 @@ def of_frames(command: Decorated) -> Decorated:
             options.rfilter,
             options.integrator,
             click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0."),
-            click.option("--tonemap", default="srgb", help="For png and jpg: srgb (clipped), reinhard, aces or agx."),
+            click.option(
+                "--tonemap", default="srgb", help="Tone curve of png and jpg: srgb (clipped), reinhard, aces or agx."
+            ),
             options.exposure,
             options.define,
             options.quiet,
