@@ -43,7 +43,7 @@ class SunSky(Daylight):
       2010, 7, 10), `hour`, `minute`, `second` (default 15:00:00).
 
     At a given time the sun stands where Mitsuba sees it to a quarter of a degree: there, dates have single precision.
-    Derivatives by `sun_direction` don't see that the edge of the disc moves.
+    Derivatives with respect to `sun_direction` leave out that the edge of the disc moves.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_share": HIDDEN}

@@ -224,5 +224,5 @@ class Film(Plugin):
         return self.channels(color, Bool(False))
 
     def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
-        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
+        """The adjoint of `channels`: from derivatives with respect to channels to those with respect to colour."""
         raise NotImplementedError

@@ -85,7 +85,7 @@ def differentiable(
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
-    """The estimator of an image's derivative by the samples of a job.
+    """The estimator of an image's derivative with respect to the samples of a job.
 
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.

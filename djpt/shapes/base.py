@@ -118,7 +118,7 @@ class Shape(ShapeQuestions):
         """The form in which a parameter with gradients is kept.
 
         Raises:
-            ParameterError: there are no gradients by this parameter.
+            ParameterError: there are no gradients with respect to this parameter.
         """
         from djpt.silhouettes.moving import AttachedTransform
         from djpt.transforms.lanes import Transform4f

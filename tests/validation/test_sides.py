@@ -205,7 +205,7 @@ def test_the_command_compares_images(tmp_path: Path) -> None:
     code, _, err = run("compare", str(first), str(tmp_path / "c.exr"), "--no-picture")
     assert code == 2 and "c.exr" in err
     code, _, err = run("compare", str(first), "--no-picture")
-    assert code == 2 and "something to compare with" in err
+    assert code == 2 and "pass `against`" in err
 
 
 def test_the_command_stores_references(tmp_path: Path) -> None:

@@ -206,8 +206,8 @@ STEPS: tuple[Step, ...] = (
 
 ELSEWHERE: dict[str, str] = {
     "prb": "`path` with other defaults",
-    "direct_projective": "`direct`, with gradients by moving shapes",
-    "prb_projective": "`path`, with gradients by moving shapes",
+    "direct_projective": "`direct`, with gradients with respect to moving shapes",
+    "prb_projective": "`path`, with gradients with respect to moving shapes",
     "volpath": "`path`, with media that scatter light",
     "volpathmis": "`volpath`, with weights for media of several colours",
     "prbvolpath": "`volpath` with other defaults",
