@@ -12,7 +12,7 @@ from djpt.transforms import ScalarTransform4f as T
 __all__ = ["door_ajar", "fixture", "glass_ball", "lamp_behind_pane", "lamp_in_glass", "parabolic_mirror"]
 
 RADIANCE = (18.387, 13.9873, 6.75357)
-"""That of the Cornell box's lamp."""
+"""The radiance of the Cornell box's lamp."""
 
 
 def fixture() -> dict[str, Any]:

@@ -242,7 +242,7 @@ def found(value: Any, parameters: Mapping[str, str] | None) -> tuple[str, Any]:
 
 
 def is_scene_file(value: Any) -> bool:
-    """Whether a side is an XML file, which may have parameters."""
+    """True if a side is an XML file, which may have parameters."""
     return isinstance(value, (str, os.PathLike)) and os.fspath(value).lower().endswith(".xml")
 
 

@@ -99,12 +99,12 @@ class Comparison:
 
     @property
     def checks(self) -> int:
-        """How many tests and thresholds there are: without any, passing says nothing."""
+        """The number of tests and thresholds: without any, passing says nothing."""
         return len(self.tests) + len(set(self.limits) - {"z"})
 
     @property
     def passed(self) -> bool:
-        """Whether all tests and all given thresholds hold."""
+        """True if all tests and all given thresholds hold."""
         return not self.failures
 
     @property

@@ -65,7 +65,7 @@ def checked_limits(limits: Mapping[str, float | None]) -> dict[str, float]:
 
 
 def within(name: str, value: float, limit: float) -> bool:
-    """Whether a value meets its threshold: NaN never does."""
+    """True if a value meets its threshold: NaN never does."""
     if name == "same_seed" or (name in MEASURES and MEASURES[name].closer == "greater"):
         return value >= limit
     return abs(value) <= limit

@@ -51,7 +51,7 @@ class Rendering:
 
 
 class Shown:
-    """What is known of one side's image."""
+    """The measurements of one side's image."""
 
     def __init__(self, side: Side, rendering: Rendering | None) -> None:
         self.facts: dict[str, Any] = dict(side.facts)

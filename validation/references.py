@@ -82,7 +82,7 @@ def write_reference(path: str | os.PathLike[str], reference: Reference) -> None:
 
 
 def is_reference(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is one that `write_reference` wrote. Raises `FileError` for files that can't be read."""
+    """True if a file is one that `write_reference` wrote. Raises `FileError` for files that can't be read."""
     return os.fspath(path).lower().endswith(".exr") and FORM in read_metadata(path)
 
 

@@ -82,7 +82,7 @@ class TestResult:
 
     @property
     def passed(self) -> bool:
-        """Whether noise explains the difference at the significance that was asked for."""
+        """True if noise explains the difference at the significance that was asked for."""
         return abs(self.z) <= self.critical
 
     def __str__(self) -> str:

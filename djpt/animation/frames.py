@@ -27,7 +27,7 @@ JOB = "animation.json"
 
 
 class Moving(Protocol):
-    """What a parameter is at each frame."""
+    """The value of a parameter at each frame."""
 
     def at(self, frame: float) -> Any:
         """The parameter's value at a frame."""

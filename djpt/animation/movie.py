@@ -80,7 +80,7 @@ def write_gif(target: Path, frames: Sequence[Path], fps: float) -> None:
 
 
 MOVIES: dict[str, Callable[[Path, Sequence[Path], float], None]] = {".mp4": write_mp4, ".gif": write_gif}
-"""What writes a movie, by the extension of its file."""
+"""The functions that write movies, by the extension of the file."""
 
 
 def ffmpeg() -> Any:

@@ -100,9 +100,9 @@ class TurningCamera:
     """A camera that turns about what it looks at, at constant speed: the track of its transform."""
 
     camera: HeldCamera
-    """Where it is at frame 0."""
+    """The camera at frame 0."""
     degrees: float
-    """How far it turns from frame to frame, to the right of who looks through it."""
+    """The angle from frame to frame, to the right as seen through the camera, in degrees."""
 
     def at(self, frame: float) -> ScalarTransform4f:
         """The camera's transform at a frame."""

@@ -1,4 +1,4 @@
-"""What the commands that render animations share: their options, and how frames are rendered and become a movie."""
+"""Shared parts of the commands that render animations: options, and the rendering of frames and movies."""
 
 from __future__ import annotations
 

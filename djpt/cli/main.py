@@ -75,7 +75,7 @@ def main() -> int:
 
 
 def flushed() -> bool:
-    """Whether all that was printed has arrived; prints an error if not, as on a full disk."""
+    """True if all that was printed has arrived; prints an error if not, as on a full disk."""
     try:
         sys.stdout.flush()
     except OSError as error:

@@ -31,7 +31,7 @@ __all__ = [
 Decorated = TypeVar("Decorated", bound=Callable[..., object])
 
 SCENE = "SCENE is an XML file, or a built-in scene; see 'djpt scenes'."
-"""What the help of a command says at its end."""
+"""The end of the help of a command."""
 
 
 def complete_scene(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:

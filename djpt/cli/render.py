@@ -176,7 +176,7 @@ def command(
 
 
 def cleaner(scene: Any, method: str, sensor: int, seed: int, raw: Path | None) -> Any:
-    """What removes the noise of the image, checked before it is rendered."""
+    """The function that denoises the image, checked before it is rendered."""
     from djpt.denoising.rendered import Cleaner
     from djpt.errors import FileError
     from djpt.images.image import check_writable

@@ -1,4 +1,4 @@
-"""What the commands that write strips of pictures share."""
+"""Shared parts of the commands that write strips of pictures."""
 
 from __future__ import annotations
 

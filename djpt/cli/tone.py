@@ -1,4 +1,4 @@
-"""What commands that write pictures for displays share: tone mapping, and the metadata of files."""
+"""Shared parts of commands that write pictures for displays: tone mapping, and the metadata of files."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def write(
 
 
 def checked_labels(target: Path, count: int, channels: Sequence[str] | None, metadata: Mapping[str, Any]) -> Labels:
-    """What a file of `count` channels stores beside its pixels; raises `FileError` if its format can't."""
+    """The labels that a file of `count` channels stores beside its pixels; raises `FileError` if its format can't."""
     suffix = target.suffix.lower()
     possible = FORMATS[suffix].channels
     if possible and count not in possible:

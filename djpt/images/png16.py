@@ -24,7 +24,7 @@ Bytes = npt.NDArray[np.uint8]
 
 
 def is_png16(path: Path) -> bool:
-    """Whether a file is a PNG that `decode_png16` reads."""
+    """True if a file is a PNG that `decode_png16` reads."""
     with path.open("rb") as file:
         head = file.read(29)
     return (

@@ -34,9 +34,9 @@ class Stored(NamedTuple):
     metadata: dict[str, Any]
     """Text, numbers, and arrays of 3 or 4 x 4 numbers."""
     srgb: bool
-    """Whether colours are encoded by the curve of sRGB."""
+    """True if colours are encoded by the curve of sRGB."""
     premultiplied: bool
-    """Whether colours are multiplied by alpha."""
+    """True if colours are multiplied by alpha."""
 
 
 # ---- formats -------------------------------------------------------------------------------

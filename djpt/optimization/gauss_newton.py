@@ -88,7 +88,7 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
             self.state[name] = value, promoted, rate, (before, gradient, new)
 
     def growth(self) -> float:
-        """How fast the gradient has changed over the last step, as a share of what the curvature allows.
+        """The change of the gradient over the last step, as a share of the change that the curvature allows.
 
         It is at most 1 for quadratic losses: more says that the curvature has grown, and must be measured anew; 0 as
         long as no step was taken.

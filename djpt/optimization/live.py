@@ -29,7 +29,7 @@ FEW = 8
 
 
 class Iteration(Protocol):
-    """What is shown of an iteration: see `Progressed`."""
+    """The display of an iteration: see `Progressed`."""
 
     @property
     def iteration(self) -> int: ...

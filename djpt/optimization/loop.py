@@ -46,7 +46,7 @@ OPTIMIZERS: dict[str, tuple[Callable[..., Any], float]] = {
 
 @dataclass(frozen=True)
 class Progressed:
-    """What a callback is told after each iteration."""
+    """The state that a callback gets after each iteration."""
 
     iteration: int
     loss: float
@@ -260,7 +260,7 @@ def pictures_of(scene: Scene, views: Sequence[int], targets: Sequence[Any]) -> d
 
 
 def refines(iteration: int, iterations: int, coarse: Mapping[str, int] | None) -> bool:
-    """Whether coarse textures get more texels before an iteration."""
+    """True if coarse textures get more texels before an iteration."""
     levels = max((coarse or {}).values(), default=0)
     return (
         levels > 0

@@ -15,21 +15,21 @@ Loss = Callable[[Any, Any], Any]
 """Called with an image and its target, (H, W, C) each; gives one number on Dr.Jit's side."""
 
 DARK = 1e-2
-"""What keeps dark pixels from dominating relative losses."""
+"""The offset that keeps dark pixels from dominating relative losses."""
 
 
 def difference(image: Any, target: Any) -> Any:
-    """What L2 squares."""
+    """The residuals of L2."""
     return image - target
 
 
 def share(image: Any, target: Any) -> Any:
-    """What relative L2 squares."""
+    """The residuals of relative L2."""
     return (image - target) * dr.rsqrt(dr.square(target) + DARK)
 
 
 def ratio(image: Any, target: Any) -> Any:
-    """What L2 of logarithms squares."""
+    """The residuals of L2 of logarithms."""
     return dr.log((dr.maximum(image, 0) + DARK) / (target + DARK))
 
 
@@ -61,7 +61,7 @@ LOSSES: dict[str, Loss] = {"l1": absolute, "l2": squared, "relative": relative, 
 """The losses by name."""
 
 RESIDUALS: dict[str, Loss] = {"l2": difference, "relative": share, "log": ratio}
-"""What the losses that are means of squares square, pixel by pixel."""
+"""The residuals, pixel by pixel, of the losses that are means of squares."""
 
 
 def loss_of(loss: str | Loss) -> Loss:
@@ -78,7 +78,7 @@ def loss_of(loss: str | Loss) -> Loss:
 
 
 def residual_of(loss: str | Loss) -> Loss:
-    """What a loss squares.
+    """The residuals whose squares a loss averages.
 
     Raises:
         RenderError: The loss isn't a mean of squares.

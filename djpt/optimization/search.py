@@ -49,7 +49,7 @@ class Search:
     demodulate: bool
     seed: int
     residual: Loss | None = None
-    """What the loss squares; for Gauss-Newton only."""
+    """The residuals whose squares the loss averages; for Gauss-Newton only."""
     bends: Sequence[Callable[[Doubles], Doubles]] = ()
     """The curvatures of the priors; for Gauss-Newton only."""
     images: dict[int, Any] = field(default_factory=dict)

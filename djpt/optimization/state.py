@@ -79,7 +79,7 @@ def load_state(
 
 
 def moments(optimizer: Any, name: str) -> list[Any]:
-    """What an optimiser of `drjit.opt` remembers of a variable, as numbers and arrays; None where there is nothing."""
+    """The state of a variable in an optimiser of `drjit.opt`, as numbers and arrays; None where there is none."""
     extra = optimizer.state[name][3]
     return list(extra) if isinstance(extra, tuple) else [extra]
 

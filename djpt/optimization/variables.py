@@ -14,10 +14,10 @@ from djpt.types import Float, UInt32
 __all__ = ["KINDS", "Variable"]
 
 KINDS = ("sigmoid", "projection", "free")
-"""How parameters are kept in bounds."""
+"""The ways of keeping parameters in bounds."""
 
 ROUNDING = 1e-5
-"""How far out of its bounds a parameter may start."""
+"""The distance outside its bounds at which a parameter may start."""
 
 INSIDE = 1e-3
 """The share of the range by which a sigmoid's start is kept off its ends, where derivatives vanish."""
@@ -73,7 +73,7 @@ class Variable:
 
     @property
     def scale(self) -> float:
-        """How large changes of x are in proportion to those of other variables: the width of the bounds."""
+        """The scale of changes of x relative to those of other variables: the width of the bounds."""
         width = self.bounds[1] - self.bounds[0]
         return width if self.kind != "sigmoid" and np.isfinite(width) else 1.0
 
@@ -106,7 +106,7 @@ class Variable:
         return self.type(np.array(magnified(dr.detach(x), shape), np.float32))
 
     def is_coarse(self, x: Any) -> bool:
-        """Whether the variable has fewer texels than the parameter."""
+        """True if the variable has fewer texels than the parameter."""
         return dr.is_tensor_v(x) and tuple(x.shape) != self.shape
 
 

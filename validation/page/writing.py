@@ -101,7 +101,7 @@ def data(result: Comparison, flip: np.ndarray[Any, Any] | None) -> str:
 
 
 def failures(result: Comparison) -> str:
-    """What failed, as a list."""
+    """The failures, as a list."""
     if result.passed:
         return ""
     return '<ul class="bad">' + "".join(f"<li>{escape(line)}</li>" for line in result.failures) + "</ul>"
@@ -121,7 +121,7 @@ def table(result: Comparison) -> str:
 
 
 def has(result: Comparison, name: str) -> bool:
-    """Whether a measure can be computed: FLIP needs its package, and HDR-FLIP a reference that isn't black."""
+    """True if a measure can be computed: FLIP needs its package, and HDR-FLIP a reference that isn't black."""
     try:
         return math.isfinite(result.measure(name))
     except (BackendError, AssertionError):
@@ -175,7 +175,7 @@ def decades(values: np.ndarray[Any, Any]) -> tuple[int, int]:
 
 
 def origin(result: Comparison) -> str:
-    """What was rendered, by what, and where."""
+    """The origin of the images: scenes, programs and machines."""
     blocks = []
     for title, facts in zip(result.titles, result.facts, strict=True):
         lines = "".join(fact(name, value) for name, value in facts.items())
