@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.kernels import own_floats
 from djpt.shapes.base import Shape
 from djpt.shapes.ellipsoids_file import Table, read_ellipsoids
@@ -145,8 +145,7 @@ class Cloud(Shape):
         elif name in PARTS:
             owner, (begin, width), stride = "numbers", PARTS[name], WIDTH
         else:
-            found = ", ".join([*self.channels, *PARTS])
-            raise SceneError(f"{self.id()}: there is no attribute '{name}'; found: {found}")
+            raise SceneError(f"{self.id()}: there is no attribute '{name}'{near_miss(name, [*self.channels, *PARTS])}")
         source = exchanged_value(self, owner)
         if source is None:
             source = getattr(self, owner)
