@@ -29,7 +29,7 @@ class Measure:
 
 
 def as_displayed(compute: Callable[[Any, Any], float]) -> Callable[[Any, Any], float]:
-    """The same measure of what a display shows."""
+    """The measure of two images as a display shows them."""
     return lambda image, reference: compute(perceptual.displayed(image), perceptual.displayed(reference))
 
 

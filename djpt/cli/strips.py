@@ -38,7 +38,7 @@ def write(target: Path, tiles: list[Tile], columns: int | None, start: float, qu
 
 
 def write_rows(target: Path, rows: list[list[Tile]], start: float, quiet: bool) -> None:
-    """The same for rows of different lengths, which stand in the middle."""
+    """Write a picture of rows of tiles of different lengths, which are centred."""
     djpt.write(target, captioned_rows(rows))
     report(target, [tile for row in rows for tile in row], start, quiet)
 

@@ -17,7 +17,7 @@ __all__ = ["COLOR_TYPES", "SIGNATURE", "SRGB", "chunk", "decode_png16", "encode_
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
-"""By the number of channels: the number that stands for the kind of colour."""
+"""The code of the colour type, by the number of channels."""
 
 Codes = npt.NDArray[np.uint16]
 Bytes = npt.NDArray[np.uint8]

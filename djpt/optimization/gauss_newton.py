@@ -16,7 +16,7 @@ __all__ = ["MOMENTUM", "RATE", "GaussNewton", "majorant"]
 
 Doubles = npt.NDArray[np.float64]
 Residual = Callable[[Mapping[str, Any]], Any]
-"""Called with variables by name; gives an array attached to them, of which the loss is the mean square."""
+"""A function of variables by name that returns an array attached to them; the loss is its mean square."""
 
 RATE = 1.6
 """The default step. Losses that are quadratic converge with rates below 2 (1 + momentum)."""

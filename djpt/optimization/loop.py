@@ -50,7 +50,7 @@ class Progressed:
 
     iteration: int
     loss: float
-    """Of the views of this iteration, priors included."""
+    """The loss over the views of this iteration, priors included."""
     values: Mapping[str, Any]
     """The parameters."""
     seconds: float

@@ -12,7 +12,7 @@ from djpt.errors import RenderError, near_miss
 __all__ = ["LOSSES", "RESIDUALS", "Loss", "loss_of", "residual_of"]
 
 Loss = Callable[[Any, Any], Any]
-"""Called with an image and its target, (H, W, C) each; gives one number on Dr.Jit's side."""
+"""A function of an image and its target, (H, W, C) each, that returns one Dr.Jit number."""
 
 DARK = 1e-2
 """The offset that keeps dark pixels from dominating relative losses."""

@@ -15,7 +15,7 @@ __all__ = ["PRIORS", "Prior", "curvature_of", "prior_of"]
 
 Doubles = npt.NDArray[np.float64]
 Prior = Callable[[Any], Any]
-"""Called with a parameter; gives one number that is added to the loss."""
+"""A function of a parameter that returns one number, which is added to the loss."""
 
 SMALL = 1e-3
 """The difference of texels below which total variation is smooth."""

@@ -53,7 +53,7 @@ class Search:
     bends: Sequence[Callable[[Doubles], Doubles]] = ()
     """The curvatures of the priors; for Gauss-Newton only."""
     images: dict[int, Any] = field(default_factory=dict)
-    """Of the last iteration, by view."""
+    """The images of the last iteration, by view."""
 
     def __post_init__(self) -> None:
         self._spp = 0

@@ -228,7 +228,7 @@ class Series:
 
 
 class Record:
-    """All estimates so far."""
+    """The estimates of all derivatives so far."""
 
     def __init__(self, loss: Loss, theirs: MitsubaLoss | None, steps: list[tuple[Direction, Step]]) -> None:
         self.loss, self.theirs, self.steps = loss, theirs, steps
@@ -281,7 +281,7 @@ class Record:
         return max(errors) / max(sizes) if max(sizes) > 0 else 0.0
 
     def verdicts(self, significance: float) -> list[Verdict]:
-        """All comparisons."""
+        """The verdicts on all comparisons."""
         found = []
         tests = len(self.steps) * (2 + (self.theirs is not None))
         for i, (direction, _) in enumerate(self.steps):

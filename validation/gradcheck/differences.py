@@ -26,7 +26,7 @@ class Difference:
     """A derivative by finite differences at one seed."""
 
     image: Floats
-    """Of each pixel, (H, W, C)."""
+    """The derivative of each pixel, (H, W, C)."""
     loss: float
     error: float
     """The change that halving the step made to the loss's derivative: the truncation error is a fraction of it."""

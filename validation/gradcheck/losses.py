@@ -132,7 +132,7 @@ REPLAYING = {"path": "prb", "volpath": "prbvolpath", "volpathmis": "prbvolpath"}
 
 
 class MitsubaLoss:
-    """The same loss in Mitsuba, with its integrators `prb` and `prbvolpath`; only reverse mode.
+    """The loss of `Loss` in Mitsuba, with its integrators `prb` and `prbvolpath`; only reverse mode.
 
     Raises:
         ComparisonError: Mitsuba can't load the scene, has no such parameter, or is wrong at this value.

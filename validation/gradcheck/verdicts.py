@@ -23,7 +23,7 @@ class Sample:
 
     @property
     def mean(self) -> float:
-        """Their mean."""
+        """The mean of the values."""
         return float(np.mean(self.values))
 
     @property

@@ -72,9 +72,9 @@ class Method:
 
     cls: type
     value: Any
-    """As `getattr` gives it."""
+    """The attribute as `getattr` returns it."""
     static: Any
-    """As the class stores it."""
+    """The attribute as the class stores it."""
 
 
 def look_up(root: Any, path: str) -> Any:

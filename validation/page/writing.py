@@ -157,7 +157,7 @@ def histograms(result: Comparison) -> str:
 
 
 def inward(ticks: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """The same ticks, with the outer ones nearer so that their texts fit: at 9 tenths."""
+    """The ticks of an axis, the outer ones moved inwards to 9 tenths so that their labels fit."""
     return [(0.9 * place, text if place == 0 else f"{0.9 * place:.2g}".replace("-", "−")) for place, text in ticks]
 
 
