@@ -137,7 +137,7 @@ def test_attributes_have_derivatives_where_they_are_looked_up() -> None:
     dr.backward(dr.sum(values[3]))
     expected_counts = np.bincount(index[hit], minlength=COUNT)
     np.testing.assert_array_equal(np.array(params["cloud.sh_coeffs"].grad).reshape(COUNT, 5)[:, 3], expected_counts)
-    with pytest.raises(djpt.SceneError, match="no attribute 'tint'; possible: center, .*sh_coeffs"):
+    with pytest.raises(djpt.SceneError, match=r"no attribute 'tint'; possible: center, .*sh_coeffs"):
         shape.eval_attribute("tint", si)
 
 
