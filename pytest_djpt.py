@@ -38,21 +38,22 @@ class ImageCheck:
     def __call__(
         self, scene: Any, name: str | None = None, spp: int = 256, *, against: Any = None, **options: Any
     ) -> Comparison | None:
-        """Compare, and raise `ComparisonError`, an `AssertionError`, where the images differ.
+        """Compare, and raise `ComparisonError`, an `AssertionError`, if the images differ.
 
         Args:
-            scene: What renders: a scene, or a function that gives an array; see `djpt.validation.compare`.
+            scene: The scene to render, or a function that returns an array; see `djpt.validation.compare`.
             name: The name of the reference; by default that of the test with its parameters.
             spp: Samples per pixel, of the reference as well.
-            against: What to compare with in place of a reference, such as Mitsuba's renderer or an image.
-            options: Thresholds by name, such as ``flip=0.05``, and what `djpt.validation.compare` takes.
+            against: The other side in place of a reference, such as Mitsuba's renderer or an image.
+            options: Thresholds by name, such as ``flip=0.05``, and arguments of `djpt.validation.compare`.
 
         Returns:
-            The comparison; None where a reference has been written.
+            The comparison; None if a reference has been written.
 
         Raises:
             ComparisonError: The images differ, or there is no reference yet.
         """
+        __tracebackhide__ = True  # a failure shows the test, not this file
         from djpt.validation import ComparisonError, compare
         from djpt.validation.measures import LIMITS
 
@@ -68,7 +69,7 @@ class ImageCheck:
         result = compare(scene, spp, against=beside, limits=limits, name=file, **options)
         if not result.checks:
             raise ComparisonError(
-                "nothing is asserted: images whose noise isn't known need a threshold, such as rmse=0.01"
+                "nothing to assert: images whose noise is unknown need a threshold, such as rmse=0.01"
             )
         if not result.passed:
             report = self.reports / f"{self.references.name}-{file}.html"
@@ -90,17 +91,17 @@ class ImageCheck:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of this plugin."""
     group = parser.getgroup("djpt", "djpt: comparing images")
-    group.addoption("--djpt-update", action="store_true", help="write the references of djpt_compare anew")
+    group.addoption("--djpt-update", action="store_true", help="write new references for djpt_compare")
     group.addoption("--djpt-reports", metavar="DIR", default="djpt-reports", help="folder for reports of failures")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Begin the list of what is told at the end."""
+    """Begin the list of notes for the summary at the end."""
     config.stash[KEPT] = []
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Tell which references were written, and where reports are."""
+    """Report the references that were written, and the places of reports."""
     notes = config.stash.get(KEPT, [])
     if notes:
         terminalreporter.section("djpt")

@@ -13,7 +13,6 @@ imported when it is first used, and Dr.Jit with the first name that needs it. Un
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import sys
 from typing import TYPE_CHECKING, Any
@@ -189,8 +188,10 @@ def _hint(name: str) -> str:
     why = reason(name)
     if why:
         return f", which is left out: {why}"
-    close = difflib.get_close_matches(name, __all__, n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    from djpt.errors import nearest
+
+    close = nearest(name, __all__)
+    return f"; did you mean {close!r}?" if close else ""
 
 
 def __dir__() -> list[str]:

@@ -29,7 +29,7 @@ RGB = re.compile(r"(scalar|llvm|cuda|metal)(_ad)?_rgb$")
 OTHER = re.compile(r"(scalar|llvm|cuda|metal)(_ad)?_(mono|rgb|spectral)(_polarized)?(_double)?$")
 """All of Mitsuba's variants."""
 
-_LIBATOMIC = """Dr.Jit needs libatomic.so.1, which this system doesn't have. Any one of these gets it:
+_LIBATOMIC = """Dr.Jit needs libatomic.so.1, which this system doesn't have. Any one of these installs it:
     sudo apt-get install -y libatomic1   Debian, Ubuntu
     sudo dnf install -y libatomic        Fedora
     python -m djpt.llvm                  Linux x86-64, into this Python environment, no root needed"""
@@ -68,8 +68,8 @@ def _checked(name: str, where: str) -> str:
         return name
     if isinstance(name, str) and OTHER.match(name) and not RGB.match(name):
         raise BackendError(
-            f"{where}: the variant {name!r} can't be had: djpt computes with red, green and blue, unpolarised and in "
-            f"single precision; use {DEFAULT!r}"
+            f"{where}: the variant {name!r} isn't available: djpt computes with red, green and blue, unpolarised and "
+            f"in single precision; use {DEFAULT!r}"
         )
     raise BackendError(f"{where}: unknown variant {name!r}{near_miss(str(name), VARIANTS)}")
 
@@ -117,13 +117,13 @@ def set_variant(*names: str) -> None:
             problems.append(f"{asked}: {error}")
         else:
             return
-    raise BackendError("set_variant: none of these can be run:\n" + "\n".join(problems))
+    raise BackendError("set_variant: none of these variants can run:\n" + "\n".join(problems))
 
 
 def _in_use(name: str) -> str:
     return (
-        f"set_variant: can't change to {name!r}, the types of {_State.name!r} are in use already; "
-        "call set_variant() straight after 'import djpt'"
+        f"set_variant: can't change to {name!r}, the types of {_State.name!r} are already in use; "
+        "call set_variant() right after 'import djpt'"
     )
 
 
@@ -179,6 +179,6 @@ def _check_llvm(drjit: ModuleType) -> None:
             f"Dr.Jit can't use the LLVM library that djpt chose, {found.chosen}. The CPU must support AVX2 and FMA. "
             f"Set {PATH_VARIABLE} to another libLLVM, version {MINIMUM} or newer."
         )
-    had = f"took LLVM {version[0]}, which would end the process" if usable else "found no usable LLVM"
+    had = f"loaded LLVM {version[0]}, which would crash the process" if usable else "found no usable LLVM"
     advice = "import djpt before drjit and mitsuba" if found.chosen else found.explain()
     raise BackendError(f"Dr.Jit was imported before djpt and {had}: {advice}")

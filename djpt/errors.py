@@ -9,7 +9,8 @@ code would expect to catch.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import heapq
+from collections.abc import Iterable, Sequence
 
 __all__ = [
     "AmbiguityError",
@@ -21,14 +22,24 @@ __all__ = [
     "RenderError",
     "SceneError",
     "near_miss",
+    "nearest",
 ]
 
 
 LONGEST = 100
 """The characters of a name that is compared with others, and shown, in messages: the time grows with their square."""
 
-MOST = 200
-"""The names that are compared and listed in a message."""
+MOST = 5000
+"""The names that are compared; where there are more, those with the same first letter."""
+
+CLOSEST = 50
+"""The names that are compared letter by letter: those that share the most letters."""
+
+LISTED = 10
+"""The largest number of names that a message lists."""
+
+ALIKE = 0.6
+"""The share of common letters, in the same order, above which a name counts as near."""
 
 
 class DjptError(RuntimeError):
@@ -69,35 +80,67 @@ class FileError(DjptError, OSError):
     """A file can't be read or written, or its format isn't known."""
 
 
-def near_miss(found: str, possible: Iterable[str]) -> str:
-    """Suggest what is possible: ``; did you mean 'x'?`` or ``; possible: a, b, c``.
+def near_miss(found: str, possible: Iterable[str], label: str = "possible") -> str:
+    """Suggest what is possible: ``; did you mean 'x'? (possible: x, b, c)`` or ``; possible: a, b, c``.
 
-    Only a word that may be meant is suggested: a beginning of the other, or few letters away, a quarter of them.
-    Returns an empty string if `possible` is empty. Meant to be appended to a message. Where there are very many names,
-    some of them are compared and listed.
+    At most ten names are listed: those that are near, the nearest first, then the others in alphabetical order. Only a
+    word that may be meant is suggested: one that is the beginning of the other, or differs in a quarter of its letters
+    at most. Returns an empty string if `possible` is empty. Meant to be appended to a message; `label` replaces the
+    word ``possible``.
     """
     names = sorted(set(possible))
     if not names:
         return ""
+    near = nearest_first(found, names)
+    shown = [*near, *(name for name in names if name not in near)][:LISTED]
+    listed = ", ".join(name if len(name) <= LONGEST else f"{name[:LONGEST]}.." for name in shown)
+    if len(names) > len(shown):
+        listed += f" and {len(names) - len(shown)} more"
+    if near and may_mean(found, near[0]):
+        return f"; did you mean '{near[0]}'? ({label}: {listed})"
+    return f"; {label}: {listed}"
+
+
+def nearest(found: str, possible: Iterable[str]) -> str | None:
+    """The name that was probably meant, or None, for messages that list no others."""
+    near = nearest_first(found, sorted(set(possible)))
+    return near[0] if near and may_mean(found, near[0]) else None
+
+
+def nearest_first(found: str, names: Sequence[str]) -> list[str]:
+    """The names that resemble `found`, the most similar first. Of more than `MOST` names only some are compared."""
+    if not found or len(found) > LONGEST:
+        return []
     short = [name for name in names if len(name) <= LONGEST]
     if len(short) > MOST:
         short = [name for name in short if name[:1] == found[:1]][:MOST]
-    near = difflib.get_close_matches(found, short, n=3, cutoff=0.6) if len(found) <= LONGEST else []
-    nearest = next((name for name in near if may_mean(found, name)), None)
-    listed = ", ".join(name if len(name) <= LONGEST else f"{name[:LONGEST]}.." for name in names[:MOST])
-    if len(names) > MOST:
-        listed += f" .. ({len(names)})"
-    if nearest is not None:
-        return f"; did you mean '{nearest}'? (possible: {listed})"
-    return f"; possible: {listed}"
+    word = found.lower()
+    matcher = difflib.SequenceMatcher(autojunk=False)
+    matcher.set_seq2(word)
+
+    def shared_letters(name: str) -> tuple[bool, float]:
+        matcher.set_seq1(name.lower())
+        return name.lower().startswith(word), matcher.quick_ratio()
+
+    def similarity(name: str) -> tuple[bool, float]:
+        matcher.set_seq1(name.lower())
+        return may_mean(found, name), matcher.ratio()
+
+    scored = [(*similarity(name), name) for name in heapq.nlargest(CLOSEST, short, key=shared_letters)]
+    alike = [(meant, ratio, name) for meant, ratio, name in scored if ratio >= ALIKE or begins(found, name)]
+    return [name for _, _, name in sorted(alike, key=lambda entry: (not entry[0], -entry[1], entry[2]))]
+
+
+def begins(found: str, name: str) -> bool:
+    """True if one of two words is the beginning of the other."""
+    a, b = found.lower(), name.lower()
+    return min(len(a), len(b)) >= 3 and (a.startswith(b) or b.startswith(a))
 
 
 def may_mean(found: str, name: str) -> bool:
-    """Whether a word looks like a mistake in another one."""
-    a, b = found.lower(), name.lower()
-    if min(len(a), len(b)) >= 3 and (a.startswith(b) or b.startswith(a)):
-        return True
-    return mistakes(a, b) <= max(1, round(max(len(a), len(b)) / 4))
+    """True if a word looks like a mistake in another one."""
+    fewest = max(1, round(max(len(found), len(name)) / 4))
+    return begins(found, name) or mistakes(found.lower(), name.lower()) <= fewest
 
 
 def mistakes(a: str, b: str) -> int:

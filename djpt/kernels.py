@@ -239,7 +239,9 @@ def own_array(kind: type[T], values: NDArray[Any]) -> T:
         return kind()
     if recording():
         if len(values) > MAX_RECORDED:
-            raise ArgumentError(f"a frozen function can't make a table of {len(values)} numbers: prepare it before")
+            raise ArgumentError(
+                f"a frozen function can't make a table of {len(values)} numbers: create it before the call"
+            )
         return one_by_one([dr.opaque(kind, number) for number in values.tolist()])  # type: ignore[arg-type]
     if dr.backend_v(kind) != dr.JitBackend.LLVM:
         # To GPUs everything is copied.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -191,9 +190,7 @@ class SceneParameters(Mapping[str, Any]):
     def _entry(self, key: str) -> Entry:
         if isinstance(key, str) and key in self._entries:
             return self._entries[key]
-        # A scene has hundreds of names: the message lists the nearest ones.
-        nearest = difflib.get_close_matches(str(key), self._entries, n=6, cutoff=0.3)
-        raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), nearest)}")
+        raise ParameterError(f"unknown parameter {key!r}{near_miss(str(key), self._entries)}")
 
     # ---- narrowing down ------------------------------------------------------------------
 
@@ -223,7 +220,7 @@ class SceneParameters(Mapping[str, Any]):
     def __setitem__(self, key: str, value: Any) -> None:
         entry = self._entry(key)
         if entry.flags & ParamFlags.ReadOnly:
-            raise ParameterError(f"{key}: can't be assigned: it follows from other parameters")
+            raise ParameterError(f"{key}: can't be assigned: it is computed from other parameters")
         current, loan = entry.read(), self._lent.get(key)
         if loan is not None and loan.is_copy and value is loan.value and not loan.is_edited():
             return

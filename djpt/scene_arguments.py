@@ -30,7 +30,7 @@ def find_sensor(scene: Scene, sensor: Any) -> Sensor:
         if not sensors:
             raise RenderError("the scene has no sensor: add one, for example {'type': 'perspective'}")
         if not 0 <= number < len(sensors):
-            raise RenderError(f"the scene has {len(sensors)} sensors; there is no number {number}")
+            raise RenderError(f"there is no sensor {number}: the scene has {len(sensors)}, numbered from 0")
         sensor = sensors[number]
     found: Sensor = sensor
     if found.on_shape and found.shape is None:

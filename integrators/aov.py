@@ -151,10 +151,8 @@ def parse(text: str, node: str) -> list[tuple[str, str]]:
         if not (name and colon):
             raise SceneError(f"{node}: 'aovs' is a list of name:variable, found '{item.strip()}'")
         if kind in DIFFERENTIALS:
-            raise SceneError(
-                f"{node}: '{kind}' in 'aovs' needs ray differentials, which djpt doesn't have; "
-                f"possible: {', '.join(sorted(VARIABLES))}"
-            )
+            needed = "ray differentials, which djpt doesn't have"
+            raise SceneError(f"{node}: '{kind}' in 'aovs' needs {needed}{near_miss('', VARIABLES)}")
         if kind not in VARIABLES:
             raise SceneError(f"{node}: unknown variable '{kind}' in 'aovs'{near_miss(kind, VARIABLES)}")
         if name in dict(result):

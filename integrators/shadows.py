@@ -64,8 +64,8 @@ def light_through_null(
     """The part of `light` that arrives along a shadow ray, through null surfaces and whatever media lie between.
 
     Unlike `Scene.light_through` it leaves out no shape: a point in a medium may lie behind a wall that stands around
-    everything else. It has derivatives by the media and by `light`; those of null surfaces are left out. Where `lit`,
-    the way is followed although `light` is black.
+    everything else. It has derivatives with respect to the media and `light`; those with respect to null surfaces are
+    left out. Where `lit`, the way is followed although `light` is black.
     """
     shines = dr.max(light) > 0
     lit = shines if lit is None else shines | lit

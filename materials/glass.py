@@ -33,7 +33,9 @@ class Glass(Dielectric):
         self.reflection = props.boolean("reflection", True)
         self.transmission = props.boolean("transmission", True)
         if not (self.reflection or self.transmission):
-            raise SceneError(f"{props.node}: 'reflection' and 'transmission' are both false: nothing would be seen")
+            raise SceneError(
+                f"{props.node}: 'reflection' and 'transmission' are both false: the surface would be black"
+            )
 
     def components(self) -> tuple[int, ...]:
         return (REFLECTION,) * self.reflection + (TRANSMISSION,) * self.transmission

@@ -94,7 +94,9 @@ class Hair(SharedWorkBSDF):
         if not self.use_pigmentation:
             for pigment in ("eumelanin", "pheomelanin"):
                 if pigment in props:
-                    raise props.error(pigment, "can't stand beside 'sigma_a': give either pigments or the absorption")
+                    raise props.error(
+                        pigment, "can't be combined with 'sigma_a': give either pigments or the absorption"
+                    )
         self.sigma_a = None if self.use_pigmentation else props.texture("sigma_a", low=0.0)
         self.scale = as_float(props.float("scale", 1.0, low=0.0))
 

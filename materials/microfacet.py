@@ -226,9 +226,11 @@ def alpha_textures(props: Properties) -> tuple[Texture, Texture | None]:
     if not pair:
         return props.texture_1("alpha", 0.1, low=0.0, high=1.0), None
     if "alpha" in props:
-        raise props.error("alpha", f"can't stand beside '{pair[0]}': give either 'alpha' or 'alpha_u' and 'alpha_v'")
+        raise props.error(
+            "alpha", f"can't be combined with '{pair[0]}': give either 'alpha' or 'alpha_u' and 'alpha_v'"
+        )
     if len(pair) == 1:
         other = "alpha_v" if pair == ["alpha_u"] else "alpha_u"
-        raise SceneError(f"{props.node}: '{pair[0]}' needs '{other}' beside it; 'alpha' stands for both")
+        raise SceneError(f"{props.node}: '{pair[0]}' needs '{other}' as well; 'alpha' sets both")
     alpha_u, alpha_v = (props.texture_1(key, low=0.0, high=1.0) for key in ("alpha_u", "alpha_v"))
     return alpha_u, alpha_v

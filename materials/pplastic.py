@@ -118,7 +118,7 @@ def relative_index(props: Properties) -> Texture:
     """The texture `eta`, or the constant quotient of `int_ior` and `ext_ior`."""
     if "eta" in props:
         if "int_ior" in props or "ext_ior" in props:
-            raise props.error("eta", "can't stand beside 'int_ior' and 'ext_ior': give one or the others")
+            raise props.error("eta", "can't be combined with 'int_ior' and 'ext_ior': give one or the others")
         return props.texture_1("eta", low=0.0, low_open=True)
     inner, outer = ior(props, "int_ior", "polypropylene"), ior(props, "ext_ior", "air")
     if inner == outer:

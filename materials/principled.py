@@ -126,7 +126,7 @@ class Principled(PrincipledBase):
         self.clearcoat_gloss = props.texture_1("clearcoat_gloss", 0.0, low=0.0, high=1.0)
         self._read_optional(props)
         if "eta" in props and "specular" in props:
-            raise props.error("eta", "and 'specular' say the same thing: give one of them")
+            raise props.error("eta", "and 'specular' set the same property: give only one")
         self.by_specular = "eta" not in props
         number = props.float("specular", 0.5, low=0.0, high=1.0) if self.by_specular else 0.0
         self.interface = as_float(number if self.by_specular else props.float("eta", low=0.0, low_open=True))

@@ -56,7 +56,9 @@ class RoughDielectric(SharedWorkBSDF):
         super().__init__(props)
         int_ior, ext_ior = ior(props, "int_ior", "bk7"), ior(props, "ext_ior", "air")
         if int_ior == ext_ior:
-            raise props.error("int_ior", f"must differ from 'ext_ior', found {int_ior:.9g} for both: nothing to see")
+            raise props.error(
+                "int_ior", f"must differ from 'ext_ior', found {int_ior:.9g} for both: the surface would be invisible"
+            )
         self.eta = as_float(int_ior / ext_ior)
         self.distribution = distribution_name(props)
         self.sample_visible = props.boolean("sample_visible", True)

@@ -11,7 +11,7 @@ __all__ = ["furnace"]
 
 
 def furnace(reflectance: float = 0.5, radiance: float = 1.0) -> dict[str, Any]:
-    """The Cornell box closed at the front, where every surface reflects and shines alike.
+    """The closed Cornell box whose surfaces all reflect and emit equally: its radiance is known.
 
     From any point the same radiance arrives from all directions, so with `max_depth` n each pixel is::
 

@@ -58,7 +58,7 @@ def cornell_box() -> dict[str, Any]:
 
 
 def cornell_box_boxfilter() -> dict[str, Any]:
-    """The Cornell box with the box filter, with which a sample counts for its own pixel only."""
+    """The Cornell box with the box filter: each sample contributes to its own pixel only."""
     scene = cornell_box()
     scene["sensor"]["film"]["rfilter"] = {"type": "box"}
     return scene

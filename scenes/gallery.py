@@ -18,7 +18,7 @@ Progress = Callable[[int, int], None]
 
 
 def shader_ball(bsdf: dict[str, Any] | None = None, size: int = 256) -> dict[str, Any]:
-    """A ball in a ring on a chequered floor, under a softbox and a faint sky: a place to look at materials.
+    """A ball in a ring on a chequered floor, under a softbox and a faint sky: a stage for materials.
 
     The ball has the radius 1 and its poles above and below. `bsdf` (default: rough gold) is listed as `ball.bsdf`;
     the picture has `size` x `size` pixels, 256 samples each, and paths have up to 12 edges.

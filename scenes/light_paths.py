@@ -12,11 +12,11 @@ from djpt.transforms import ScalarTransform4f as T
 __all__ = ["door_ajar", "fixture", "glass_ball", "lamp_behind_pane", "lamp_in_glass", "parabolic_mirror"]
 
 RADIANCE = (18.387, 13.9873, 6.75357)
-"""That of the Cornell box's lamp."""
+"""The radiance of the Cornell box's lamp."""
 
 
 def fixture() -> dict[str, Any]:
-    """The Cornell box, lit by a small lamp in a box that is open above: all light comes by way of the ceiling.
+    """The Cornell box lit by a small lamp in a box that is open at the top: all light comes from the ceiling.
 
     Light samples hit the box. 128x128 pixels, `bdpt` with 8 edges.
     """
@@ -45,7 +45,7 @@ def glass_ball() -> dict[str, Any]:
 
 
 def lamp_in_glass() -> dict[str, Any]:
-    """The Cornell box, lit by a small lamp inside of a glass ball: all light is a caustic.
+    """The Cornell box lit by a small lamp inside a glass ball: all light is a caustic.
 
     128x128 pixels, `bdpt` with 8 edges.
     """
@@ -76,7 +76,7 @@ def lamp_behind_pane() -> dict[str, Any]:
 
 
 def door_ajar() -> dict[str, Any]:
-    """Two rooms and one lamp, in the room that isn't seen: light comes through a narrow gap between them.
+    """Two rooms and one lamp in the hidden room: light comes through the narrow gap of a door ajar.
 
     Paths from either side seldom find it. 128x128 pixels, `bdpt` with 8 edges.
     """
@@ -96,7 +96,7 @@ def door_ajar() -> dict[str, Any]:
 
 
 def parabolic_mirror() -> dict[str, Any]:
-    """A point light in the focus of a parabolic mirror, before a white screen: a caustic that is known in closed form.
+    """A point light at the focus of a parabolic mirror, facing a white screen: a caustic known in closed form.
 
     With the focal length f, 0.5, the reflectance a of the mirror, 0.9, the distance D of focus and screen, 2.5, and the
     intensity I, 1, the screen sends out at the distance r from the axis::
@@ -141,7 +141,7 @@ def room() -> dict[str, Any]:
 
 
 def lamp(factor: float) -> dict[str, Any]:
-    """The Cornell box's light, so many times as bright."""
+    """The light of the Cornell box, made brighter by a factor."""
     return {"type": "area", "radiance": {"type": "rgb", "value": [factor * x for x in RADIANCE]}}
 
 

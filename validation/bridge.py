@@ -95,7 +95,7 @@ def _value(mi: Any, value: Any, node: str) -> Any:
         return {key: _value(mi, inner, f"{node}.{key}") for key, inner in _in_its_words(mi, value).items()}
     if isinstance(value, Plugin):
         raise ComparisonError(
-            f"{node}: a {type(value).__name__} object of djpt means nothing to Mitsuba; describe it by a dict"
+            f"{node}: a {type(value).__name__} object of djpt can't be passed to Mitsuba; describe it with a dict"
         )
     if isinstance(value, (str, bool, int, float)):
         return value

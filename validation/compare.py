@@ -105,7 +105,8 @@ def compare(
         b = side_of(second, other_schedule, **film, integrator=other if is_described(second) else integrator_b)
     elif a.description is None:
         raise ComparisonError(
-            "compare: only a described scene can be compared with Mitsuba; give something to compare with: `against`"
+            "compare: only a scene description can be compared with Mitsuba; pass `against` to compare with something "
+            "else"
         )
     elif (integrator_b is not None or schedule_b is not None) and mitsuba_integrator is None:
         b = side_of(first, other_schedule, **film, integrator=other)
@@ -137,7 +138,7 @@ def assert_matches(scene: Any, spp: int = 64, rmse: float | None = None, **optio
     """
     result = compare(scene, spp, rmse, **options)
     if not result.checks:
-        raise ComparisonError("nothing is asserted: images whose noise isn't known need a threshold, such as rmse=0.01")
+        raise ComparisonError("nothing to assert: images whose noise is unknown need a threshold, such as rmse=0.01")
     if not result.passed:
         raise ComparisonError("\n".join(["the images differ:", *result.failures, "", str(result)]))
 
@@ -175,7 +176,7 @@ def store_reference(
         described(scene, parameters)  # raises unless it is a file
     side = side_of(found(scene, parameters)[1], schedule, **changes)
     if side.renderer is None:
-        raise ComparisonError("a reference is rendered, in batches that show its noise; an image has none to show")
+        raise ComparisonError("a reference must be rendered, in batches that reveal its noise; an image has no batches")
     batch_spp, count, _ = plan(spp, None, batches)
     rendering = Rendering(side.renderer, batch_spp, count, seed, THEIR_SEEDS)
     with watched(progress, "rendering", "renders") as shown:
@@ -241,7 +242,7 @@ def found(value: Any, parameters: Mapping[str, str] | None) -> tuple[str, Any]:
 
 
 def is_scene_file(value: Any) -> bool:
-    """Whether a side is an XML file, which may have parameters."""
+    """True if a side is an XML file, which may have parameters."""
     return isinstance(value, (str, os.PathLike)) and os.fspath(value).lower().endswith(".xml")
 
 

@@ -99,12 +99,12 @@ class Comparison:
 
     @property
     def checks(self) -> int:
-        """How many tests and thresholds there are: without any, passing says nothing."""
+        """The number of tests and thresholds: without any, passing says nothing."""
         return len(self.tests) + len(set(self.limits) - {"z"})
 
     @property
     def passed(self) -> bool:
-        """Whether all tests and all given thresholds hold."""
+        """True if all tests and all given thresholds hold."""
         return not self.failures
 
     @property
@@ -156,7 +156,7 @@ class Comparison:
             names = f"noise, {'ours' if self.titles[0] == 'djpt' else self.titles[0]} / {self.titles[1]}"
             rows.append((names, f"{self.noise_ratio:.3f}", "", ""))
         for test in self.tests:
-            limit = f"{test.critical:.2f}, sees {test.detectable:.2g} of the mean"
+            limit = f"{test.critical:.2f}, detects {100 * test.detectable:.2g} % of the mean"
             rows.append((f"worst z, {test.name}", f"{test.z:+.2f}", limit, "ok" if test.passed else "FAILED"))
         if self.same_seed:
             share, wanted = self.same_seed.share, self.limits.get("same_seed")

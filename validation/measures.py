@@ -29,7 +29,7 @@ class Measure:
 
 
 def as_displayed(compute: Callable[[Any, Any], float]) -> Callable[[Any, Any], float]:
-    """The same measure of what a display shows."""
+    """The measure of two images as a display shows them."""
     return lambda image, reference: compute(perceptual.displayed(image), perceptual.displayed(reference))
 
 
@@ -65,7 +65,7 @@ def checked_limits(limits: Mapping[str, float | None]) -> dict[str, float]:
 
 
 def within(name: str, value: float, limit: float) -> bool:
-    """Whether a value meets its threshold: NaN never does."""
+    """True if a value meets its threshold: NaN never does."""
     if name == "same_seed" or (name in MEASURES and MEASURES[name].closer == "greater"):
         return value >= limit
     return abs(value) <= limit

@@ -51,7 +51,7 @@ class Rendering:
 
 
 class Shown:
-    """What is known of one side's image."""
+    """The measurements of one side's image."""
 
     def __init__(self, side: Side, rendering: Rendering | None) -> None:
         self.facts: dict[str, Any] = dict(side.facts)
@@ -125,7 +125,7 @@ def compared(
             found["tests"] = found["tests"][:1] if "z" in limits else ()
     elif "z" in limits:
         title = a.title if ours.batches is None else b.title
-        raise ComparisonError(f"compare: 'z' needs the noise of both images, and that of {title} isn't known")
+        raise ComparisonError(f"compare: 'z' needs the noise of both images, but that of {title} is unknown")
     return Comparison(
         name=name,
         image=image.astype(np.float32),
@@ -183,7 +183,7 @@ def same_seed(a: Side, b: Side, seed: int, spp: int, wanted: bool) -> Agreement 
         return agreement(repeated(a.renderer, b.reference), b.reference.batches.mean)
     if b.renderer and a.reference:
         return agreement(a.reference.batches.mean, repeated(b.renderer, a.reference))
-    raise ComparisonError(f"compare: 'same_seed' can't be found for {a.title} and {b.title}, whose seeds may differ")
+    raise ComparisonError(f"compare: 'same_seed' can't be measured for {a.title} and {b.title}, whose seeds may differ")
 
 
 def stored(side: Side) -> npt.NDArray[Any]:

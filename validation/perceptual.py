@@ -23,7 +23,7 @@ WINDOW = 11
 """The side of SSIM's window in pixels, and `SPREAD` its standard deviation, as Wang et al. chose them."""
 SPREAD = 1.5
 STABILIZERS = (0.01**2, 0.03**2)
-"""What keeps SSIM's quotients finite in dark and in flat windows, C1 and C2, for values up to 1."""
+"""The constants C1 and C2 that keep SSIM's quotients finite in dark and in flat windows, for values up to 1."""
 
 
 def displayed(image: Any) -> Array:

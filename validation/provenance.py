@@ -1,4 +1,4 @@
-"""What a comparison was made of: versions, the machine, and descriptions as text can hold them."""
+"""The origin of a comparison: versions, the machine, and descriptions as text."""
 
 from __future__ import annotations
 

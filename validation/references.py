@@ -82,7 +82,7 @@ def write_reference(path: str | os.PathLike[str], reference: Reference) -> None:
 
 
 def is_reference(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is one that `write_reference` wrote. Raises `FileError` for files that can't be read."""
+    """True if a file is one that `write_reference` wrote. Raises `FileError` for files that can't be read."""
     return os.fspath(path).lower().endswith(".exr") and FORM in read_metadata(path)
 
 
@@ -91,7 +91,9 @@ def read_reference(path: str | os.PathLike[str]) -> Reference:
     found = read_metadata(path)
     if found.get(FORM) != VERSION:
         stated = f"of form {found[FORM]}" if FORM in found else "an image without its noise"
-        raise FileError(f"'{path}' is {stated}, not a reference of form {VERSION}: write it anew by write_reference")
+        raise FileError(
+            f"'{path}' is {stated}, not a reference of form {VERSION}: write a new one with write_reference"
+        )
     try:
         shape = tuple(json.loads(found[f"{FORM}.shape"]))
         data = zlib.decompress(base64.b64decode(found[f"{FORM}.cells"]))

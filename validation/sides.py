@@ -1,4 +1,4 @@
-"""What can be compared: scenes, stored images, references, and functions that render."""
+"""The things that can be compared: scenes, stored images, references, and functions that render."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class Side:
 
     @property
     def independent_pixels(self) -> bool:
-        """Whether it is known that pixels share no samples: true of scenes under the box filter."""
+        """True if it is known that pixels share no samples: true of scenes under the box filter."""
         if self.reference is not None:
             return self.reference.independent_pixels
         return self.description is not None and rfilter_name(self.description) == "box"
 
     @property
     def distinctions(self) -> tuple[str, ...]:
-        """What may tell two scenes in one renderer apart: the integrator, the schedule."""
+        """The settings that may differ between two scenes in one renderer: the integrator, the schedule."""
         if self.description is None:
             return ()
         return integrator_name(self.description), str(self.facts.get("schedule", ""))
@@ -89,7 +89,9 @@ def side_of(value: Any, schedule: str = "auto", **changes: Any) -> Side:
     if is_described(value):
         return scene_side(override(described(value)[1], **changed), schedule)
     if "integrator" in changed:
-        raise ComparisonError(f"compare: only a described scene takes another integrator, not {kind_of(value)}")
+        raise ComparisonError(
+            f"compare: only a scene description can be given another integrator, not {kind_of(value)}"
+        )
     if isinstance(value, (str, os.PathLike)):
         return file_side(Path(value))
     if isinstance(value, Reference):
@@ -111,7 +113,7 @@ def side_of(value: Any, schedule: str = "auto", **changes: Any) -> Side:
 
 
 def is_described(value: Any) -> bool:
-    """Whether a value is a scene's description: a dict, a built-in name or an XML file."""
+    """True if a value is a scene's description: a dict, a built-in name or an XML file."""
     if isinstance(value, (str, os.PathLike)):
         return Path(value).suffix.lower() not in FORMATS
     return isinstance(value, Mapping)
@@ -224,5 +226,5 @@ def told_apart(a: Side, b: Side) -> tuple[Side, Side]:
 
 
 def kind_of(value: Any) -> str:
-    """What a value is, for messages."""
+    """The description of a value, for messages."""
     return f"'{value}'" if isinstance(value, (str, os.PathLike)) else f"a {type(value).__name__}"

@@ -82,13 +82,15 @@ class TestResult:
 
     @property
     def passed(self) -> bool:
-        """Whether noise explains the difference at the significance that was asked for."""
+        """True if noise explains the difference at the significance that was asked for."""
         return abs(self.z) <= self.critical
 
     def __str__(self) -> str:
         verdict = "ok" if self.passed else "FAILED"
         beyond = f"limit {self.critical:.2f}, {self.rejected} of {self.count} beyond"
-        return f"{self.name}: {verdict}, worst z {self.z:+.2f} ({beyond}) at {self.where}, sees {self.detectable:.2%}"
+        return (
+            f"{self.name}: {verdict}, worst z {self.z:+.2f} ({beyond}) at {self.where}, detects {self.detectable:.2%}"
+        )
 
 
 def pixel_test(a: Batches, b: Batches, significance: float = 1e-3, equal_variance: bool = True) -> TestResult:

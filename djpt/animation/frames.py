@@ -29,7 +29,7 @@ JOB = "animation.json"
 
 
 class Moving(Protocol):
-    """What a parameter is at each frame."""
+    """The value of a parameter at each frame."""
 
     def at(self, frame: float) -> Any:
         """The parameter's value at a frame."""
@@ -127,7 +127,7 @@ def claim(folder: Path, job: dict[str, Any]) -> None:
             differing = [f"the scene ({same_nodes})"] if same_nodes else []
             differing += [name for name in ("motion", "spp", "seed", "facts") if found[name] != job[name]]
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FileError(f"'{note}' isn't readable: {error}; remove it with the frames beside it") from None
+            raise FileError(f"'{note}' can't be read: {error}; remove it together with its frames") from None
         if differing:
             raise FileError(
                 f"'{folder}' has frames of another animation, which differs in {', '.join(differing)}: choose "
@@ -137,7 +137,7 @@ def claim(folder: Path, job: dict[str, Any]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise FileError(f"can't make the folder '{folder}': {error.strerror}") from None
+        raise FileError(f"can't create the folder '{folder}': {error.strerror}") from None
     with writing(note) as temporary:
         temporary.write_text(json.dumps(job, indent=1) + "\n", encoding="utf-8")
 

@@ -51,7 +51,7 @@ def write_movie(path: str | os.PathLike[str], frames: Sequence[Path], fps: float
     """
     target = check_movie(path)
     if not frames:
-        raise FileError(f"can't write '{target}': a movie needs a frame at least")
+        raise FileError(f"can't write '{target}': a movie needs at least one frame")
     if not 0 < fps <= 1000:
         raise FileError(f"can't write '{target}': frames per second must be above 0 and at most 1000, found {fps}")
     with writing(target) as temporary:
@@ -87,7 +87,7 @@ def write_gif(target: Path, frames: Sequence[Path], fps: float) -> None:
 
 
 MOVIES: dict[str, Callable[[Path, Sequence[Path], float], None]] = {".mp4": write_mp4, ".gif": write_gif}
-"""What writes a movie, by the extension of its file."""
+"""The functions that write movies, by the extension of the file."""
 
 
 def ffmpeg() -> Any:

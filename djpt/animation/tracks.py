@@ -52,7 +52,7 @@ class Track:
             rows = rows.reshape(-1, 4, 4)
         if not frames or not (rows.ndim == 2 or rows.shape[1:] == (4, 4)) or not np.isfinite(rows).all():
             raise ParameterError(
-                "keyframes must be one number, several, or a transform of 16, as many at each frame; found "
+                "keyframes must be one number, several, or the 16 of a transform, equally many at each frame; found "
                 f"{dict(keyframes)!r}"
             )
         if not all(math.isfinite(frame) for frame in frames):
@@ -100,9 +100,9 @@ class TurningCamera:
     """A camera that turns about what it looks at, at constant speed: the track of its transform."""
 
     camera: HeldCamera
-    """Where it is at frame 0."""
+    """The camera at frame 0."""
     degrees: float
-    """How far it turns from frame to frame, to the right of who looks through it."""
+    """The angle from frame to frame, to the right as seen through the camera, in degrees."""
 
     def at(self, frame: float) -> ScalarTransform4f:
         """The camera's transform at a frame."""

@@ -21,16 +21,16 @@ __all__ = ["command"]
     "tracks",
     metavar="KEY=FRAME:VALUE;..",
     multiple=True,
-    help="How a parameter moves: its values at some frames, counted from 0. A value is a number, numbers with commas, "
-    "or the 16 of a matrix. May be repeated.",
+    help="Keyframes of a parameter: its values at given frames, counted from 0. A value is a number, comma-separated "
+    "numbers, or the 16 entries of a matrix. May be repeated.",
 )
 def command(tracks: tuple[str, ...], **chosen: Any) -> None:
-    """Render SCENE while its parameters move.
+    """Render an animation of parameters of SCENE.
 
-    The parameters are those of `djpt.traverse`. Frames that exist already aren't rendered again.
+    The parameters are those of `djpt.traverse`. Existing frames are not rendered again.
     """
     if not tracks:
-        raise ParameterError("nothing moves: --set KEY=FRAME:VALUE;FRAME:VALUE says what does")
+        raise ParameterError("nothing moves: name a parameter with --set KEY=FRAME:VALUE;FRAME:VALUE")
     texts = {}
     for text in tracks:
         key, equals, values = text.partition("=")

@@ -15,7 +15,7 @@ __all__ = ["command"]
 
 @click.command("bounces", cls=Command, epilog=options.SCENE)
 @options.scene
-@options.output("png or jpg.", "bounces.png")
+@options.output("Picture, png or jpg.", "bounces.png")
 @click.option("--max-depth", type=int, default=6, help="Edges of the longest path: the number of terms.")
 @click.option("--spp", type=int, default=256, help="Samples per pixel.")
 @options.exposure
@@ -36,7 +36,7 @@ def command(
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Show the light of SCENE by the number of its bounces.
+    """Show the light of SCENE separated by its number of bounces.
 
     The pictures are E, KE, K^2 E, .. and their sum.
     """

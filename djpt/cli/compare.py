@@ -18,32 +18,34 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 EPILOG = (
-    "A and B are XML files, built-in scenes (see 'djpt scenes'), or images; of references, which --store writes, the "
-    "noise is known as well. Exit code: 0 they agree, 1 they differ, 2 wrong input."
+    "A and B are XML files, built-in scenes (see 'djpt scenes') or images. References, written by --store, also record "
+    "their noise. Exit code: 0 if A and B agree, 1 if they differ, 2 if the input is wrong."
 )
 
 
 @click.command("compare", cls=Command, epilog=EPILOG)
 @click.argument("a", metavar="A", shell_complete=options.complete_scene)
 @click.argument("b", metavar="[B]", required=False, shell_complete=options.complete_scene)
-@click.option("--spp", type=int, default=64, help="Samples per pixel of what is rendered.")
+@click.option("--spp", type=int, default=64, help="Samples per pixel of rendered images.")
 @click.option("--reference-spp", type=int, help="Samples per pixel of B. Default: the same.")
-@click.option("--rmse", type=float, help="Fail if the RMSE is above this.")
-@click.option("--mae", type=float, help="Fail if the mean absolute error is above this.")
-@click.option("--relmse", type=float, help="Fail if the relative mean square error is above this.")
-@click.option("--bias", type=float, help="Fail if the relative bias of the image mean is above this, in size.")
+@click.option("--rmse", type=float, help="Fail if the RMSE exceeds this.")
+@click.option("--mae", type=float, help="Fail if the mean absolute error exceeds this.")
+@click.option("--relmse", type=float, help="Fail if the relative mean squared error exceeds this.")
+@click.option("--bias", type=float, help="Fail if the relative bias of the image mean exceeds this in magnitude.")
 @click.option("--psnr", type=float, help="Fail if the PSNR of the displayed images is below this, in dB.")
 @click.option("--ssim", type=float, help="Fail if the SSIM of the displayed images is below this.")
-@click.option("--flip", type=float, help="Fail if the mean FLIP of the displayed images is above this.")
-@click.option("--hdr-flip", type=float, help="Fail if the mean HDR-FLIP is above this.")
-@click.option("--z", type=float, help="Fail if the bias of a channel's mean is above this, in standard errors.")
-@click.option("--same-seed", type=float, help="Fail if a smaller share of pixels agrees at equal seeds, 0 to 1.")
+@click.option("--flip", type=float, help="Fail if the mean FLIP of the displayed images exceeds this.")
+@click.option("--hdr-flip", type=float, help="Fail if the mean HDR-FLIP exceeds this.")
+@click.option("--z", type=float, help="Fail if the bias of a channel's mean exceeds this, in standard errors.")
+@click.option("--same-seed", type=float, help="Fail if a smaller share of pixels, 0 to 1, agrees at equal seeds.")
 @click.option("--tests/--no-tests", default=True, help="Test whether noise explains the difference.")
-@click.option("--significance", type=float, default=1e-3, help="False alarms of each of the four families of tests.")
-@click.option("--integrator-b", help="Integrator of B; without B the same scene in djpt.")
+@click.option(
+    "--significance", type=float, default=1e-3, help="False-alarm rate of each of the four families of tests."
+)
+@click.option("--integrator-b", help="Integrator of B. Without B, djpt renders scene A with it.")
 @click.option("--schedule", default="auto", help="djpt's schedule: auto, flat, machine or wave.")
-@click.option("--schedule-b", help="djpt's schedule for B; without B the same scene in djpt.")
-@options.output("The picture, png or jpg. Default: NAME_comparison.png")
+@click.option("--schedule-b", help="djpt's schedule for B. Without B, djpt renders scene A with it.")
+@options.output("Picture, png or jpg. Default: NAME_comparison.png")
 @click.option("--picture/--no-picture", default=None, help="Write A | B | difference. Default: without --report.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write a page with all pictures and numbers, .html.")
 @click.option("--store", type=click.Path(path_type=Path), help="Render A alone and store it as a reference, .exr.")

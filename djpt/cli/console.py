@@ -116,7 +116,7 @@ def require_positive(**options: float | None) -> None:
 
 
 def has_terminal() -> bool:
-    """Whether there is a terminal to show progress on."""
+    """True if there is a terminal to show progress on."""
     return sys.stderr.isatty() or bool(set(os.environ) & FORCE_TERMINAL)
 
 

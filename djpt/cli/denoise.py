@@ -28,19 +28,17 @@ NORMAL = ("normal", "sh_normal", "normals", "nn", "geo_normal")
 @click.argument("image", metavar="IMAGE", type=click.Path(path_type=Path))
 @options.output("exr hdr pfm npy (linear), png jpg (sRGB). Default: IMAGE with _denoised before its extension")
 @options.denoiser
-@click.option(
-    "--albedo", metavar="LAYER", help="The layer of the exr with the albedo. Default: 'albedo' if it has one."
-)
-@click.option("--normal", metavar="LAYER", help="The layer of the exr with normals. Default: 'normal', 'sh_normal', ..")
-@click.option("--clean", is_flag=True, help="Albedo and normals have no noise.")
+@click.option("--albedo", metavar="LAYER", help="Layer of the exr with the albedo. Default: 'albedo', if present.")
+@click.option("--normal", metavar="LAYER", help="Layer of the exr with normals. Default: 'normal', 'sh_normal', ..")
+@click.option("--clean", is_flag=True, help="The albedo and normals are free of noise.")
 @options.quiet
 def command(
     image: Path, output: Path | None, denoiser: str, albedo: str | None, normal: str | None, clean: bool, quiet: bool
 ) -> None:
-    """Remove the noise of a rendered image.
+    """Remove noise from a rendered image.
 
-    The albedo and the normals of surfaces guide the filter, if IMAGE is an exr that has them as layers, as the
-    integrator 'aov' and 'djpt render --denoise --raw' write them. Render with the box filter: wider ones spread noise.
+    If IMAGE is an exr with layers for albedo and normals, they guide the filter; the integrator 'aov' and
+    'djpt render --denoise --raw' write such layers. Render with the box filter: wider ones spread the noise.
     """
     from djpt.cli.pictures import channels_for, layers
     from djpt.cli.tone import carried

@@ -169,7 +169,7 @@ def _variant() -> Finding:
 
 
 def _answer(what: str, topic: str, code: str) -> dict[str, Any] | Finding:
-    """What a program prints that tries something in another process, or what went wrong."""
+    """The output of a program that tries something in another process, or its error."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     try:
         done = subprocess.run(
@@ -212,7 +212,7 @@ def _ray_queries() -> Finding:
 
 
 def _width(answer: dict[str, Any]) -> str:
-    """What the kernel was compiled by and for, such as `` on LLVM 19.1.7, 16 lanes (AVX-512)``."""
+    """The compiler and target of the kernel, such as `` on LLVM 19.1.7, 16 lanes (AVX-512)``."""
     if "llvm" not in answer:
         return ""
     instructions = f" ({answer['instructions']})" if answer["instructions"] else ""
@@ -251,8 +251,8 @@ def main() -> int:
 
 @click.command("doctor", cls=Command)
 def command() -> None:
-    """Print what djpt found on this machine, and what to do.
+    """Report what djpt found on this machine, and how to fix problems.
 
-    It says what was chosen and why.
+    Every choice is printed with its reason.
     """
     raise click.exceptions.Exit(main())

@@ -1,4 +1,4 @@
-"""What the commands that render animations share: their options, and how frames are rendered and become a movie."""
+"""Shared parts of the commands that render animations: options, and the rendering of frames and movies."""
 
 from __future__ import annotations
 
@@ -28,10 +28,16 @@ def of_frames(command: Decorated) -> Decorated:
     for option in reversed(
         (
             options.scene,
-            click.option("--output", "-o", type=click.Path(path_type=Path), required=True, help="Their folder."),
-            click.option("--frames", type=int, default=60, help="How many frames."),
-            click.option("--format", "suffix", default="png", help="Of the frames: png, jpg, exr, hdr, pfm, npy."),
-            click.option("--movie", type=click.Path(path_type=Path), help="Write a movie of the frames: mp4 or gif."),
+            click.option(
+                "--output", "-o", type=click.Path(path_type=Path), required=True, help="Folder of the frames."
+            ),
+            click.option("--frames", type=int, default=60, help="Number of frames."),
+            click.option(
+                "--format", "suffix", default="png", help="Format of the frames: png, jpg, exr, hdr, pfm or npy."
+            ),
+            click.option(
+                "--movie", type=click.Path(path_type=Path), help="Also write the frames as a movie, mp4 or gif."
+            ),
             click.option("--fps", type=float, default=30.0, help="Frames per second of the movie."),
             click.option("--spp", type=int, help="Samples per pixel. Default: the scene's."),
             options.seed,
@@ -39,8 +45,10 @@ def of_frames(command: Decorated) -> Decorated:
             options.height,
             options.rfilter,
             options.integrator,
-            click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors."),
-            click.option("--tonemap", default="srgb", help="For png and jpg: srgb (clipped), reinhard, aces or agx."),
+            click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0."),
+            click.option(
+                "--tonemap", default="srgb", help="Tone curve of png and jpg: srgb (clipped), reinhard, aces or agx."
+            ),
             options.exposure,
             options.define,
             options.quiet,

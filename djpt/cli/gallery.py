@@ -17,7 +17,7 @@ __all__ = ["command"]
 
 @click.command("gallery", cls=Command)
 @click.argument("names", metavar="[NAME]..", nargs=-1)
-@options.output("png or jpg.", "gallery.png")
+@options.output("Picture, png or jpg.", "gallery.png")
 @click.option("--spp", type=int, default=512, help="Samples per pixel.")
 @click.option("--size", type=int, default=200, help="Width and height of a panel in pixels.")
 @options.seed
@@ -25,7 +25,7 @@ __all__ = ["command"]
 def command(names: tuple[str, ...], output: Path, spp: int, size: int, seed: int, quiet: bool) -> None:
     """Render a ball of each material, side by side.
 
-    NAMEs choose panels; wrong names are answered with all of them.
+    NAMEs select panels. Default: all of them.
     """
     from djpt.images.formats import DISPLAY_FORMATS
     from djpt.images.image import check_writable
@@ -34,7 +34,7 @@ def command(names: tuple[str, ...], output: Path, spp: int, size: int, seed: int
     require_positive(spp=spp, size=size)
     check_writable(output)
     if output.suffix.lower() not in DISPLAY_FORMATS:
-        raise RenderError(f"a gallery has labels, it is written as png or jpg, found '{output}'")
+        raise RenderError(f"a gallery has labels, so it is written as png or jpg, found '{output}'")
     chosen = panels(names)
     start = time.perf_counter()
     begin = None if quiet or has_terminal() else announce

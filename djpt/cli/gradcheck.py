@@ -18,22 +18,25 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
+SIDE = 64
+"""The default of `djpt.validation.check_gradient`, which isn't imported for the help."""
+
 
 @click.command("gradcheck", cls=Command, epilog=options.SCENE)
 @options.scene
 @click.argument("keys", metavar="[KEY]...", nargs=-1)
 @click.option("--spp", type=int, default=64, help="Samples per pixel of each render.")
-@click.option("--seeds", type=int, default=8, help="Renders of each estimate at first.")
-@click.option("--most-seeds", type=int, default=64, help="At most: seeds are added while noise is too large.")
-@click.option("--precision", type=float, default=0.01, help="The standard error that is aimed at, as a share.")
-@click.option("--samples", type=int, default=4, help="Entries of large parameters, such as texels, to check.")
-@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors, counted from 0.")
-@click.option("--mitsuba/--no-mitsuba", default=None, help="Compare with Mitsuba. Default: if it can be done.")
-@options.output("A picture of the derivatives for one KEY, or a folder of pictures for several. Default: none")
+@click.option("--seeds", type=int, default=8, help="Number of seeds to start with.")
+@click.option("--most-seeds", type=int, default=64, help="Largest number; seeds are added up to --precision.")
+@click.option("--precision", type=float, default=0.01, help="Standard error to reach, relative to the derivative.")
+@click.option("--samples", type=int, default=4, help="Single entries to check of large parameters such as bitmaps.")
+@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0.")
+@click.option("--mitsuba/--no-mitsuba", default=None, help="Compare with Mitsuba. Default: if possible.")
+@options.output("Picture of the derivatives, or, for several KEYs, a folder of pictures. Default: none")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @options.seed
-@options.width
-@options.height
+@click.option("--width", type=int, help=f"Width in pixels. Default: the scene's, at most {SIDE} on the longer side.")
+@click.option("--height", type=int, help="Height in pixels. Default: follows from --width.")
 @options.integrator
 @options.define
 @options.quiet
@@ -56,10 +59,10 @@ def command(
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Check the gradients of SCENE by the parameters KEY.
+    """Check the gradients of SCENE with respect to the parameters KEY.
 
-    Reverse mode is compared with forward mode, with finite differences, and with Mitsuba. Without KEY all parameters
-    are checked that have derivatives and don't move shapes. The exit code is 1 if a gradient is wrong.
+    Compares reverse mode with forward mode, with finite differences and with Mitsuba. Without KEY, checks all
+    differentiable parameters that don't move shapes. The exit code is 1 if a gradient is wrong.
     """
     from djpt.description.overrides import described, override
     from djpt.images.image import check_writable
@@ -75,7 +78,7 @@ def command(
     results, unchecked = [], []
     for key in chosen:
         try:
-            with progress_bar(key, "seeds", quiet or as_json) as progress:
+            with progress_bar(key, "renders", quiet or as_json) as progress:
                 result = check_gradient(
                     description,
                     key,
@@ -118,7 +121,7 @@ def command(
 
 
 def smooth_keys(scene: Any) -> list[str]:
-    """The parameters that have derivatives without silhouettes."""
+    """The differentiable parameters that move no silhouettes."""
     import djpt
 
     params = djpt.traverse(scene)

@@ -77,9 +77,9 @@ def counted(plugins: Sequence[object]) -> str:
 @options.scene
 @options.define
 def command(scene: str, define: tuple[str, ...]) -> None:
-    """Print what SCENE consists of.
+    """Print the contents of SCENE.
 
-    This includes how well its triangles can be searched.
+    This includes statistics of the tree over its triangles.
     """
     import djpt
     from djpt.description.overrides import described

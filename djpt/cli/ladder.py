@@ -16,8 +16,10 @@ __all__ = ["command"]
 
 @click.command("ladder", cls=Command, epilog=options.SCENE)
 @options.scene
-@options.output("The page.", "ladder.html")
-@click.option("--time", "seconds", type=float, default=10.0, help="Seconds for the largest image of an algorithm.")
+@options.output("HTML page to write.", "ladder.html")
+@click.option(
+    "--time", "seconds", type=float, default=10.0, help="Time for the largest image of an algorithm, in seconds."
+)
 @click.option("--spp", type=int, help="Samples per pixel of the largest image, instead of --time.")
 @click.option("--reference", default="own", help="own (djpt's path, other seeds) or mitsuba.")
 @click.option("--reference-spp", type=int, help="Samples per pixel of the reference.")
@@ -39,7 +41,7 @@ def command(
 ) -> None:
     """Write a page that compares the errors of all algorithms.
 
-    Each renders SCENE with several numbers of samples.
+    Each algorithm renders SCENE at several sample counts.
     """
     from djpt.description.overrides import described
     from djpt.validation.ladder.measure import measure

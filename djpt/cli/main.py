@@ -16,6 +16,7 @@ import djpt
 from djpt.cli import commands
 from djpt.cli.console import ExitCode
 from djpt.cli.terminal import show_all
+from djpt.errors import near_miss
 from djpt.files import reason
 
 __all__ = ["COMMANDS", "app", "main", "run"]
@@ -39,6 +40,13 @@ class Commands(click.Group):
             return None
         command: click.Command = getattr(commands, cmd_name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            ctx.fail(f"unknown command '{args[0]}'{near_miss(args[0], COMMANDS)}")
+        return super().resolve_command(ctx, args)
 
 
 def print_version(context: click.Context, option: click.Parameter, wanted: bool) -> None:
@@ -83,7 +91,7 @@ def main() -> int:
 
 
 def flushed() -> bool:
-    """Whether all that was printed has arrived; prints an error if not, as on a full disk."""
+    """True if all that was printed has arrived; prints an error if not, as on a full disk."""
     try:
         sys.stdout.flush()
     except OSError as error:

@@ -18,17 +18,17 @@ __all__ = ["command"]
 
 @click.command("merge", cls=Command)
 @click.argument("checkpoints", metavar="CHECKPOINT..", nargs=-1, required=True, type=click.Path(path_type=Path))
-@options.output("The image, exr hdr pfm npy png jpg, or a checkpoint, djpt.")
+@options.output("Image (exr hdr pfm npy png jpg) or checkpoint (djpt) to write.")
 @options.quiet
 def command(checkpoints: tuple[Path, ...], output: Path | None, quiet: bool) -> None:
-    """Add up checkpoints of a scene.
+    """Merge checkpoints of one scene.
 
-    `djpt render --checkpoint` writes them; each render must have a seed of its own.
+    `djpt render --checkpoint` writes them; each render needs its own seed.
     """
     from djpt.images.image import check_writable
 
     if output is None:
-        raise RenderError("where shall it be written? -o image.exr, or -o all.djpt to go on adding")
+        raise RenderError("no output file: give -o image.exr, or -o all.djpt to merge more later")
     if output.suffix.lower() != ".djpt":
         check_writable(output)
     require_different({"--output": output}, {f"checkpoint {n}": path for n, path in enumerate(checkpoints, 1)})

@@ -31,7 +31,7 @@ __all__ = [
 Decorated = TypeVar("Decorated", bound=Callable[..., object])
 
 SCENE = "SCENE is an XML file, or a built-in scene; see 'djpt scenes'."
-"""What the help of a command says at its end."""
+"""The end of the help of a command."""
 
 
 def complete_scene(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -43,26 +43,26 @@ def complete_scene(context: click.Context, option: click.Parameter, begun: str) 
 
 
 scene = click.argument("scene", metavar="SCENE", shell_complete=complete_scene)
-seed = click.option("--seed", type=int, default=0, help="Seed: the same one gives the same image.")
-width = click.option("--width", type=int, help="Pixels; keeps the shape unless --height is given.")
-height = click.option("--height", type=int, help="Pixels; keeps the shape unless --width is given.")
-size = click.option("--size", type=int, help="Width in pixels; the image keeps its shape. Default: the scene's.")
-columns = click.option("--columns", type=int, help="Pictures in a row. Default: all.")
-rfilter = click.option("--rfilter", help="Reconstruction filter, instead of the scene's.")
-integrator = click.option("--integrator", help="Integrator, instead of the scene's.")
+seed = click.option("--seed", type=int, default=0, help="Seed; equal seeds give equal images.")
+width = click.option("--width", type=int, help="Width in pixels; keeps the aspect ratio unless --height is given.")
+height = click.option("--height", type=int, help="Height in pixels; keeps the aspect ratio unless --width is given.")
+size = click.option("--size", type=int, help="Width in pixels; keeps the aspect ratio. Default: the scene's.")
+columns = click.option("--columns", type=int, help="Pictures per row. Default: all.")
+rfilter = click.option("--rfilter", help="Reconstruction filter. Default: the scene's.")
+integrator = click.option("--integrator", help="Integrator. Default: the scene's.")
 define = click.option(
     "-D", "define", metavar="NAME=VALUE", multiple=True, help="A parameter of the XML file; may be repeated."
 )
 denoiser = click.option(
-    "--denoiser", default="oidn", help="oidn (Open Image Denoise) or nlm (non-local means, which needs no wheel)."
+    "--denoiser", default="oidn", help="oidn (Open Image Denoise) or nlm (non-local means, no extra package)."
 )
 exposure = click.option(
-    "--exposure", metavar="STOPS", default="0", help="Brightness in stops: a number, or 'auto'; for png and jpg."
+    "--exposure", metavar="STOPS", default="0", help="Exposure in stops, or 'auto'; for png and jpg."
 )
 white_balance = click.option(
-    "--white-balance", metavar="LIGHT", help="What shall look white: kelvin, or R,G,B; for png and jpg."
+    "--white-balance", metavar="LIGHT", help="Illuminant that appears white: kelvin, or R,G,B; for png and jpg."
 )
-quiet = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+quiet = click.option("--quiet", "-q", is_flag=True, help="Print errors only.")
 
 
 def output(what: str, default: str | None = None) -> Callable[[Decorated], Decorated]:

@@ -1,4 +1,4 @@
-"""What of an image goes into a file: pictures hold colours, layers need other formats."""
+"""The part of an image that goes into a file: pictures hold colours, layers need other formats."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["channels_for", "layers"]
 
 
 def channels_for(target: Path, names: Sequence[str], colours: int) -> int:
-    """How many of an image's channels, the first ones, are written to a file: all, or those of the colour.
+    """The number of an image's channels, from the first, that are written to a file: all, or those of the colour.
 
     Args:
         target: the file, whose extension is one of the known formats.

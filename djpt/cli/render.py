@@ -33,19 +33,19 @@ __all__ = ["command"]
 @options.height
 @options.rfilter
 @options.integrator
-@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors, counted from 0.")
-@click.option("--schedule", default="auto", help="How lanes are filled: auto, flat, machine or wave.")
-@click.option("--tonemap", help="For png and jpg: srgb (the default: clipped), reinhard, aces or agx.")
+@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0.")
+@click.option("--schedule", default="auto", help="Schedule of the kernels: auto, flat, machine or wave.")
+@click.option("--tonemap", help="Tone curve of png and jpg: srgb (default, clipped), reinhard, aces or agx.")
 @options.exposure
 @options.white_balance
-@click.option("--denoise", is_flag=True, help="Remove the noise; samples are counted with the box filter then.")
+@click.option("--denoise", is_flag=True, help="Denoise the image; implies the box filter.")
 @options.denoiser
 @click.option(
-    "--raw", type=click.Path(path_type=Path), help="With --denoise: an exr for the noisy image and its guides."
+    "--raw", type=click.Path(path_type=Path), help="With --denoise: an exr for the noisy image and the guides."
 )
-@click.option("--keep-partial", is_flag=True, help="Write the file of what exists if SIGINT or SIGTERM ends it.")
-@click.option("--checkpoint", type=click.Path(path_type=Path), help="Write what exists to this file now and then.")
-@click.option("--every", default="60s", help="How often the checkpoint is written: 90s, 10m, 1h30m.")
+@click.option("--keep-partial", is_flag=True, help="On SIGINT or SIGTERM, write the partial image.")
+@click.option("--checkpoint", type=click.Path(path_type=Path), help="Save progress to this file at intervals.")
+@click.option("--every", default="60s", help="Interval between checkpoints: 90s, 10m, 1h30m.")
 @click.option(
     "--resume",
     is_flag=True,
@@ -53,9 +53,9 @@ __all__ = ["command"]
 )
 @click.option("--target-error", help="Stop at this relative RMSE: 1% or 0.01.")
 @click.option("--time-budget", help="Stop after this time: 90s, 10m, 1h30m.")
-@click.option("--preview", type=click.Path(path_type=Path), help="Write a picture of what exists again and again.")
-@click.option("--cluster", metavar="ADDRESS", help="Render on the workers of this scheduler: tcp://host:8786.")
-@click.option("--adaptive", is_flag=True, help="Take more samples where there is more noise; --spp is their mean.")
+@click.option("--preview", type=click.Path(path_type=Path), help="Write a picture of the progress at intervals.")
+@click.option("--cluster", metavar="ADDRESS", help="Render on the workers of a scheduler, such as tcp://host:8786.")
+@click.option("--adaptive", is_flag=True, help="Take more samples where there is more noise; --spp is the average.")
 @options.define
 @options.quiet
 def command(
@@ -192,7 +192,7 @@ def command(
 
 
 def cleaner(scene: Any, method: str, sensor: int, seed: int, raw: Path | None) -> Any:
-    """What removes the noise of the image, checked before it is rendered."""
+    """The function that denoises the image, checked before it is rendered."""
     from djpt.denoising.rendered import Cleaner
     from djpt.errors import FileError
     from djpt.images.image import check_writable

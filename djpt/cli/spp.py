@@ -15,11 +15,11 @@ __all__ = ["command"]
 
 @click.command("spp", cls=Command, epilog=options.SCENE)
 @options.scene
-@options.output("png or jpg.", "spp.png")
+@options.output("Picture, png or jpg.", "spp.png")
 @click.option("--most", type=int, default=4096, help="Samples per pixel of the last picture.")
 @options.integrator
-@click.option("--reference-spp", type=int, help="Of the reference. Default: 4 times --most.")
-@click.option("--repeats", type=int, default=4, help="Images, with seeds of their own, that an RMSE is the mean of.")
+@click.option("--reference-spp", type=int, help="Samples per pixel of the reference. Default: 4 times --most.")
+@click.option("--repeats", type=int, default=4, help="Images with different seeds over which each RMSE is averaged.")
 @options.columns
 @options.size
 @options.seed
@@ -38,9 +38,9 @@ def command(
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Show SCENE with more and more samples per pixel.
+    """Show SCENE with increasing numbers of samples per pixel.
 
-    The pictures have 1, 16, 64, 256, .. samples per pixel and say their RMSE.
+    The pictures have 1, 16, 64, 256, .. samples per pixel and are labelled with their RMSE.
     """
     from djpt.cli.strips import checked, write
     from djpt.description.overrides import described

@@ -15,12 +15,10 @@ __all__ = ["command"]
 
 @click.command("strategies", cls=Command, epilog=options.SCENE)
 @options.scene
-@options.output("png or jpg.", "strategies.png")
+@options.output("Picture, png or jpg.", "strategies.png")
 @click.option("--max-depth", type=int, default=5, help="Edges of the longest path, 2 to 8.")
 @click.option("--spp", type=int, default=64, help="Samples per pixel.")
-@click.option(
-    "--exposure", metavar="STOPS", default="auto", help="Brightness in stops: a number, or 'auto' for each row."
-)
+@click.option("--exposure", metavar="STOPS", default="auto", help="Exposure in stops, or 'auto' for each row.")
 @options.size
 @options.seed
 @options.define
@@ -36,10 +34,10 @@ def command(
     define: tuple[str, ...],
     quiet: bool,
 ) -> None:
-    """Show what each strategy of bdpt finds in SCENE.
+    """Show the light that each strategy of bdpt finds in SCENE.
 
-    Strategy (s, t) joins s vertices from a light and t from the camera. A row has paths of one length; first come
-    all rows with the strategies' weights, then those of each strategy alone.
+    Strategy (s, t) joins s vertices from a light and t from the camera. Each row shows paths of one length: first all
+    rows with the strategies' weights, then all rows with each strategy alone.
     """
     from djpt.cli.strips import checked, write_rows
     from djpt.description.overrides import described

@@ -1,4 +1,4 @@
-"""What the commands that write strips of pictures share."""
+"""Shared parts of the commands that write strips of pictures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def checked(target: Path) -> Path:
     """
     check_writable(target)
     if target.suffix.lower() not in DISPLAY_FORMATS:
-        raise RenderError(f"a strip has labels, it is written as png or jpg, found '{target}'")
+        raise RenderError(f"a strip has labels, so it is written as png or jpg, found '{target}'")
     return target
 
 
@@ -39,7 +39,7 @@ def write(target: Path, tiles: list[Tile], columns: int | None, start: float, qu
 
 
 def write_rows(target: Path, rows: list[list[Tile]], start: float, quiet: bool) -> None:
-    """The same for rows of different lengths, which stand in the middle."""
+    """Write a picture of rows of tiles of different lengths, which are centred."""
     djpt.write(target, captioned_rows(rows))
     report(target, [tile for row in rows for tile in row], start, quiet)
 

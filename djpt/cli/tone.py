@@ -1,4 +1,4 @@
-"""What commands that write pictures for displays share: tone mapping, and the metadata of files."""
+"""Shared parts of commands that write pictures for displays: tone mapping, and the metadata of files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Tone:
 
     def __init__(self, target: Path, operator: str, exposure: str, white_balance: str | None) -> None:
         if target.suffix.lower() not in DISPLAY_FORMATS:
-            raise RenderError(f"tone mapping makes pictures for displays, png or jpg, found '{target}'")
+            raise RenderError(f"tone-mapped pictures are written as png or jpg, found '{target}'")
         self.operator = operator
         self.exposure: float | str = number_or_word(exposure)
         self.white_balance: Any = None

@@ -16,7 +16,7 @@ __all__ = ["command"]
 
 @click.command("tonemap", cls=Command)
 @click.argument("image", metavar="IMAGE", type=click.Path(path_type=Path))
-@options.output("png or jpg. Default: the name of IMAGE with .png")
+@options.output("Picture, png or jpg. Default: the name of IMAGE with .png")
 @click.option("--tonemap", "operator", default="srgb", help="srgb (clipped), reinhard, aces or agx.")
 @options.exposure
 @options.white_balance
@@ -24,9 +24,9 @@ __all__ = ["command"]
 def command(
     image: Path, output: Path | None, operator: str, exposure: str, white_balance: str | None, quiet: bool
 ) -> None:
-    """Make a picture for displays from an image of any range.
+    """Convert a high-dynamic-range image to a picture for displays.
 
-    IMAGE has linear values: exr, hdr, pfm or npy. Its metadata are kept.
+    IMAGE holds linear values: exr, hdr, pfm or npy. Its metadata are kept.
     """
     from djpt.cli.tone import Tone, carried
     from djpt.images.image import check_writable, read_metadata, read_pixels

@@ -20,12 +20,12 @@ __all__ = ["command"]
 
 @click.command("turntable", cls=Command, epilog=options.SCENE)
 @of_frames
-@click.option("--degrees", type=float, default=360.0, help="How far the camera turns in all.")
+@click.option("--degrees", type=float, default=360.0, help="Total angle of the orbit.")
 def command(degrees: float, **chosen: Any) -> None:
     """Render SCENE from all sides.
 
-    The camera turns about what is in the middle of its picture, on its own level; after a whole turn the first frame
-    would come again. Frames that exist already aren't rendered again.
+    The camera orbits the centre of its view at constant height; a full turn ends one step before the first frame.
+    Existing frames are not rendered again.
     """
 
     def turning(scene: Scene, sensor: Sensor) -> dict[str, Moving]:

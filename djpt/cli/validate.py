@@ -23,7 +23,7 @@ __all__ = ["command", "table"]
 @click.command("validate", cls=Command)
 @click.argument("names", metavar="[CASE]...", nargs=-1)
 @click.option("--integrator", "integrators", multiple=True, help="Only this integrator; may be repeated.")
-@click.option("--spp", type=int, default=1024, help="Samples of each of 64 pixels, which all see the same.")
+@click.option("--spp", type=int, default=1024, help="Samples per pixel of images of 64 pixels that all see the same.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--markdown", is_flag=True, help="Print a table in Markdown.")
 @options.seed
@@ -37,9 +37,10 @@ def command(
     seed: int,
     quiet: bool,
 ) -> None:
-    """Compare integrators with closed forms.
+    """Compare integrators with closed-form solutions.
 
-    A CASE is a scene whose radiance a formula gives; without one all are rendered. The exit code is 1 if one is wrong.
+    A CASE is a scene whose radiance is given by a formula; without CASE, all are rendered. The exit code is 1 if a
+    result is wrong.
     """
     from djpt.description.registry import registered
     from djpt.validation.closed_forms import CASES, validate
@@ -48,10 +49,13 @@ def command(
     for name in names:
         if name not in CASES:
             raise RenderError(f"unknown closed form '{name}'{near_miss(name, CASES)}")
+    cases = [CASES[name] for name in names or CASES]
+    able = {name for case in cases for name in case.integrators}
     for name in integrators:
         if name not in registered("integrator"):
-            raise RenderError(f"unknown integrator '{name}'{near_miss(name, registered('integrator'))}")
-    cases = [CASES[name] for name in names or CASES]
+            raise RenderError(f"unknown integrator '{name}'{near_miss(name, able)}")
+        if name not in able:
+            raise RenderError(f"the integrator '{name}' can't find the light of any of the cases{near_miss('', able)}")
     outcomes = []
     for outcome in validate(cases, integrators or None, spp=spp, seed=seed):
         outcomes.append(outcome)

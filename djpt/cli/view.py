@@ -13,15 +13,15 @@ __all__ = ["command"]
 
 @click.command("view", cls=Command, epilog=options.SCENE)
 @options.scene
-@click.option("--spp", type=int, default=4096, help="Samples per pixel at which the picture is done.")
+@click.option("--spp", type=int, default=4096, help="Samples per pixel of the finished picture.")
 @options.seed
 @options.width
 @options.height
 @options.rfilter
 @options.integrator
-@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Which of the scene's sensors, counted from 0.")
-@click.option("--port", type=click.IntRange(0, 65535), default=8642, help="The port of the page; 0: a free one.")
-@click.option("--host", default="127.0.0.1", help="Where to listen, such as 0.0.0.0: everywhere.")
+@click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8642, help="Port of the page. 0: any free port.")
+@click.option("--host", default="127.0.0.1", help="Address to listen at, such as 0.0.0.0: all interfaces.")
 @click.option("--open", "opens", is_flag=True, help="Open the page in the browser.")
 @options.define
 @options.quiet
@@ -42,8 +42,8 @@ def command(
 ) -> None:
     """Show SCENE on a page while it is rendered.
 
-    The camera is moved by the mouse, parameters by sliders; the scene is loaded again when its files change. Ctrl-C
-    ends it. The address of the page has a secret: who knows it can look, and change values.
+    The mouse moves the camera, sliders change parameters; the scene is reloaded when its files change. Press Ctrl-C to
+    stop. The address of the page contains a secret: whoever knows it can look, and change values.
     """
     from djpt.description.overrides import described, override
     from djpt.viewer.server import Server

@@ -27,19 +27,19 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @click.command("worker", cls=Command)
 @click.argument("scheduler", metavar="ADDRESS")
-@click.option("--threads", type=int, help="Threads that render. Default: all processors.")
+@click.option("--threads", type=int, help="Number of rendering threads. Default: all processors.")
 @click.option("--name", help="The worker's name on the dashboard.")
 def command(
     scheduler: str,
     threads: int | None,
     name: str | None,
 ) -> None:
-    """Work for a cluster.
+    """Run a worker of a cluster.
 
-    ADDRESS is that of its scheduler, such as tcp://host:8786.
+    ADDRESS is the address of its scheduler, such as tcp://host:8786.
 
-    SIGINT and SIGTERM let the worker hand on what it has and leave; a second one ends it at once. TLS is configured as
-    Dask says.
+    On SIGINT or SIGTERM the worker hands over its results and exits; a second signal ends it at once. TLS is configured
+    through Dask.
     """
     require_positive(threads=threads)
     if not scheduler.strip():

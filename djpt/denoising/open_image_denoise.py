@@ -28,7 +28,7 @@ def library() -> Any:
     except ImportError as error:
         raise BackendError(
             f"Open Image Denoise can't be loaded ({error}): pip install 'djpt[denoise]', or choose the method 'nlm', "
-            "which needs nothing and is worse"
+            "which needs no package but denoises worse"
         ) from error
 
 

@@ -79,7 +79,7 @@ def render_denoised(
     """
     camera = find_sensor(scene, sensor)
     if recording():
-        raise RenderError("a frozen function can't denoise: render in it, and pass what it returns to djpt.denoise")
+        raise RenderError("a frozen function can't denoise: render in it, and pass its result to djpt.denoise")
     if attached_parameters(scene):
         raise RenderError(
             "denoised images have no derivatives: render with denoise=False, or without gradients enabled"

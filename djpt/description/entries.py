@@ -206,10 +206,8 @@ class Entries:
             return self._values[key]
         if default is REQUIRED:
             left = [k for k in self._values if k not in self._used]
-            raise SceneError(
-                f"{self.node}: '{self._plugin_name}' needs the key '{key}'"
-                + (near_miss(key, left).replace("possible", "found") if left else "")
-            )
+            hint = near_miss(key, left, label="found")
+            raise SceneError(f"{self.node}: '{self._plugin_name}' needs the key '{key}'{hint}")
         return default
 
     # ---- the whole -----------------------------------------------------------------------

@@ -9,6 +9,7 @@ from typing import Any
 
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
+from djpt.description.fitting import fitting_kinds
 from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
 from djpt.description.merging import Merging
 from djpt.description.numeric import describe
@@ -140,7 +141,7 @@ class Loader:
     def _name_node(self, name: str, path: str) -> None:
         if self.paths.setdefault(name, path) != path:
             other = self.name(self.paths[name])
-            raise SceneError(f"{self.name(path)}: the name '{name}' is taken already by {other}")
+            raise SceneError(f"{self.name(path)}: the name '{name}' is already taken by {other}")
 
     # ---- second walk: plugins ------------------------------------------------------------
 
@@ -154,7 +155,7 @@ class Loader:
             return node
         if path in self.open:
             circle = [*self.open[self.open.index(path) :], path]
-            raise SceneError(f"{self.name(path)}: references run in a circle: {' -> '.join(circle)}")
+            raise SceneError(f"{self.name(path)}: references form a cycle: {' -> '.join(circle)}")
         if len(self.open) >= MAX_DEPTH:
             raise SceneError(f"{self.name(path)}: nested deeper than {MAX_DEPTH} levels")
         self.open.append(path)
@@ -177,20 +178,30 @@ class Loader:
         if target not in self.paths or target == "":
             # Suggest top-level names and ids; paths only if the reference looks like a path.
             names = (n for n in self.paths if n and ("." in target or "." not in n))
-            possible = [n for n in names if self.paths[n] != path and not self._is_reference(self.paths[n])]
+            possible = [n for n in names if self._can_be_meant(self.paths[n], path)]
             raise SceneError(f"{where}: nothing has the id '{target}'{near_miss(target, possible)}")
         return self.paths[target]
 
-    def _is_reference(self, path: str) -> bool:
-        node = self.nodes[path]
-        return isinstance(node, Mapping) and node["type"] == "ref"
+    def _can_be_meant(self, target: str, path: str) -> bool:
+        """True if a reference at `path` could stand for a node: of a fitting kind, and not around the reference."""
+        node, fitting = self.nodes[target], self._fitting(path)
+        if isinstance(node, Mapping) and node["type"] == "ref":
+            return False
+        kind = kind_of(node["type"]) if isinstance(node, Mapping) else node.kind
+        return (fitting is None or kind in fitting) and not f"{path}.".startswith(f"{target}.")
+
+    def _fitting(self, path: str) -> tuple[str, ...] | None:
+        """The kinds of plugins that fit at a path; None if any may."""
+        above, _, key = path.rpartition(".")
+        parent = self.nodes.get(above) if path else None
+        return fitting_kinds(parent if isinstance(parent, Mapping) else None, key)
 
     def _construct(self, node: Mapping[str, Any], path: str) -> Plugin:
         name, where = node["type"], self.name(path)
         if name == "scene" and path:
             raise SceneError(f"{where}: a scene can't be nested")
         try:
-            factory = lookup(None, name)
+            factory = lookup(None, name, self._fitting(path))
         except SceneError as error:
             raise SceneError(f"{where}: {error}") from None
         values: dict[str, Any] = {}

@@ -11,15 +11,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from djpt.description.document import Document
-from djpt.errors import SceneError, near_miss
+from djpt.errors import FileError, SceneError, near_miss, nearest
 from djpt.files import require_regular
 
-__all__ = ["described", "integrator_name", "override", "rfilter_name"]
+__all__ = ["described", "integrator_name", "override", "reduced", "rfilter_name"]
 
 SENSORS = frozenset(
     {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
 )
 """The types of nodes that hold a film."""
+
+WIDTH, HEIGHT = 768, 576
+"""The pixels of a film that doesn't say how many it has."""
 
 METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
 """The types of sensors that measure numbers and take no pictures."""
@@ -62,6 +65,8 @@ def described(
     """
     if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
         # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
+        if not os.path.lexists(scene):
+            raise FileError(f"can't read '{os.fspath(scene)}': there is no such file{scene_like(os.fspath(scene))}")
         require_regular(scene)
         from djpt.description.xml.reading import read_file
 
@@ -93,6 +98,22 @@ def not_a_scene(name: str) -> str:
             return f"'{name}' is {kind} and not a scene; a scene is an XML file, such as 'scene.xml', or built-in"
     file = f"; the file would be '{name}.xml'" if os.path.exists(f"{name}.xml") else ""
     return f"unknown scene '{name}'{file}"
+
+
+def scene_like(missing: str) -> str:
+    """A suggestion for the name of a scene file that doesn't exist: a file beside it, or a built-in scene."""
+    from djpt import scenes
+
+    folder, name = os.path.split(missing)
+    try:
+        files = [entry for entry in os.listdir(folder or ".") if entry.lower().endswith(".xml")]
+    except OSError:
+        return ""
+    beside = nearest(name, files)
+    if beside is not None:
+        return f"; did you mean '{os.path.join(folder, beside)}'?"
+    built_in = nearest(os.path.splitext(name)[0], scenes.NAMES)
+    return f"; did you mean the built-in scene '{built_in}'?" if built_in else ""
 
 
 def override(
@@ -137,6 +158,24 @@ def override(
     return result
 
 
+def reduced(scene: Mapping[str, Any], side: int) -> dict[str, Any]:
+    """A copy of `scene` whose pictures are at most `side` pixels wide and high; they keep their aspect ratio.
+
+    Smaller pictures stay as they are, as do films with a crop window and sensors that aren't described by a dict.
+    """
+    result = scene.copy() if isinstance(scene, Document) else dict(scene)
+    for key, node in scene.items():
+        if not isinstance(node, Mapping) or node.get("type") not in SENSORS - METERS:
+            continue
+        name = _film_key(dict(node))
+        film = dict(node.get(name, {"type": "hdrfilm"}))
+        width, height = film.get("width", WIDTH), film.get("height", HEIGHT)
+        if max(width, height) > side and not any(entry.startswith("crop_") for entry in film):
+            _set_size(film, f"{key}.{name}", *((side, None) if width >= height else (None, side)))
+            result[key] = {**node, name: film}
+    return result
+
+
 def rfilter_name(scene: Mapping[str, Any]) -> str:
     """The type of the first sensor's reconstruction filter; Mitsuba's default is `gaussian`."""
     for sensor in scene.values():
@@ -165,7 +204,7 @@ def _film_key(sensor: Mapping[str, Any]) -> str:
 def _set_size(film: dict[str, Any], node: str, width: int | None, height: int | None) -> None:
     if any(key.startswith("crop_") for key in film):
         raise SceneError(f"{node}: the film has a crop window, so its size can't be changed from outside")
-    old_width, old_height = film.get("width", 768), film.get("height", 576)
+    old_width, old_height = film.get("width", WIDTH), film.get("height", HEIGHT)
     if width is None:
         assert height is not None
         width = max(1, round(old_width * height / old_height))

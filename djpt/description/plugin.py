@@ -36,7 +36,7 @@ class ParamFlags(enum.IntFlag):
 
     @property
     def differentiable(self) -> bool:
-        """Whether derivatives by the parameter are computed."""
+        """Whether derivatives with respect to the parameter are computed."""
         return not self & ParamFlags.NonDifferentiable
 
 

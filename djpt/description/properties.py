@@ -255,7 +255,8 @@ class Properties(Entries):
             own = kind_of(self.plugin_name()) or "plugin"
             name = f"'{self.plugin_name()}'" if own == self.plugin_name() else f"{own} '{self.plugin_name()}'"
             held = f" ({article(value.kind)})" if isinstance(value, Plugin) else ""
-            raise SceneError(f"{self._place(key)}: unknown key '{key}'{held} of {name}{near_miss(key, self._asked)}")
+            hint = near_miss(key, self._asked - self._used)
+            raise SceneError(f"{self._place(key)}: unknown key '{key}'{held} of {name}{hint}")
 
 
 def name_of(value: Any) -> str:

@@ -11,7 +11,7 @@ the plugin's class. A name belongs to one kind, as in Mitsuba.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from djpt.description.mitsuba_plugins import LACKING, home_of
@@ -172,12 +172,13 @@ def name_of(factory: Factory) -> str | None:
     return next((name for name, (_, known) in _plugins.items() if known is factory), None)
 
 
-def lookup(kind: str | None, name: str) -> Factory:
+def lookup(kind: str | None, name: str, fitting: Collection[str] | None = None) -> Factory:
     """The factory of a plugin.
 
     Args:
         kind: the kind that is needed here, or None for any.
         name: the plugin's name, a node's ``type``.
+        fitting: the kinds whose names the message lists. Default: `kind`.
 
     Raises:
         SceneError: no plugin of that kind has that name; the message lists the names that exist.
@@ -190,12 +191,14 @@ def lookup(kind: str | None, name: str) -> Factory:
     their_kind = home_of(name)
     if their_kind is not None and kind in (None, their_kind):
         raise SceneError(f"Mitsuba's {their_kind} '{name}' isn't supported: {LACKING[name]}")
-    raise unknown(kind, name)
+    raise unknown(kind, name, fitting)
 
 
-def unknown(kind: str | None, name: str) -> SceneError:
-    """The error for a name that no plugin of a kind has, with the names that exist."""
-    return SceneError(f"unknown {kind or 'plugin'} '{name}'{near_miss(name, names(kind))}")
+def unknown(kind: str | None, name: str, fitting: Collection[str] | None = None) -> SceneError:
+    """The error for a name that no plugin of a kind has, with the names that exist of it, or of `fitting` kinds."""
+    kind = next(iter(fitting)) if kind is None and fitting is not None and len(fitting) == 1 else kind
+    known = names(kind) if kind or fitting is None else (each for of in fitting for each in names(of))
+    return SceneError(f"unknown {kind or 'plugin'} '{name}'{near_miss(name, known)}")
 
 
 def _import_home(name: str) -> None:

@@ -1,1 +1,1 @@
-"""What notebooks and terminals show: images as the result of a cell, and bars while something is rendered."""
+"""The display of results in notebooks and terminals: images as the result of a cell, and progress bars."""

@@ -53,5 +53,5 @@ def running_shell() -> Any:
 
 
 def running_notebook() -> bool:
-    """Whether cells of a notebook are run, and not lines of a terminal."""
+    """True if cells of a notebook are run, and not lines of a terminal."""
     return getattr(running_shell(), "kernel", None) is not None

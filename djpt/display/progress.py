@@ -13,7 +13,7 @@ from djpt.errors import RenderError
 __all__ = ["Progress", "watched"]
 
 Progress = Callable[[int, int], None]
-"""Called with what is done, and with all there is to do."""
+"""A function called with the work done and the work in all, in units of the caller."""
 
 INTERVAL = 0.1
 """The least time between two pictures of the bar, in seconds."""

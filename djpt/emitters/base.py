@@ -75,7 +75,7 @@ class Emitter(EmitterQuestions):
     def move_into(self, frame: Frame) -> None:
         """By default light from infinity or from a shape has no place or length of its own; no other can be moved."""
         if not (self.from_infinity or self.on_shape):
-            raise Rooted(f"{self.id()}: it isn't known where it is")
+            raise Rooted(f"{self.id()}: its place is unknown")
         self.move_nested(frame)
 
     def move_nested(self, frame: Frame) -> None:

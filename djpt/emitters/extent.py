@@ -47,7 +47,7 @@ def area_of(shape: Shape, scene: tuple[Vector, Vector]) -> float:
 def require_area(shape: Shape) -> None:
     """Raise `SceneError` if no points can be drawn on a shape."""
     if not shape.has_area:
-        raise SceneError(f"{shape.id()}: no rays can be drawn from this shape, since its area isn't known")
+        raise SceneError(f"{shape.id()}: no rays can be drawn from this shape, since its area is unknown")
 
 
 def normals_of(shape: Shape) -> tuple[Vector, float]:

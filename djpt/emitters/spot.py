@@ -50,7 +50,7 @@ class SpotLight(OrientedEmitter):
     Parameters: `intensity` (texture, W sr^-1, default 1, not negative, can't vary), `cutoff_angle` (degrees from the
     axis to the edge, in (0, 90], default 20), `beam_width` (degrees from the axis to where the falloff begins, at most
     `cutoff_angle`, default 3/4 of it), `texture` (its unit square is about the cone; not negative, default 1),
-    `to_world`. Derivatives by `cutoff_angle` don't see that edges in the texture move.
+    `to_world`. Derivatives with respect to `cutoff_angle` leave out that edges in the texture move.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {

@@ -43,8 +43,8 @@ class SunSky(Daylight):
       2010, 7, 10), `hour`, `minute`, `second` (default 15:00:00).
 
     At a given time the sun stands where Mitsuba sees it to a quarter of a degree: there, dates have single precision.
-    Derivatives of images by `sun_direction` lack the change of the sun's light with its angle to surfaces, and the
-    moving edge of the disc: they are refused unless `sun_scale` is 0.
+    Derivatives of images with respect to `sun_direction` lack the change of the sun's light with its angle to surfaces,
+    and the moving edge of the disc: they are refused unless `sun_scale` is 0.
     """
 
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_share": HIDDEN}
@@ -101,7 +101,7 @@ class SunSky(Daylight):
         sun = dr.normalize(self.world_to_local(self.sun_direction))
         elevation, azimuth = dr.safe_asin(sun.z), dr.atan2(sun.y, sun.x)
         if not recording() and number(sun.z) < 0:
-            warnings.warn(f"{self.id()}: the sun is below the horizon: no light comes from the sky", stacklevel=2)
+            warnings.warn(f"{self.id()}: the sun is below the horizon, so no light comes from the sky", stacklevel=2)
         irradiance, of_sun, of_sky = irradiances(self.turbidity, elevation)
         self.dome.set(self.turbidity, self.albedo.eval(None), elevation)
         self.disc.set(self.turbidity, sun, irradiance)

@@ -51,7 +51,7 @@ class TimedSunSky(Daylight):
     * `latitude`, `longitude` (degrees, default Tokyo), `timezone` (hours, default 9);
     * `shutter_open`, `shutter_close` (default 0, 1), as the camera has them.
 
-    Images have derivatives by `albedo`.
+    Images have derivatives with respect to `albedo`.
 
     The sun is as bright as its elevation says. Mitsuba 3.9.1 looks it up 1.5 degrees lower, and its dates are multiples
     of six hours: its sun stands up to a quarter of a degree elsewhere.
@@ -129,7 +129,7 @@ class TimedSunSky(Daylight):
             )
         )
         if after < first:
-            raise ParameterError(f"the end must not be before the start, found {first - after:g} days less")
+            raise ParameterError(f"the end must not be before the start, found {first - after:g} days earlier")
         self.first_day, self.days = as_float(first), as_float(max(after - first, 1.0))
         controls = atmosphere(self.turbidity, self.albedo.eval(None))
         dr.make_opaque(controls.numbers)

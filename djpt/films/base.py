@@ -67,7 +67,7 @@ class Film(Plugin):
                 place = f"{size[axis]} at offset {offset[axis]}"
                 raise SceneError(
                     f"{node}: a crop of {name} {place} doesn't fit in {self._size[axis]} pixels; "
-                    f"'crop_{name}' says how many are rendered, all by default"
+                    f"'crop_{name}' sets how many are rendered, by default all"
                 )
 
     # ---- parameters -------------------------------------------------------------
@@ -224,5 +224,5 @@ class Film(Plugin):
         return self.channels(color, Bool(False))
 
     def color_adjoint(self, channels: Sequence[Float]) -> Color3f:
-        """The adjoint of `channels`: from derivatives by the channels to those by the colour."""
+        """The adjoint of `channels`: from derivatives with respect to channels to those with respect to colour."""
         raise NotImplementedError

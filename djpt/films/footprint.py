@@ -116,7 +116,7 @@ class Footprint:
 class SpreadReader(Footprint):
     """The transpose of `Footprint.spread`: what the pixels about a place hold, times their weights there.
 
-    Of the derivatives of a loss by the pixels it makes the derivative by light at the place.
+    It turns the derivatives of a loss with respect to pixels into the derivative with respect to light at the place.
     """
 
     _memory: Any

@@ -244,8 +244,8 @@ class ImageBlock:
         taps = 2 * self._rfilter.border_size() + 1
         if is_wide(taps):
             raise RenderError(
-                f"ImageBlock: the filter reaches {taps} pixels along an axis; blocks take narrower ones, images that "
-                "'render' makes any"
+                f"ImageBlock: the filter reaches {taps} pixels along an axis; blocks support narrower filters only, "
+                "'render' supports any"
             )
         columns, rows = self._extent()
         left, across = self._taps(pos.x, self._offset[0], columns, whole)

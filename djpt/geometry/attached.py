@@ -19,7 +19,7 @@ def is_attached(ray: Ray3f) -> bool:
 
 
 def distance_on_plane(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f, n: Vector3f) -> Float:
-    """The distance of a hit, with its derivative by the ray, from the hit's point and normal (both detached).
+    """The distance of a hit, differentiable with respect to the ray, from the hit's point and normal (both detached).
 
     A moved ray meets a surface where, to first order, it meets the tangent plane:
 
@@ -30,7 +30,7 @@ def distance_on_plane(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f, n: 
 
 
 def distance_to(ray: Ray3f, pi: PreliminaryIntersection3f, p: Point3f) -> Float:
-    """The distance of a hit, with its derivative by the ray, if the point itself stays: norm(p - o) / norm(d)."""
+    """The distance of a hit, differentiable with respect to the ray, if the point stays: norm(p - o) / norm(d)."""
     return with_derivative(pi, dr.norm(p - ray.o) * dr.rcp(dr.norm(ray.d)))
 
 

@@ -16,7 +16,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.errors import SceneError
+from djpt.errors import SceneError, near_miss
 from djpt.frame import Frame3f, coordinate_system
 from djpt.geometry.surface import Surface
 from djpt.geometry.triangle_sampling import AreaTable
@@ -224,7 +224,7 @@ class MeshSet:
             SceneError: no mesh has it, or it has another number of channels.
         """
         if name not in self._attributes:
-            raise SceneError(f"no mesh has the attribute '{name}'; found: {', '.join(self._attributes) or 'none'}")
+            raise SceneError(f"no mesh has the attribute '{name}'{near_miss(name, self._attributes)}")
         attribute = self._attributes[name]
         if attribute.by_face:
             return attribute.at(face)

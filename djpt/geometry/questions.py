@@ -148,7 +148,7 @@ class RayQuestions:
         return si
 
     def _attached_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
-        """The surface point of a hit, with its derivatives by the ray and by the shapes that move."""
+        """The surface point of a hit, with its derivatives with respect to the ray and by the shapes that move."""
         si = self._on_still_shape(ray, pi, flags) if is_attached(ray) else self.surface_interaction(ray, pi)
         moving = self.moving()
         if moving:
@@ -162,7 +162,7 @@ class RayQuestions:
         return si
 
     def _on_still_shape(self, ray: Ray3f, pi: PreliminaryIntersection3f, flags: int) -> SurfaceInteraction3f:
-        """The surface point of a hit, with its derivatives by the ray."""
+        """The surface point of a hit, with its derivatives with respect to the ray."""
         still = dr.detach(ray)
         fixed = self.geometry.surface(still, pi, self.lookup, full=True)
         if flags & RayFlags.FollowShape:

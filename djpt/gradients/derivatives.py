@@ -85,7 +85,7 @@ def differentiable(
 
 
 def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
-    """The estimator of an image's derivative by the samples of a job.
+    """The estimator of an image's derivative with respect to the samples of a job.
 
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
@@ -95,7 +95,8 @@ def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter])
     integrator = samples.integrator
     if not integrator.differentiable:
         raise RenderError(
-            f"'{type(integrator).__name__}' as it is set up can't be differentiated; a plain 'path', 'prb', 'bdpt' can"
+            f"'{type(integrator).__name__}' can't be differentiated with these settings; a plain 'path', 'prb' "
+            "or 'bdpt' can"
         )
     if integrator.starts_at_lights:
         from djpt.gradients.splatted import light_derivative
@@ -264,7 +265,7 @@ class AttachedDerivative:
         if job.samples > MAX_ATTACHED_SAMPLES:
             raise RenderError(
                 f"'{type(job.integrator).__name__}' is differentiated {self.at_once}: "
-                f"at most {MAX_ATTACHED_SAMPLES} are possible, found {job.samples}; use a smaller spp_grad"
+                f"at most {MAX_ATTACHED_SAMPLES} samples are possible, found {job.samples}; use a smaller spp_grad"
             )
         self.job, self.schedule, self.parameters = job, schedule, parameters
         self.snapshot = [type(p.value)(dr.detach(p.value)) for p in parameters]

@@ -55,7 +55,7 @@ OF_XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
 
 
 class Layers(NamedTuple):
-    """What a file holds."""
+    """The content of a file."""
 
     names: tuple[str, ...]
     """The names of the channels: those without a layer first, colours as R G B, X Y Z, Y, A, others by name."""

@@ -45,6 +45,10 @@ MOVIE_FORMATS = frozenset({".gif", ".mp4"})
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
 
+SHOWN = 256
+"""Pixels: images that notebooks show are enlarged up to this size."""
+
+
 class Image:
     """A view of an image that notebooks display: `Image(djpt.render(scene))` as the last line of a cell.
 
@@ -87,8 +91,11 @@ class Image:
         return f"Image({width} x {height}, {channels} channels, {self._pixels.dtype})"
 
     def _repr_png_(self) -> bytes:
+        """The image as notebooks show it. Small ones are enlarged by a whole factor: each pixel becomes a square."""
+        shown = self.srgb()
+        factor = max(1, SHOWN // max(shown.shape[:2]))
         stream = io.BytesIO()
-        encode_png(stream, self.srgb())
+        encode_png(stream, shown.repeat(factor, axis=0).repeat(factor, axis=1))
         return stream.getvalue()
 
 
@@ -119,14 +126,14 @@ def write(
     pixels = _pixels(image, f"'{target}'")
     if pixels.dtype == np.uint8 and target.suffix.lower() not in DISPLAY_FORMATS:
         suffix = target.suffix.lower()[1:]
-        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, {suffix} holds linear values")
+        raise FileError(f"can't write '{target}': 8-bit pixels are sRGB, but {suffix} holds linear values")
     labels = checked_labels(target, pixels.shape[2], channels, metadata or {})
     with writing(target) as temporary:
         form.encode(temporary, pixels, labels)
 
 
 def checked_labels(target: Path, count: int, channels: Sequence[str] | None, metadata: Mapping[str, Any]) -> Labels:
-    """What a file of `count` channels stores beside its pixels; raises `FileError` if its format can't."""
+    """The labels that a file of `count` channels stores beside its pixels; raises `FileError` if its format can't."""
     suffix = target.suffix.lower()
     possible = FORMATS[suffix].channels
     if possible and count not in possible:
@@ -136,7 +143,7 @@ def checked_labels(target: Path, count: int, channels: Sequence[str] | None, met
         )
     if channels is not None:
         if suffix != ".exr":
-            raise FileError(f"can't write '{target}': only exr names its channels")
+            raise FileError(f"can't write '{target}': only exr stores the names of channels")
         if len(set(channels)) != count or len(channels) != count or any(not c or "," in c for c in channels):
             raise FileError(f"can't write '{target}': {count} different channel names needed, found {list(channels)}")
     return Labels(channels, _texts(target, metadata))
@@ -208,7 +215,7 @@ def _format(path: Path, verb: str) -> Format:
     except KeyError:
         known = [suffix[1:] for suffix in FORMATS]
         if not path.suffix:
-            hint = f"the name has no extension; possible: {', '.join(known)}"
+            hint = f"the name has no extension{near_miss('', known)}"
         elif path.suffix.lower() in MOVIE_FORMATS and verb == "write":
             movies = "which 'djpt turntable' and 'djpt animate' write with --movie"
             hint = f"{path.suffix[1:]} is for movies, {movies}; images: {', '.join(known)}"

@@ -17,14 +17,14 @@ __all__ = ["COLOR_TYPES", "SIGNATURE", "SRGB", "chunk", "decode_png16", "encode_
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
-"""By the number of channels: the number that stands for the kind of colour."""
+"""The code of the colour type, by the number of channels."""
 
 Codes = npt.NDArray[np.uint16]
 Bytes = npt.NDArray[np.uint8]
 
 
 def is_png16(path: Path) -> bool:
-    """Whether a file is a PNG that `decode_png16` reads."""
+    """True if a file is a PNG that `decode_png16` reads."""
     with path.open("rb") as file:
         head = file.read(29)
     return (

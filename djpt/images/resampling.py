@@ -15,7 +15,7 @@ Kernel = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 """A filter: its values at distances in samples."""
 
 BOUNDARIES = ("clamp", "repeat", "mirror", "zero", "one")
-"""What stands beyond the ends: the last sample, the other end, the samples backwards, or a constant."""
+"""The samples beyond the ends: the last sample, the other end, the samples backwards, or a constant."""
 
 
 class Taps(NamedTuple):

@@ -63,7 +63,7 @@ def writing_rows(target: Path, shape: Shape, labels: Labels) -> Iterator[RowFile
 
 
 def is_streamed(target: Path) -> bool:
-    """Whether files of this name are written from top to bottom, without the whole image in memory."""
+    """True if files of this name are written from top to bottom, without the whole image in memory."""
     return target.suffix.lower() in STREAMED
 
 

@@ -14,7 +14,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from djpt.errors import FileError
+from djpt.errors import FileError, near_miss
 from djpt.files import writing
 from djpt.images.exr import ORDER, RESERVED, read_layers, write_layers
 from djpt.images.formats import FORMATS, Labels, encode_jpg, encode_png, png_metadata, write_npy
@@ -34,9 +34,9 @@ class Stored(NamedTuple):
     metadata: dict[str, Any]
     """Text, numbers, and arrays of 3 or 4 x 4 numbers."""
     srgb: bool
-    """Whether colours are encoded by the curve of sRGB."""
+    """True if colours are encoded by the curve of sRGB."""
     premultiplied: bool
-    """Whether colours are multiplied by alpha."""
+    """True if colours are multiplied by alpha."""
 
 
 # ---- formats -------------------------------------------------------------------------------
@@ -161,8 +161,8 @@ def save_stored(path: Path, image: Stored, suffix: str | None = None, quality: i
     suffix = (suffix or path.suffix).lower()
     suffix = ALIASES.get(suffix, suffix)
     if suffix not in TYPES:
-        known = ", ".join(name[1:] for name in TYPES)
-        raise FileError(f"can't write '{path}': unknown format '{suffix[1:]}'; possible: {known}")
+        hint = near_miss(suffix[1:], (name[1:] for name in TYPES))
+        raise FileError(f"can't write '{path}': unknown format '{suffix[1:]}'{hint}")
     check_writable(path.with_suffix(suffix))
     pixels, types, counts = image.pixels, TYPES[suffix], FORMATS[suffix].channels
     if suffix in (".hdr", ".pfm") and pixels.shape[2] == 4:  # without alpha

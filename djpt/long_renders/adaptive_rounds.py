@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.description.frozen import without_garbage
+from djpt.description.registry import name_of, registered
 from djpt.display.progress import Progress
-from djpt.errors import RenderError
+from djpt.errors import RenderError, near_miss
 from djpt.gradients.leaves import attached_parameters
 from djpt.integrators.base import Integrator
 from djpt.kernels import begin_trace, shared
@@ -53,8 +54,10 @@ class AdaptiveRounds:
     def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
         self._scene, self._sensor, self._integrator = scene, sensor, integrator
         self._spp, self._schedule = spp, schedule
-        if type(integrator).render is not Integrator.render:
-            raise RenderError(f"{integrator.id()} renders by itself: it can't be adaptive")
+        if type(integrator).render is not Integrator.render or "flat" not in integrator.schedules:
+            able = (name for name, kind in registered("integrator").items() if "flat" in getattr(kind, "schedules", ()))
+            name = name_of(type(integrator)) or type(integrator).__name__
+            raise RenderError(f"the integrator '{name}' can't render adaptively{near_miss('', able)}")
         require_still(scene)
         job = self._job()
         check_memory(job)

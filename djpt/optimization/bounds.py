@@ -22,7 +22,7 @@ OF_KIND: dict[str, Bounds] = {
     "shape": ANY,
     "sensor": ANY,
 }
-"""By the innermost plugin of one of these kinds that a parameter belongs to."""
+"""The bounds of parameters, by the innermost plugin of one of these kinds that they belong to."""
 
 BY_NAME: dict[tuple[str, str], Bounds] = {
     ("bsdf", "eta"): POSITIVE,

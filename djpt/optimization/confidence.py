@@ -1,4 +1,4 @@
-"""How well pictures determine parameters: standard errors, and the combinations that no picture tells apart."""
+"""The accuracy with which images determine parameters: standard errors, and combinations that no image tells apart."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ UNSEEN = 1e-6
 
 @dataclass(frozen=True)
 class Confidence:
-    """What pictures say of parameters, near a result.
+    """The information that images hold about parameters, near a result.
 
     With the derivative images J of all entries, the curvature of the loss mean((I - T)^2) is H = 2 J^T J / pixels
     (Gauss and Newton). A stochastic gradient of covariance S moves the minimum by H^-1 S H^-1 in covariance; averaged

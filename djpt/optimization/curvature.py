@@ -12,7 +12,7 @@ __all__ = ["Curvatures"]
 Doubles = npt.NDArray[np.float64]
 
 USES = 8
-"""How often the curvature of a view is used before it is measured again: derivatives change with the parameters."""
+"""The uses of a view's curvature before it is measured again: derivatives change with the parameters."""
 
 
 class Curvatures:

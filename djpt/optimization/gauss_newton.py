@@ -16,7 +16,7 @@ __all__ = ["MOMENTUM", "RATE", "GaussNewton", "majorant"]
 
 Doubles = npt.NDArray[np.float64]
 Residual = Callable[[Mapping[str, Any]], Any]
-"""Called with variables by name; gives an array attached to them, of which the loss is the mean square."""
+"""A function of variables by name that returns an array attached to them; the loss is its mean square."""
 
 RATE = 1.6
 """The default step. Losses that are quadratic converge with rates below 2 (1 + momentum)."""
@@ -88,7 +88,7 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
             self.state[name] = value, promoted, rate, (before, gradient, new)
 
     def growth(self) -> float:
-        """How fast the gradient has changed over the last step, as a share of what the curvature allows.
+        """The change of the gradient over the last step, as a share of the change that the curvature allows.
 
         It is at most 1 for quadratic losses: more says that the curvature has grown, and must be measured anew; 0 as
         long as no step was taken.
@@ -107,7 +107,10 @@ class GaussNewton(drjit.opt.Optimizer[tuple[Any, Any, Any]]):
             RenderError: No curvature was measured, or none was found since nothing depends on the variables.
         """
         if not any(np.any(np.array(extra[2])) for _, _, _, extra in self.state.values()):
-            raise RenderError("'GaussNewton' has no curvature: call 'measure'; or the residuals depend on no variable")
+            raise RenderError(
+                "'GaussNewton' has no curvature: call 'measure' first, and check that the residuals depend on a "
+                "variable"
+            )
         super().step(**options)
 
     def _step(self, cache: Any, value: Any, grad: Any, lr: Any, extra: tuple[Any, Any, Any], /) -> Any:

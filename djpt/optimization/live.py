@@ -29,7 +29,7 @@ FEW = 8
 
 
 class Iteration(Protocol):
-    """What is shown of an iteration: see `Progressed`."""
+    """The display of an iteration: see `Progressed`."""
 
     @property
     def iteration(self) -> int: ...
@@ -55,7 +55,7 @@ def shown_live(live: bool, losses: Sequence[float]) -> Iterator[LiveSearch | Non
 
 
 class LiveSearch:
-    """Called after each iteration, shows a search: a picture below the cell of a notebook, or a line in a terminal.
+    """A callback that shows a search after each iteration: a picture below the cell of a notebook, or a terminal line.
 
     Elsewhere nothing is shown.
 

@@ -47,11 +47,11 @@ OPTIMIZERS: dict[str, tuple[Callable[..., Any], float]] = {
 
 @dataclass(frozen=True)
 class Progressed:
-    """What a callback is told after each iteration."""
+    """The state that a callback gets after each iteration."""
 
     iteration: int
     loss: float
-    """Of the views of this iteration, priors included."""
+    """The loss over the views of this iteration, priors included."""
     values: Mapping[str, Any]
     """The parameters."""
     seconds: float
@@ -261,7 +261,7 @@ def pictures_of(scene: Scene, views: Sequence[int], targets: Sequence[Any]) -> d
 
 
 def refines(iteration: int, iterations: int, coarse: Mapping[str, int] | None) -> bool:
-    """Whether coarse textures get more texels before an iteration."""
+    """True if coarse textures get more texels before an iteration."""
     levels = max((coarse or {}).values(), default=0)
     return (
         levels > 0

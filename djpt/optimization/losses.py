@@ -12,24 +12,24 @@ from djpt.errors import RenderError, near_miss
 __all__ = ["LOSSES", "RESIDUALS", "Loss", "loss_of", "residual_of"]
 
 Loss = Callable[[Any, Any], Any]
-"""Called with an image and its target, (H, W, C) each; gives one number on Dr.Jit's side."""
+"""A function of an image and its target, (H, W, C) each, that returns one Dr.Jit number."""
 
 DARK = 1e-2
-"""What keeps dark pixels from dominating relative losses."""
+"""The offset that keeps dark pixels from dominating relative losses."""
 
 
 def difference(image: Any, target: Any) -> Any:
-    """What L2 squares."""
+    """The residuals of L2."""
     return image - target
 
 
 def share(image: Any, target: Any) -> Any:
-    """What relative L2 squares."""
+    """The residuals of relative L2."""
     return (image - target) * dr.rsqrt(dr.square(target) + DARK)
 
 
 def ratio(image: Any, target: Any) -> Any:
-    """What L2 of logarithms squares."""
+    """The residuals of L2 of logarithms."""
     return dr.log((dr.maximum(image, 0) + DARK) / (target + DARK))
 
 
@@ -61,7 +61,7 @@ LOSSES: dict[str, Loss] = {"l1": absolute, "l2": squared, "relative": relative, 
 """The losses by name."""
 
 RESIDUALS: dict[str, Loss] = {"l2": difference, "relative": share, "log": ratio}
-"""What the losses that are means of squares square, pixel by pixel."""
+"""The residuals, pixel by pixel, of the losses that are means of squares."""
 
 
 def loss_of(loss: str | Loss) -> Loss:
@@ -78,7 +78,7 @@ def loss_of(loss: str | Loss) -> Loss:
 
 
 def residual_of(loss: str | Loss) -> Loss:
-    """What a loss squares.
+    """The residuals whose squares a loss averages.
 
     Raises:
         RenderError: The loss isn't a mean of squares.
@@ -87,4 +87,6 @@ def residual_of(loss: str | Loss) -> Loss:
         return RESIDUALS[loss]
     name = f"'{loss}'" if isinstance(loss, str) else "a function"
     possible = ", ".join(RESIDUALS)
-    raise RenderError(f"'gauss_newton' needs a loss of squares ({possible}), found {name}; 'adam' takes any loss")
+    raise RenderError(
+        f"'gauss_newton' needs a sum of squares as its loss ({possible}), found {name}; 'adam' takes any loss"
+    )

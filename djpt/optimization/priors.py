@@ -15,7 +15,7 @@ __all__ = ["PRIORS", "Prior", "curvature_of", "prior_of"]
 
 Doubles = npt.NDArray[np.float64]
 Prior = Callable[[Any], Any]
-"""Called with a parameter; gives one number that is added to the loss."""
+"""A function of a parameter that returns one number, which is added to the loss."""
 
 SMALL = 1e-3
 """The difference of texels below which total variation is smooth."""
@@ -37,7 +37,7 @@ def total_variation(texture: Any) -> Any:
 def differences(texture: Any) -> tuple[Any, Any]:
     """The differences of neighbours along the rows and along the columns of a texture (H, W, C)."""
     if not dr.is_tensor_v(texture) or len(texture.shape) != 3:
-        raise ParameterError("priors of neighbours are for textures (height, width, channels)")
+        raise ParameterError("priors on neighbours apply to textures only (height, width, channels)")
     return texture[1:, :, :] - texture[:-1, :, :], texture[:, 1:, :] - texture[:, :-1, :]
 
 

@@ -49,11 +49,11 @@ class Search:
     demodulate: bool
     seed: int
     residual: Loss | None = None
-    """What the loss squares; for Gauss-Newton only."""
+    """The residuals whose squares the loss averages; for Gauss-Newton only."""
     bends: Sequence[Callable[[Doubles], Doubles]] = ()
     """The curvatures of the priors; for Gauss-Newton only."""
     images: dict[int, Any] = field(default_factory=dict)
-    """Of the last iteration, by view."""
+    """The images of the last iteration, by view."""
 
     def __post_init__(self) -> None:
         self._spp = 0

@@ -61,7 +61,9 @@ def load_state(
             arrays = {name: stored[name] for name in stored.files if name != "header"}
         names = {name[2:] for name in arrays if name.startswith("x:")}
         if header["kind"] != KIND or names != set(variables) or header["optimizer"] != type(optimizer).__name__:
-            raise FileError(f"'{path}' has another search: of {', '.join(sorted(names))} by {header['optimizer']}")
+            raise FileError(
+                f"'{path}' holds another optimisation: of {', '.join(sorted(names))} by {header['optimizer']}"
+            )
         for name, v in variables.items():
             optimizer[name] = v.type(arrays[f"x:{name}"])
             kept = sorted(key for key in arrays if key.startswith("moment") and key.partition(":")[2] == name)
@@ -73,11 +75,11 @@ def load_state(
     except FileError:
         raise
     except Exception as error:  # whatever a damaged archive raises
-        raise FileError(f"can't go on with '{path}': {error}") from None
+        raise FileError(f"can't continue from '{path}': {error}") from None
 
 
 def moments(optimizer: Any, name: str) -> list[Any]:
-    """What an optimiser of `drjit.opt` remembers of a variable, as numbers and arrays; None where there is nothing."""
+    """The state of a variable in an optimiser of `drjit.opt`, as numbers and arrays; None where there is none."""
     extra = optimizer.state[name][3]
     return list(extra) if isinstance(extra, tuple) else [extra]
 

@@ -14,10 +14,10 @@ from djpt.types import Float, UInt32
 __all__ = ["KINDS", "Variable"]
 
 KINDS = ("sigmoid", "projection", "free")
-"""How parameters are kept in bounds."""
+"""The ways of keeping parameters in bounds."""
 
 ROUNDING = 1e-5
-"""How far out of its bounds a parameter may start."""
+"""The distance outside its bounds at which a parameter may start."""
 
 INSIDE = 1e-3
 """The share of the range by which a sigmoid's start is kept off its ends, where derivatives vanish."""
@@ -55,7 +55,7 @@ class Variable:
         self._check_start(np.array(value, np.float64))
         self.shape: tuple[int, ...] = tuple(np.shape(np.array(value)))
         if shrunk and not (dr.is_tensor_v(value) and len(self.shape) == 3):
-            raise ParameterError(f"{key}: only textures (height, width, channels) can begin coarse")
+            raise ParameterError(f"{key}: only textures (height, width, channels) can start coarse")
         self.start = self.inverse(coarse(np.array(value, np.float64), shrunk))
 
     def _check_start(self, value: npt.NDArray[np.float64]) -> None:
@@ -67,13 +67,13 @@ class Variable:
             )
         if self.kind != "free" and value.size and (value.min() < low - ROUNDING or value.max() > high + ROUNDING):
             raise ParameterError(
-                f"{self.key}: starts at {value.min():g} .. {value.max():g}, out of its bounds {self.bounds}: "
+                f"{self.key}: starts at {value.min():g} .. {value.max():g}, outside its bounds {self.bounds}: "
                 "give 'bounds' for the parameter, or keeping='free'"
             )
 
     @property
     def scale(self) -> float:
-        """How large changes of x are in proportion to those of other variables: the width of the bounds."""
+        """The scale of changes of x relative to those of other variables: the width of the bounds."""
         width = self.bounds[1] - self.bounds[0]
         return width if self.kind != "sigmoid" and np.isfinite(width) else 1.0
 
@@ -106,7 +106,7 @@ class Variable:
         return self.type(np.array(magnified(dr.detach(x), shape), np.float32))
 
     def is_coarse(self, x: Any) -> bool:
-        """Whether the variable has fewer texels than the parameter."""
+        """True if the variable has fewer texels than the parameter."""
         return dr.is_tensor_v(x) and tuple(x.shape) != self.shape
 
 

@@ -84,9 +84,9 @@ class RayFlags(enum.IntFlag):
     dNGdUV = 0x10
     dNSdUV = 0x20
     FollowShape = 0x80
-    """The point moves with the shape, whatever the ray does: its derivative by the ray is 0."""
+    """The point moves with the shape, whatever the ray does: its derivative with respect to the ray is 0."""
     DetachShape = 0x100
-    """Derivatives by the shape are left out; those by the ray stay."""
+    """Derivatives with respect to the shape are left out; those with respect to the ray stay."""
     All = 0xE
     AllNonDifferentiable = 0x10E
 

@@ -132,4 +132,4 @@ class Record:
 def no_wavelengths(wavelengths: Any) -> None:
     """Raise `RenderError` if a record is given wavelengths: light is RGB."""
     if wavelengths is not None and len(wavelengths):
-        raise RenderError(f"light is RGB, so records have no wavelengths: give [], found {wavelengths!r}")
+        raise RenderError(f"light is RGB, so records have no wavelengths: pass [], found {wavelengths!r}")

@@ -126,7 +126,7 @@ class Sampler(Plugin):
     def set_sample_count(self, spp: int) -> None:
         """Change `sample_count`, rounded up by `round_count`."""
         if spp < 1:
-            raise RenderError(f"{self.id()}: at least 1 sample per pixel is possible, found {spp}")
+            raise RenderError(f"{self.id()}: at least 1 sample per pixel is needed, found {spp}")
         self._sample_count = self.round_count(int(spp))
 
     # ---- wavefronts of scripts ----------------------------------------------------------

@@ -48,7 +48,7 @@ def choose(name: str, job: Job) -> Schedule:
             f"the integrator '{type(job.integrator).__name__}' doesn't advance vertex by vertex: use schedule='wave'"
         )
     if name == "machine" and not has_tree:
-        raise RenderError("the schedule 'machine' walks a BVH, and the scene has no meshes: use schedule='flat'")
+        raise RenderError("the schedule 'machine' searches a BVH, but the scene has no meshes: use schedule='flat'")
     if name in possible:
         return schedule(name)
     return schedule(next(n for n in SCHEDULES if n in possible and pays(n, job)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any, overload
 
-from djpt.errors import DjptError
+from djpt.errors import DjptError, near_miss
 
 __all__ = ["ArgParser"]
 
@@ -131,6 +131,6 @@ class ArgParser:
     def _find(self, prefix: str) -> Argument:
         found = next((argument for argument in self._args if prefix in argument.prefixes), None)
         if found is None:
-            known = ", ".join(str(argument) for argument in self._args)
-            raise DjptError(f"unknown argument '{prefix}'; possible: {known}")
+            named = (str(argument) for argument in self._args if any(argument.prefixes))
+            raise DjptError(f"unknown argument '{prefix}'{near_miss(prefix, named)}")
         return found

@@ -10,7 +10,6 @@ Files are read and written by `djpt.images.stored`, numbers converted by `djpt.s
 from __future__ import annotations
 
 import base64
-import io
 import math
 import os
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import IO, Any
 import numpy as np
 
 from djpt.errors import DjptError, SceneError
-from djpt.images.formats import encode_png
+from djpt.images.image import Image
 from djpt.images.resampling import lanczos, resampled, taps_between
 from djpt.images.stored import Stored, format_of, save_stored, stored_to_stream
 from djpt.rfilters.base import ReconstructionFilter
@@ -270,9 +269,7 @@ class Bitmap(BitmapData):
             shown = self.convert(PixelFormat.RGB, Type.UInt8, True)
         except DjptError:  # a notebook then shows the text
             return None
-        stream = io.BytesIO()
-        encode_png(stream, shown._pixels)
-        return stream.getvalue()
+        return Image(shown._pixels)._repr_png_()
 
     def _repr_html_(self) -> str | None:
         """`_repr_png_` as HTML."""

@@ -63,7 +63,7 @@ def obtainable(source: Struct, target: Struct, form: PixelFormat) -> Struct:
             field.blend = [(factor, f"{layer}{dot}{name}") for name, factor in sums[last].items()]
         else:
             have = ", ".join(entry.name for entry in source)
-            raise SceneError(f"can't convert the bitmap: channel '{field.name}' can't be had from {have}")
+            raise SceneError(f"can't convert the bitmap: channel '{field.name}' can't be computed from {have}")
     return result
 
 

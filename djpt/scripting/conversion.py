@@ -90,7 +90,7 @@ def convert_fields(source: Struct, target: Struct, columns: Mapping[str, Numbers
         if field.blend:
             missing = [name for _, name in field.blend if name not in source]
             if missing:
-                raise SceneError(f"field '{field.name}' is a sum of '{missing[0]}', which there is not")
+                raise SceneError(f"field '{field.name}' is a sum of '{missing[0]}', which doesn't exist")
             total = sum(np.float32(factor) * linear(source[name], columns[name]) for factor, name in field.blend)
             value = np.asarray(total if weight is None else total * weight, np.float32)
             result[field.name] = stored(field, value)

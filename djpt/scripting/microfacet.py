@@ -152,7 +152,7 @@ def from_properties(props: Properties) -> tuple[str, float, float | None, bool]:
     visible = props.boolean("sample_visible", True)
     if "alpha_u" in props or "alpha_v" in props:
         if "alpha" in props:
-            raise props.error("alpha", "can't stand beside 'alpha_u' and 'alpha_v'")
+            raise props.error("alpha", "can't be combined with 'alpha_u' and 'alpha_v'")
         return name, props.float("alpha_u"), props.float("alpha_v"), visible
     return name, props.float("alpha", 0.1), None, visible
 

@@ -29,7 +29,7 @@ class PathReplay(RBIntegrator, PathIntegrator):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         if self.aov_names():
-            raise props.error("bounces", f"has no place in '{type(self).__name__}': use the plugin 'path'")
+            raise props.error("bounces", f"isn't supported by '{type(self).__name__}': use the plugin 'path'")
 
     def sample(  # type: ignore[override]
         self,

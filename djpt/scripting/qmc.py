@@ -62,7 +62,7 @@ class RadicalInverse:
     def base(self, arg: int, /) -> int:
         """Base number `arg`: the primes in order, from 2."""
         if not 0 <= arg < len(self._primes):
-            raise ArgumentError(f"RadicalInverse: base {arg} isn't there; 'max_base' allows {len(self._primes)}")
+            raise ArgumentError(f"RadicalInverse: base {arg} doesn't exist; 'max_base' allows {len(self._primes)}")
         prime: int = self._primes[arg]
         return prime
 

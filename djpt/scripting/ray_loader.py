@@ -162,12 +162,12 @@ def require_fit(sensors: list[Sensor], images: list[Any]) -> None:
     for sensor in sensors:
         film: Any = sensor.film()
         if tuple(film.crop_size()) != tuple(film.size()):
-            raise ArgumentError(f"{where}{sensor.id()} has a crop window, which has no place here")
+            raise ArgumentError(f"{where}{sensor.id()} has a crop window, which isn't supported here")
         if tuple(film.size()) != (width, height):
             size = " x ".join(str(n) for n in film.size())
             raise ArgumentError(f"{where}{sensor.id()} has {size} pixels, its image {width} x {height}")
         if film.sample_border():
-            raise ArgumentError(f"{where}{sensor.id()} has sample_border, which has no place here")
+            raise ArgumentError(f"{where}{sensor.id()} has sample_border, which isn't supported here")
         if film.base_channels_count() != channels:
             raise ArgumentError(
                 f"{where}the film of {sensor.id()} has {film.base_channels_count()} channels, its image {channels}"

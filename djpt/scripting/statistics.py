@@ -46,7 +46,7 @@ def rlgamma(a: float, x: float) -> float:
     degrees of freedom is at most s.
     """
     if a < 0 or x < 0:
-        raise ValueError(f"rlgamma(): 'a' and 'x' mustn't be negative, found {a} and {x}")
+        raise ValueError(f"rlgamma(): 'a' and 'x' must not be negative, found {a} and {x}")
     if x == 0:
         return 0.0
     scale = math.exp(a * math.log(x) - x - math.lgamma(a))

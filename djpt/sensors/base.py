@@ -14,7 +14,7 @@ from djpt.description.numeric import as_number
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
-from djpt.errors import ParameterError, RenderError, SceneError
+from djpt.errors import ParameterError, RenderError, SceneError, near_miss
 from djpt.films.base import Film
 from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.records import DirectionSample3f, Ray3f
@@ -159,7 +159,7 @@ class Sensor(SampledRays, Endpoint):
 
     def move_into(self, frame: Frame) -> None:
         """By default sensors can't be moved: each class knows where it stands, and which lengths it has."""
-        raise Rooted(f"{self.id()}: it isn't known where it is")
+        raise Rooted(f"{self.id()}: its place is unknown")
 
     def move_nested(self, frame: Frame) -> None:
         """Move the medium and the shape that the sensor stands in; each class moves what else it has nested."""
@@ -235,7 +235,7 @@ class Sensor(SampledRays, Endpoint):
     def unreachable(self) -> RenderError:
         """The error of sensors that light can't be traced towards."""
         possible = (name for name, sensor in registered("sensor").items() if getattr(sensor, "can_be_reached", False))
-        return RenderError(f"{self.id()}: light can't be traced towards this sensor; possible: {', '.join(possible)}")
+        return RenderError(f"{self.id()}: light can't be traced towards this sensor{near_miss('', possible)}")
 
 
 ONE_PIXEL = {"width": 1, "height": 1}

@@ -37,7 +37,7 @@ class SensorGroup(Sensor):
             if sensor.weight != self.weight:
                 raise SceneError(
                     f"{self.id()}: '{self.names[0]}' and '{name}' measure in different units "
-                    f"({unit(self.sensors[0])} and {unit(sensor)}); put them in groups of their own"
+                    f"({unit(self.sensors[0])} and {unit(sensor)}); put them in separate groups"
                 )
         self.uses_aperture = any(sensor.uses_aperture for sensor in self.sensors)
         self.forget()

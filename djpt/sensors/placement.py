@@ -40,7 +40,7 @@ def require_area(shape: Shape, sensor: str) -> None:
     """Raise `SceneError` if no points can be drawn on a shape."""
     if not shape.has_area:
         name = type(shape).__name__.lower()
-        raise SceneError(f"{shape.id()}: '{sensor}' draws points by area, and that of '{name}' isn't known")
+        raise SceneError(f"{shape.id()}: '{sensor}' samples points by area, but the area of '{name}' is unknown")
 
 
 def placed_apart(shape: Shape) -> Any:

@@ -129,13 +129,13 @@ class Shape(ShapeQuestions):
         """The form in which a parameter with gradients is kept.
 
         Raises:
-            ParameterError: there are no gradients by this parameter.
+            ParameterError: there are no gradients with respect to this parameter.
         """
         from djpt.silhouettes.moving import AttachedTransform
         from djpt.transforms.lanes import Transform4f
 
         if name != "to_world" or not self.can_be_followed():
-            raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
+            raise ParameterError(f"{self.id()}.{name}: gradients with respect to this parameter aren't available")
         transform = AttachedTransform(Transform4f(value))
         as_transform(transform)  # raises if it can't be used
         return transform

@@ -25,7 +25,7 @@ __all__ = ["Curves"]
 class Curves(Shape):
     """Many curves with a radius along them, which stand in the scene's BVH piece by piece.
 
-    They are seen from outside alone: rays pass through their surface from within. They can't shine, since no points
+    They are visible only from outside: rays pass through their surface from within. They can't shine, since no points
     can be drawn on them. A file has a control point per line, x y z and a radius; empty lines are between curves.
     `to_world` moves the points as the file is read and leaves the radii as they are.
     """
@@ -40,9 +40,9 @@ class Curves(Shape):
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         if self.flip_normals:
-            raise props.error("flip_normals", "can't be true: curves are seen from outside alone")
+            raise props.error("flip_normals", "can't be true: curves are visible only from outside")
         if self._emitter is not None:
-            raise SceneError(f"{props.node}: curves can't shine: no points can be drawn on them")
+            raise SceneError(f"{props.node}: curves can't emit light: points can't be sampled on them")
         path = MeshFile.find(props)
         where = f"{props.node}: {path.name}"
         points, lengths = read_curves(MeshFile.load(props, path), where)

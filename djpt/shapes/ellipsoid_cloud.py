@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.errors import DjptError, ParameterError, SceneError, near_miss
 from djpt.kernels import own_floats
 from djpt.shapes.base import Shape
 from djpt.shapes.ellipsoids_file import Table, read_ellipsoids
@@ -41,15 +41,15 @@ class Cloud(Shape):
     def read_cloud(self, props: Properties) -> None:
         """Take the ellipsoids from a file or from arrays, and all entries that nothing has asked for as attributes."""
         if self.flip_normals:
-            raise props.error("flip_normals", "can't be true: ellipsoids are seen from outside alone")
+            raise props.error("flip_normals", "can't be true: ellipsoids are visible only from outside")
         if self._emitter is not None:
-            raise SceneError(f"{props.node}: ellipsoids can't shine: no points can be drawn on them")
+            raise SceneError(f"{props.node}: ellipsoids can't emit light: points can't be sampled on them")
         given = [key for key in SOURCES if key in props]
         if len(given) != 1:
             found = " and ".join(f"'{key}'" for key in given) or "none"
             raise SceneError(f"{props.node}: give one of 'filename', 'data' and 'centers'; found: {found}")
         if given[0] != "filename" and (wrong := [key for key in ("scale_factor", "to_world") if key in props]):
-            raise props.error(wrong[0], "is for files alone")
+            raise props.error(wrong[0], "applies to files only")
         data, attributes = self._from_file(props) if given[0] == "filename" else (from_arrays(props), {})
         self.extent = props.float("extent", 3.0, low=0.0, low_open=True)
         self.extent_adaptive_clamping = props.boolean("extent_adaptive_clamping", False)
@@ -63,7 +63,7 @@ class Cloud(Shape):
         """How many each attribute has; its numbers are the attribute of this name of the shape."""
         for name, table in attributes.items():
             if hasattr(self, name):
-                raise props.error(name, "can't be the name of an attribute: it means something else")
+                raise props.error(name, "can't be the name of an attribute: it has another meaning")
             self.channels[name] = table.shape[1]
             setattr(self, name, own_floats(table.astype(np.float32).ravel()))
         if self.extent_adaptive_clamping and "opacities" not in self.channels:
@@ -145,8 +145,7 @@ class Cloud(Shape):
         elif name in PARTS:
             owner, (begin, width), stride = "numbers", PARTS[name], WIDTH
         else:
-            found = ", ".join([*self.channels, *PARTS])
-            raise SceneError(f"{self.id()}: there is no attribute '{name}'; found: {found}")
+            raise SceneError(f"{self.id()}: there is no attribute '{name}'{near_miss(name, [*self.channels, *PARTS])}")
         source = exchanged_value(self, owner)
         if source is None:
             source = getattr(self, owner)

@@ -24,7 +24,7 @@ Faces = NDArray[np.uint32]
 
 
 class EllipsoidsMesh(Cloud, Mesh):
-    """Ellipsoids in shells of triangles, which enclose them and are seen from outside alone.
+    """Ellipsoids in shells of triangles, which enclose them and are visible only from outside.
 
     Parameters: those of `djpt.shapes.ellipsoids.Ellipsoids`, and `shell`: "ico_sphere" (20 triangles, default), "box"
     (12), "uv_sphere" (72), or a mesh. A shell is scaled until no vertex and no middle of a triangle lies within the

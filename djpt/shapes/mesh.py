@@ -144,7 +144,7 @@ class Mesh(MeshQueries, Shape):
         """Raise `SceneError` unless an attribute can have this name."""
         check_prefix(where, name)
         if hasattr(self, name):
-            raise SceneError(f"{where}: '{name}' can't be the name of an attribute: it means something else")
+            raise SceneError(f"{where}: '{name}' can't be the name of an attribute: it has another meaning")
 
     def exact_positions(self) -> NDArray[np.float64]:
         """The vertices (V, 3) in world space; of a mesh placed far away in double precision, unless it was edited."""
@@ -258,7 +258,7 @@ class Mesh(MeshQueries, Shape):
 
     def attached_parameter(self, name: str, value: Any) -> Any:
         if name != "vertex_positions" or not self.can_be_followed():
-            raise ParameterError(f"{self.id()}.{name}: gradients by this parameter aren't available")
+            raise ParameterError(f"{self.id()}.{name}: gradients with respect to this parameter aren't available")
         return value
 
     def add_attribute(self, name: str, size: int, buffer: Any) -> None:
@@ -294,7 +294,9 @@ class Mesh(MeshQueries, Shape):
 
     def _require_alone(self, call: str) -> None:
         if self.set is not None:
-            raise ParameterError(f"{self.id()}: {call} comes before load_dict: the mesh belongs to a scene already")
+            raise ParameterError(
+                f"{self.id()}: {call} must be called before load_dict: the mesh already belongs to a scene"
+            )
 
     # ---- on the host -------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import registered
 from djpt.emitters import Emitter
-from djpt.errors import SceneError
+from djpt.errors import SceneError, near_miss
 from djpt.geometry.contents import unseen
 from djpt.materials import BSDF, Diffuse
 from djpt.sensors import Sensor
@@ -36,13 +36,13 @@ def collect_emitters(plugins: Iterable[Plugin]) -> list[Emitter]:
         if isinstance(plugin, Shape) and plugin.emitter() is not None:
             adopt(plugin, plugin.emitter())
             if plugin.emitter() in found:
-                raise SceneError(f"{plugin.id()}: a shape that emits light can't stand in the scene twice")
+                raise SceneError(f"{plugin.id()}: a shape that emits light can't appear in the scene twice")
             found.append(plugin.emitter())
         elif isinstance(plugin, Emitter):
             (of_shapes if plugin.on_shape else found).append(plugin)
     for emitter in of_shapes:
         if emitter.shape is None:
-            warnings.warn(f"{emitter.id()}: no shape refers to this emitter: it sends out no light", stacklevel=2)
+            warnings.warn(f"{emitter.id()}: no shape refers to this emitter, so it emits no light", stacklevel=2)
     return found
 
 
@@ -66,12 +66,9 @@ def collect_sensors(plugins: Iterable[Plugin]) -> list[Sensor]:
 def adopt(shape: Shape, nested: Any) -> Any:
     """An emitter or sensor that a shape has, nested or by reference, told which shape that is."""
     if not nested.on_shape:
-        fitting = ", ".join(
-            name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False)
-        )
-        raise SceneError(
-            f"{shape.id()}: the {nested.kind} '{nested.id()}' can't be nested in a shape; possible: {fitting}"
-        )
+        fitting = (name for name, plugin in registered(nested.kind).items() if getattr(plugin, "on_shape", False))
+        hint = near_miss("", fitting)
+        raise SceneError(f"{shape.id()}: the {nested.kind} '{nested.id()}' can't be nested in a shape{hint}")
     if nested.shape not in (None, shape):
         raise SceneError(f"{shape.id()}: its {nested.kind} already belongs to '{nested.shape.id()}'")
     nested.shape = shape

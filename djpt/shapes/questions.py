@@ -141,7 +141,7 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
 
     def _box(self, index: int | None) -> tuple[Any, Any]:
         if index is not None and not 0 <= index < self.primitive_count():
-            raise SceneError(f"{self.id()}: there are {self.primitive_count()} primitives, found the number {index}")
+            raise SceneError(f"{self.id()}: there are {self.primitive_count()} primitives, found the index {index}")
         intervals = np.array([self.interval(unit) for unit in np.eye(3)])  # type: ignore[attr-defined]
         return intervals[:, 0], intervals[:, 1]
 
@@ -178,7 +178,7 @@ class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
             SceneError: The shape has no parameterisation, so that no uv belong to a single point.
         """
         if not self.has_parameterization:  # type: ignore[attr-defined]
-            raise SceneError(f"{self.id()}: texture coordinates don't tell a point of this shape")
+            raise SceneError(f"{self.id()}: texture coordinates don't determine a point of this shape")
         ps = self.at_uv(Point2f(uv))  # type: ignore[attr-defined]
         si = self.alone().revisit(ps.p, -ps.n, UInt32(0), full=True)
         si.t = dr.select(active, Float(0), dr.inf)

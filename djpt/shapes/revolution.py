@@ -47,7 +47,7 @@ class Revolution(Shape):
         unit = matrix[:3, :3] / lengths
         if np.abs(unit.T @ unit - np.eye(3)).max() > 1e-4 or abs(lengths[0] / lengths[1] - 1) > 1e-4:
             name = type(self).__name__.lower()
-            return f"the 'to_world' of a {name} may scale uniformly, rotate, mirror and translate, nothing else"
+            return f"the 'to_world' of a {name} may only scale uniformly, rotate, mirror and translate"
         return None
 
     def check_parameter(self, name: str, value: object) -> object:

@@ -84,7 +84,7 @@ class SDFGrid(LevelSet):
         """Compute all that is derived from the samples, (Z, Y, X)."""
         corners = [values[k : k - 1 or None, j : j - 1 or None, i : i - 1 or None] for k, j, i in CORNERS]
         if corners[0].size > MOST_CELLS:
-            raise ParameterError(f"has {corners[0].size} cells, {MOST_CELLS} are possible")
+            raise ParameterError(f"has {corners[0].size} cells; at most {MOST_CELLS} are possible")
         filled = (np.minimum.reduce(corners) <= 0) & (np.maximum.reduce(corners) >= 0)
         if not filled.any():
             raise ParameterError("has no surface: all values have the same sign")

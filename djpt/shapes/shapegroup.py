@@ -40,7 +40,7 @@ class ShapeGroup(Shape):
             if isinstance(shape, (ShapeGroup, Instance)):
                 raise SceneError(f"{props.node}: '{key}' is itself a group or an instance, which can't be instanced")
             if shape.emitter() is not None:
-                raise SceneError(f"{props.node}: '{key}' has an emitter; what is instanced can't emit light")
+                raise SceneError(f"{props.node}: '{key}' has an emitter; instanced shapes can't emit light")
             shape.in_group = True
 
     @property

@@ -67,7 +67,7 @@ class Sphere(Shape):
             np.abs(gram - np.diag(lengths**2)).max() > 1e-4 * lengths.max() ** 2
             or np.ptp(lengths) > 1e-4 * lengths.max()
         ):
-            return "the 'to_world' of a sphere may scale uniformly, rotate and translate, nothing else"
+            return "the 'to_world' of a sphere may only scale uniformly, rotate and translate"
         return None
 
     def check_parameter(self, name: str, value: object) -> object:

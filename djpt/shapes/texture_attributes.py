@@ -84,6 +84,6 @@ class TextureAttributes(Plugin):
 
     def _attribute(self, name: str, si: Any, active: Bool | bool) -> Any:
         if not self.has_attribute(name):
-            found = ", ".join([*self.textures(), *getattr(self, "attributes", {})]) or "none"
-            raise SceneError(f"{self.id()}: there is no attribute '{name}'; found: {found}")
+            hint = near_miss(name, [*self.textures(), *getattr(self, "attributes", {})])
+            raise SceneError(f"{self.id()}: there is no attribute '{name}'{hint}")
         return si.scene.geometry.attribute(name, si.face, si.prim_uv, active)

@@ -15,7 +15,7 @@ from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, Vector2f
 __all__ = ["Texture"]
 
 
-SPECTRA = "no wavelengths: ask for colours by eval or eval_3"
+SPECTRA = "no wavelengths: use eval or eval_3 for colours"
 
 
 class Texture(Plugin):

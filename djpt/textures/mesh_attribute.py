@@ -14,7 +14,7 @@ from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
-from djpt.errors import SceneError
+from djpt.errors import SceneError, near_miss
 from djpt.images.color import LUMINANCE
 from djpt.kernels import as_float
 from djpt.textures.base import Texture
@@ -63,8 +63,8 @@ class MeshAttribute(Texture):
         if not shape.of_triangles or attributes is None:
             raise SceneError(f"{self.node}: '{shape.id()}' isn't a mesh, and has no attribute '{self.name}'")
         if self.name not in attributes:
-            found = ", ".join(attributes) or "none"
-            raise SceneError(f"{self.node}: the mesh '{shape.id()}' has no attribute '{self.name}'; found: {found}")
+            hint = near_miss(self.name, attributes)
+            raise SceneError(f"{self.node}: the mesh '{shape.id()}' has no attribute '{self.name}'{hint}")
         if not recording():
             numbers = np.asarray(attributes[self.name][0]) * np.float32(as_array(dr.detach(self.scale)))
             self._allowed.require(numbers, f"{shape.id()}: '{self.name}'")
@@ -82,7 +82,7 @@ class MeshAttribute(Texture):
         return value.x * r + value.y * g + value.z * b
 
     def eval_1_grad(self, si: Any, active: Bool | bool = True) -> Vector2f:
-        raise SceneError(f"{self.node}: a mesh attribute has no gradient by uv, so it can't be a bump map")
+        raise SceneError(f"{self.node}: a mesh attribute has no gradient with respect to uv, so it can't be a bump map")
 
     def _value(self, si: Any, active: Bool | bool) -> Any:
         return si.scene.geometry.attribute(self.name, si.face, si.prim_uv, active) * self.scale

@@ -69,7 +69,7 @@ class UVTexture(Texture):
         return Point2f(affine(self.to_u, u, v), affine(self.to_v, u, v))
 
     def chain(self, gradient: Vector2f) -> Vector2f:
-        """A gradient by the result of `uv`, converted to one by the surface's uv (the chain rule)."""
+        """A gradient with respect to the result of `uv`, converted to one by the surface's uv (the chain rule)."""
         return Vector2f(
             gradient.x * self.to_u.x + gradient.y * self.to_v.x,
             gradient.x * self.to_u.y + gradient.y * self.to_v.y,

@@ -109,7 +109,7 @@ class Transform:
         return NotImplemented
 
     def __mul__(self, other: Any) -> Any:
-        raise SceneError(f"{type(self).__name__} * x: transforms are composed and applied by the operator @")
+        raise SceneError(f"{type(self).__name__} * x: transforms are composed and applied with the operator @")
 
     def _kind_of_product(self, other: Transform) -> type[Transform]:
         """The class of ``self @ other``: on lanes if one factor is, and projective if one is."""

@@ -56,7 +56,7 @@ class Volume(Plugin):
     def move_into(self, frame: Frame) -> None:
         """By default only what is the same everywhere can be moved."""
         if not self.is_constant:
-            raise Rooted(f"{self.id()}: it isn't known how it varies in space")
+            raise Rooted(f"{self.id()}: its variation in space is unknown")
         self.move_nested(frame)
 
     # ---- on the host -------------------------------------------------------------------

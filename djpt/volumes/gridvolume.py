@@ -75,7 +75,7 @@ class GridVolume(Volume):
         self._box = ScalarTransform4f()
         if props.boolean("use_grid_bbox", False):
             if box is None:
-                raise props.error("use_grid_bbox", "needs a 'filename' or a 'grid': 'data' has no box")
+                raise props.error("use_grid_bbox", "needs a 'filename' or a 'grid': 'data' has no bounding box")
             self._box = ScalarTransform4f().translate(box.min).scale(box.extents())
         self.channels = int(self.data.shape[3])
         self._allowed = Allowed()
@@ -213,7 +213,7 @@ class GridVolume(Volume):
 
     def _colour(self, entry: Any) -> Color3f:
         if self.channels == 6:
-            raise self.unknown("six channels, which are no colour; ask eval_6 or eval_n")
+            raise self.unknown("six channels, which are no colour; use eval_6 or eval_n")
         return Color3f(entry)
 
     def _number(self, entry: Any) -> Float:

@@ -43,7 +43,7 @@ def read_openvdb(path: str | os.PathLike[str], name: str = "") -> VolumeGrid:
     try:
         tinyvdb: Any = importlib.import_module("tinyvdb")
     except ImportError:
-        raise FileError(f"'{path}': files of OpenVDB need the package tinyvdb: pip install 'djpt[vdb]'") from None
+        raise FileError(f"'{path}': OpenVDB files need the package tinyvdb: pip install 'djpt[vdb]'") from None
     require_regular(path)
     try:
         with tinyvdb.open(os.fspath(path)) as file:
@@ -55,7 +55,7 @@ def read_openvdb(path: str | os.PathLike[str], name: str = "") -> VolumeGrid:
     except (tinyvdb.VDBError, OSError) as error:
         if isinstance(error, FileError):
             raise
-        raise FileError(f"'{path}' can't be read as a file of OpenVDB: {error}") from None
+        raise FileError(f"'{path}' can't be read as an OpenVDB file: {error}") from None
 
 
 def chosen(path: str | os.PathLike[str], name: str, names: list[str]) -> str:
@@ -92,7 +92,7 @@ def dense(where: str, grid: Any) -> VolumeGrid:
     transform = grid.transform
     linear = np.array(transform["matrix"])[:3, :3]
     if not np.array_equal(linear, np.diag(np.diag(linear))):
-        raise FileError(f"{where} is turned in its file; possible: grids along the axes, with 'to_world' to turn them")
+        raise FileError(f"{where} is rotated in its file; possible: axis-aligned grids, rotated by 'to_world'")
     # Indices are those of the voxels' centres.
     size, start = np.array(transform["voxel_size"]), np.array(transform["translation"])
     corners = ((low - 0.5) * size + start, (high + 0.5) * size + start)

@@ -66,7 +66,7 @@ class VolumeGrid:
                 raise
             raise FileError(f"'{name}' can't be read: {error.strerror}") from None
         if len(data) < HEADER.size or data[:3] != b"VOL":
-            raise FileError(f"'{name}' isn't a file of a volume: it doesn't begin with 'VOL' and a header")
+            raise FileError(f"'{name}' isn't a volume file: it doesn't begin with 'VOL' and a header")
         _, version, kind, x, y, z, channels, *corners = HEADER.unpack_from(data)
         if (version, kind) != (VERSION, FLOAT32):
             raise FileError(

@@ -49,7 +49,7 @@ def test_what_cant_become_a_movie(tmp_path: Path) -> None:
     files = frames(tmp_path)
     with pytest.raises(FileError, match=r"unknown format '\.avi'"):
         write_movie(tmp_path / "movie.avi", files)
-    with pytest.raises(FileError, match="a frame at least"):
+    with pytest.raises(FileError, match="at least one frame"):
         write_movie(tmp_path / "movie.gif", [])
     with pytest.raises(FileError, match="frames per second"):
         write_movie(tmp_path / "movie.gif", files, fps=0)

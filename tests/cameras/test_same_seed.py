@@ -225,7 +225,7 @@ def test_sensors_are_chosen_by_number_or_handed_over() -> None:
     third = pixels(djpt.render(scene, sensor=2, spp=4))
     for other in (scene.sensors()[2], djpt.load_dict(meter)):  # the last isn't in the scene
         np.testing.assert_array_equal(pixels(djpt.render(scene, sensor=other, spp=4)), third)
-    with pytest.raises(RenderError, match="the scene has 3 sensors; there is no number 3"):
+    with pytest.raises(RenderError, match="there is no sensor 3: the scene has 3, numbered from 0"):
         djpt.render(scene, sensor=3)
 
 

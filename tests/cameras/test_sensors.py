@@ -234,14 +234,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "target number": ({"type": "distant", "target": 3.0}, "'target' must be three numbers"),
     "target plugin": ({"type": "distant", "target": {"type": "diffuse"}}, "'target' must be a shape, found"),
-    "target without area": ({"type": "distant", "target": {"type": "plane"}}, "that of 'plane' isn't known"),
+    "target without area": ({"type": "distant", "target": {"type": "plane"}}, "the area of 'plane' is unknown"),
     "irradiance to_world": (
         {"type": "irradiancemeter", "film": PIXEL, "to_world": T()},
         "'to_world' can't be given: move the shape",
     ),
     "irradiance without area": (
         {"type": "scene", "plane": {"type": "plane", "sensor": METER}},
-        "'irradiancemeter' draws points by area, and that of 'plane' isn't known",
+        "'irradiancemeter' samples points by area, but the area of 'plane' is unknown",
     ),
     "camera in a shape": (
         {"type": "scene", "ball": {"type": "sphere", "sensor": VIEW}},

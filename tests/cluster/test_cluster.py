@@ -330,7 +330,7 @@ def test_errors_name_the_cause(cluster: Cluster) -> None:
     client = cluster.client
     with pytest.raises(BackendError, match=r"must be a distributed\.Client"):
         djpt.cluster.render_passes("tcp://somewhere", box())
-    with pytest.raises(RenderError, match="there is no number 3"):
+    with pytest.raises(RenderError, match="there is no sensor 3"):
         djpt.cluster.render_passes(client, box(), sensor=3)
     with pytest.raises(RenderError, match="'seed'"):
         djpt.cluster.render_passes(client, box(), seed=-1)

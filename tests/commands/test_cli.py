@@ -68,7 +68,7 @@ def test_render_takes_the_sensor_that_was_asked_for() -> None:
     assert out.startswith("a.npy: 1 x 1, 4 spp")
     assert run("render", "two.xml", "--width", "8", "-o", "b.npy")[1].startswith("b.npy: 8 x 4, 2 spp")
     code, _, err = run("render", "two.xml", "--sensor", "2")
-    assert (code, "the scene has 2 sensors; there is no number 2" in err) == (ExitCode.BAD_INPUT, True)
+    assert (code, "there is no sensor 2: the scene has 2, numbered from 0" in err) == (ExitCode.BAD_INPUT, True)
 
 
 def test_files_say_how_they_were_rendered() -> None:
@@ -216,11 +216,26 @@ def test_speeds_are_short() -> None:
 # ---------------------------------------------------------------- errors
 
 
+def test_misspelt_commands() -> None:
+    code, _, err = run("rendr", "cornell_box")
+    assert code == ExitCode.BAD_INPUT
+    assert "unknown command 'rendr'; did you mean 'render'? (possible: render, " in err
+    assert "unknown command 'zzz'; possible: animate, bounces, compare" in run("zzz")[2]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["render", "cornel_box"], "unknown scene 'cornel_box'; did you mean 'cornell_box'?"),
         (["render", "scene.xml"], "can't read 'scene.xml': there is no such file"),
+        (["render", "nowhere/cornel_box.xml"], "can't read 'nowhere/cornel_box.xml': there is no such file\n"),
+        (["render", "cornel_box.xml"], "no such file; did you mean the built-in scene 'cornell_box'?"),
+        (["compare", "cornell_box", "--integrator", "pth"], "unknown integrator 'pth'; did you mean 'path'?"),
+        (
+            ["render", "glass_ball", *SMALL[1:], "--adaptive"],
+            "the integrator 'bdpt' can't render adaptively; possible: path, ",
+        ),
+        (["validate", "--integrator", "depth"], "'depth' can't find the light of any of the cases; possible: bdpt, "),
         (["render", "cornell_box", "-o", "a.exe"], "unknown extension 'exe'; did you mean 'exr'?"),
         (["render", "cornell_box", "-o", "nowhere/a.exr"], "there is no folder"),
         (["render", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),

@@ -325,7 +325,10 @@ def test_the_commands_write_what_they_say(tmp_path: Path, monkeypatch: pytest.Mo
         (["ladder", "cornell_box", "--spp", "0"], "--spp must be at least 1, found 0"),
         (["ladder", "cornell_box", "-o", "a.png"], "the page is written as html, found 'a.png'"),
         (["ladder", "cornell_box", "-o", "no/a.html"], "can't write 'no/a.html': there is no folder '"),
-        (["bounces", "cornell_box", "-o", "a.exr"], "a strip has labels, it is written as png or jpg, found 'a.exr'"),
+        (
+            ["bounces", "cornell_box", "-o", "a.exr"],
+            "a strip has labels, so it is written as png or jpg, found 'a.exr'",
+        ),
         (["bounces", "cornell_box", "--max-depth", "99"], "needs a 'max_depth' from 1 to 32, found 99"),
         (["strategies", "cornell_box", "--max-depth", "9"], "needs a 'max_depth' from 2 to 8, found 9"),
         (["bounces", "cornell_box", "--exposure", "much", "--size", "4"], "found 'much'"),

@@ -166,9 +166,9 @@ def test_set_variant_is_refused_once_types_are_in_use() -> None:
     djpt.Float(1)
     set_variant("llvm_ad_rgb")
     set_variant("cuda_ad_rgb", "llvm_ad_rgb")
-    with pytest.raises(BackendError, match="can't change to 'cuda_ad_rgb', the types of 'llvm_ad_rgb' are in use"):
+    with pytest.raises(BackendError, match="can't change to 'cuda_ad_rgb', the types of 'llvm_ad_rgb' are already"):
         set_variant("cuda_ad_rgb")
-    with pytest.raises(BackendError, match=r"none of these.*\ncuda_ad_rgb: .*in use already.*\nfoo: .*unknown variant"):
+    with pytest.raises(BackendError, match=r"none of these.*\ncuda_ad_rgb: .*already in use.*\nfoo: .*unknown variant"):
         set_variant("cuda_ad_rgb", "foo")
     assert variant() == "llvm_ad_rgb"
 
@@ -184,7 +184,7 @@ def test_unknown_variants() -> None:
 @pytest.mark.parametrize("name", ["llvm_ad_spectral", "scalar_mono", "scalar_rgb_double", "cuda_ad_rgb_polarized"])
 def test_variants_that_compute_something_else(name: str) -> None:
     with pytest.raises(
-        BackendError, match=f"the variant '{name}' can't be had: djpt computes with red, green and blue"
+        BackendError, match=f"the variant '{name}' isn't available: djpt computes with red, green and blue"
     ):
         set_variant(name)
     set_variant(name, "llvm_ad_rgb")
@@ -236,4 +236,4 @@ def test_no_variant_runs(tmp_path: Path) -> None:
     done = run_python("-c", "import djpt; djpt.set_variant('llvm_ad_rgb', 'cuda_ad_rgb'); djpt.Float", folders=tmp_path)
     if done.returncode == 0:
         pytest.skip("this machine has a GPU")
-    readable(done, "none of these can be run", "llvm_ad_rgb: ", "cuda_ad_rgb: ")
+    readable(done, "none of these variants can run", "llvm_ad_rgb: ", "cuda_ad_rgb: ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,14 @@ def test_a_notebook_is_kept_without_results(notebook: Path) -> None:
     stored = json.loads(notebook.read_text())
     assert (stored["nbformat"], stored["nbformat_minor"]) == (4, 5)
     assert notebook.read_text() == json.dumps(stored, indent=1, ensure_ascii=False) + "\n"
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_djpt_is_imported_first(notebook: Path) -> None:
+    """Dr.Jit, imported before djpt, opens an LLVM of its own, which may be too old."""
+    code = "\n".join(cell.code for cell in cells(notebook))
+    names = [name for name in re.findall(r"^(?:import|from) (\w+)", code, re.MULTILINE) if name in ("djpt", "drjit")]
+    assert names[0] == "djpt"
 
 
 def test_all_notebooks_are_listed() -> None:

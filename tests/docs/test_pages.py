@@ -35,6 +35,14 @@ def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.
         block.smaller(SMALLER.get(page, {})).run(names)
 
 
+@pytest.mark.parametrize("page", ["README.md", *PAGES])
+def test_djpt_is_imported_before_drjit(page: str) -> None:
+    """Dr.Jit, imported before djpt, opens an LLVM of its own, which may be too old."""
+    code = "\n".join(block.code for block in snippets(page))
+    names = [name for name in re.findall(r"^(?:import|from) (\w+)", code, re.MULTILINE) if name in ("djpt", "drjit")]
+    assert names[:1] != ["drjit"]
+
+
 @pytest.mark.slow
 def test_the_documentation_builds_without_warnings(tmp_path: Path) -> None:
     for module in ("sphinx", "myst_parser", "furo", "sphinx-mathjax-offline"):

@@ -127,7 +127,7 @@ except SceneError as error:
 print(sorted({{"drjit", "numpy"}} & set(sys.modules)))
 """
     message, imported = run_python("-c", code).stdout.splitlines()
-    assert "scene.xml:1: <integrator>: unknown integrator 'pathh'; did you mean 'path'? (possible: aov, " in message
+    assert "scene.xml:1: <integrator>: unknown integrator 'pathh'; did you mean 'path'? (possible: path, " in message
     assert "diffuse" not in message
     assert imported == "[]"
 

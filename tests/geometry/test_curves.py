@@ -346,8 +346,8 @@ def test_to_world_moves_points_and_keeps_radii(tmp_path: Path) -> None:
         ("0 0 0 1\n0 0 nan 1\n", {}, "line 2: must be x y z and a radius of at least 0, found other words"),
         ("0 0 0 1\n\n0 0 1 1\n1 1 1 1", {}, "curve 0 has 1 control points; 2 are needed"),
         ("\n\n", {}, "no control points in the file"),
-        ("0 0 0 1\n0 0 1 1\n", {"emitter": {"type": "area"}}, "curves can't shine"),
-        ("0 0 0 1\n0 0 1 1\n", {"flip_normals": True}, "curves are seen from outside alone"),
+        ("0 0 0 1\n0 0 1 1\n", {"emitter": {"type": "area"}}, "curves can't emit light"),
+        ("0 0 0 1\n0 0 1 1\n", {"flip_normals": True}, "curves are visible only from outside"),
     ],
 )
 def test_errors(text: str, keys: dict[str, Any], message: str, tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_parameters_have_the_names_of_mitsuba(mi: Any) -> None:
         ({"type": "shapegroup", "i": {"type": "instance", "g": GROUP}}, "'i' is itself a group or an instance"),
         (
             {"type": "shapegroup", "lamp": {"type": "sphere", "emitter": {"type": "area"}}},
-            "'lamp' has an emitter; what is instanced can't emit light",
+            "'lamp' has an emitter; instanced shapes can't emit light",
         ),
         ({"type": "shapegroup", "x": GROUP["a"], "to_world": T()}, "unknown key 'to_world' of shape 'shapegroup'"),
         ({"type": "instance"}, "instance: an 'instance' needs one 'shapegroup' or a reference to one, found: none"),
@@ -199,7 +199,7 @@ def test_surface_points_on_analytic_shapes(mi: Any, kind: str) -> None:
 
 
 def test_what_a_shape_cannot_be_is_explained() -> None:
-    with pytest.raises(SceneError, match=r"i0: g\.s\.to_world: .* sphere may scale uniformly"):
+    with pytest.raises(SceneError, match=r"i0: g\.s\.to_world: .* sphere may only scale uniformly"):
         djpt.load_dict(row_of(SHAPES["sphere"], {"stretched": AFFINE["stretched"]}))
 
 

@@ -89,7 +89,7 @@ def test_attributes() -> None:
     assert "face_weight" not in djpt.traverse(mesh)
     for name, size, error in (
         ("color", 3, "must begin with 'vertex_' or 'face_'"),
-        ("vertex_color", 3, "means something else"),
+        ("vertex_color", 3, "has another meaning"),
         ("vertex_more", 2, r"must have the shape \(5, 2\)"),
     ):
         with pytest.raises(SceneError, match=error):

@@ -153,7 +153,7 @@ def test_attributes_are_interpolated_over_vertices_and_constant_on_faces() -> No
     np.testing.assert_allclose(np.array(meshes.attribute("vertex_color", face, b1, b2)).T[1:], [[0.25, 0.25, 0.5]] * 2)
     np.testing.assert_allclose(np.array(meshes.attribute("vertex_heat", face, b1, b2)), [0, 2.25, 2.25])
     np.testing.assert_allclose(np.array(meshes.attribute("face_id", face, b1, b2)), [0, 7, 8])
-    with pytest.raises(SceneError, match="no mesh has the attribute 'vertex_colour'; found: vertex_color"):
+    with pytest.raises(SceneError, match="no mesh has the attribute 'vertex_colour'; did you mean 'vertex_color'"):
         meshes.attribute("vertex_colour", face, b1, b2)
 
 
@@ -229,7 +229,7 @@ def test_a_mesh_can_get_another_size() -> None:
     params = djpt.traverse(mesh)
     params["vertex_positions"] = bumpy_sheet()["positions"]
     params["faces"] = bumpy_sheet()["faces"]
-    with pytest.warns(UserWarning, match="vertex_texcoords: the mesh has another size now"):
+    with pytest.warns(UserWarning, match="vertex_texcoords: the size of the mesh has changed"):
         params.update()
     assert mesh.indices.shape == (32, 3)
     assert not mesh.texcoords.any()

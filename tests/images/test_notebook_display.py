@@ -87,8 +87,17 @@ def test_the_picture_is_that_of_an_image(channels: int) -> None:
     tensor = image(channels=channels)
     png = picture_of(tensor)
     assert png is not None
-    found = np.asarray(Picture.open(io.BytesIO(png)))
+    # Of 12 x 10 pixels, each is a square of 21.
+    shown = np.asarray(Picture.open(io.BytesIO(png)))
+    found = shown[10::21, 10::21]
+    np.testing.assert_array_equal(found.repeat(21, axis=0).repeat(21, axis=1), shown)
     np.testing.assert_array_equal(found.reshape(*found.shape[:2], -1), djpt.Image(tensor).srgb())
+
+
+def test_large_images_keep_their_pixels() -> None:
+    png = picture_of(image(height=200, width=130))
+    assert png is not None
+    assert Picture.open(io.BytesIO(png)).size == (130, 200)
 
 
 def test_an_attached_image_stays_attached() -> None:
@@ -173,7 +182,7 @@ def test_a_render_in_rounds_is_shown_while_it_gets_better(shell: Shell, monkeypa
     assert [page.partition("<figcaption>")[2].partition(" spp")[0] for page in shell.pages] == ["4", "8", "12", "12"]
     data = shell.pages[-1].partition("base64,")[2].partition('"')[0]
     with Picture.open(io.BytesIO(base64.b64decode(data))) as picture:
-        assert picture.size == (12, 12)
+        assert picture.size == (252, 252)
 
 
 def test_an_interrupted_render_gives_what_exists(shell: Shell) -> None:

@@ -29,7 +29,10 @@ FAULTS: dict[str, tuple[Fault, Fault]] = {
     "missing factor of a tenth": (lambda a, si: changed(a, 0.9), lambda a, si: changed(a, 0.9)),
     "twice": (lambda a, si: changed(a, 2), lambda a, si: changed(a, 2)),
     "no derivative of lit surfaces": (lambda a, si: dr.detach(a), lambda a, si: a),
-    "no derivative of scattered light": (lambda a, si: a, lambda a, si: dr.detach(a)),
+    "the derivative of a square": (
+        lambda a, si: changed(a, 2 * dr.detach(a)),
+        lambda a, si: changed(a, 2 * dr.detach(a)),
+    ),
     "a channel dropped": (
         lambda a, si: changed(a, djpt.Color3f(1, 0, 1)),
         lambda a, si: changed(a, djpt.Color3f(1, 0, 1)),

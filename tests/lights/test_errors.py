@@ -56,7 +56,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"type": "sunsky", "turbidity": 11.0}, r"'turbidity' must lie in \[1, 10\], found 11"),
     ({"type": "sunsky", "sun_scale": -1.0}, "'sun_scale' must be at least 0, found -1"),
     ({"type": "sunsky", "albedo": 1.5}, "'albedo' must"),
-    ({"type": "sunsky", "albedo": CHECKERBOARD}, "'albedo' can't vary: it is that of all the ground"),
+    ({"type": "sunsky", "albedo": CHECKERBOARD}, "'albedo' can't vary: it applies to all of the ground"),
     ({"type": "sunsky", "sun_direction": [0, 0, 0]}, "'sun_direction' must not be zero"),
     ({"type": "sunsky", "sun_direction": [0, 0, 1], "hour": 9.0}, "can't be given together with 'hour'"),
     ({"type": "sunsky", "sun_aperture": 0.0}, r"'sun_aperture' must lie in \(0, 180\), found 0"),

@@ -82,7 +82,7 @@ def test_a_light_by_reference_gives_the_same_bits_as_a_nested_one() -> None:
 
 
 def test_a_light_without_a_shape_is_told_of() -> None:
-    with pytest.warns(UserWarning, match="light: no shape refers to this emitter: it sends out no light"):
+    with pytest.warns(UserWarning, match="light: no shape refers to this emitter, so it emits no light"):
         loaded = djpt.load_dict(scene(light=AREA))
     assert loaded.emitters() == []
     assert "light.radiance.value" in djpt.traverse(loaded)
@@ -95,7 +95,7 @@ REFUSED = {
     # Mitsuba counts its light twice when it samples lights, and once when a path meets it.
     "shape twice": (
         {"a": lamp(e=AREA), "again": {"type": "ref", "id": "a"}},
-        "a: a shape that emits light can't stand in the scene twice",
+        "a: a shape that emits light can't appear in the scene twice",
     ),
     "one meter in two shapes": (
         {"meter": METER, **{key: lamp(s={"type": "ref", "id": "meter"}) for key in "ab"}},

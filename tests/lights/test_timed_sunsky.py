@@ -191,7 +191,7 @@ def test_an_edit_is_a_new_description() -> None:
     [
         ({"window_start_time": 25.0}, r"'window_start_time' must lie in \[0, 24\], found 25"),
         ({"window_start_time": 9.0, "window_end_time": 8.0}, "'window_end_time' must not be less than"),
-        ({"end_year": 2024}, "'end_year' is too early: the end must not be before the start, found 366 days less"),
+        ({"end_year": 2024}, "'end_year' is too early: the end must not be before the start, found 366 days earlier"),
         ({"shutter_open": 1.0, "shutter_close": 0.0}, "'shutter_close' must not be less than 'shutter_open'"),
         ({"sun_direction": [0, 0, 1]}, "unknown key 'sun_direction'"),
     ],

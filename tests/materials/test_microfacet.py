@@ -195,8 +195,8 @@ def rough(**keys: Any) -> Any:
         ({"alpha_u": 0.1, "alpha_v": 1.1}, r"'alpha_v' must lie in \[0, 1\], found 1.1"),
         ({"distribution": "beckman"}, "'distribution' can't be 'beckman'; did you mean 'beckmann'?"),
         ({"distribution": "phong"}, "'distribution' can't be 'phong'; possible: beckmann, ggx"),
-        ({"alpha": 0.1, "alpha_u": 0.1}, "'alpha' can't stand beside 'alpha_u': give either"),
-        ({"alpha_v": 0.1}, "'alpha_v' needs 'alpha_u' beside it; 'alpha' stands for both"),
+        ({"alpha": 0.1, "alpha_u": 0.1}, "'alpha' can't be combined with 'alpha_u': give either"),
+        ({"alpha_v": 0.1}, "'alpha_v' needs 'alpha_u' as well; 'alpha' sets both"),
     ],
 )
 def test_errors(keys: dict[str, Any], message: str) -> None:

@@ -245,7 +245,7 @@ def test_flags_are_mitsubas(values: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"eta": 1.5, "specular": 0.5}, "'eta' and 'specular' say the same thing"),
+        ({"eta": 1.5, "specular": 0.5}, "'eta' and 'specular' set the same property"),
         ({"specular": 1.5}, r"'specular' must lie in \[0, 1\], found 1.5"),
         ({"eta": 0.0}, "'eta' must be greater than 0"),
         ({"roughness": -0.1}, r"'roughness' must lie in \[0, 1\]"),

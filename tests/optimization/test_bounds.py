@@ -93,7 +93,7 @@ def test_averages_can_be_put_into_the_scene() -> None:
 def test_a_start_out_of_bounds_is_refused() -> None:
     scene = room(light=3)
     target = djpt.render(scene, spp=1)
-    with pytest.raises(ParameterError, match=r"sky\.radiance\.value: starts at 3 \.\. 3, out of its bounds \(0"):
+    with pytest.raises(ParameterError, match=r"sky\.radiance\.value: starts at 3 \.\. 3, outside its bounds \(0"):
         optimize(scene, LIGHT, [target], bounds=(0, 1))
     with pytest.raises(ParameterError, match=r"a sigmoid needs finite bounds, found \(0\.0, inf\)"):
         optimize(scene, LIGHT, [target], keeping="sigmoid")

@@ -206,7 +206,9 @@ def test_what_does_not_fit_is_refused() -> None:
     scene = floor()
     targets = pictures(scene, 1)
     newton: dict[str, Any] = {"optimizer": "gauss_newton"}
-    with pytest.raises(RenderError, match=r"needs a loss of squares \(l2, relative, log\), found 'l1'; 'adam' takes"):
+    with pytest.raises(
+        RenderError, match=r"needs a sum of squares as its loss \(l2, relative, log\), found 'l1'; 'adam' takes"
+    ):
         optimize(scene, KEY, targets, loss="l1", **newton)
     with pytest.raises(RenderError, match="found a function"):
         optimize(scene, KEY, targets, loss=lambda a, b: dr.mean(a - b, axis=None), **newton)

@@ -161,7 +161,7 @@ def test_errors_name_the_cause() -> None:
         optimize(scene, KEY, targets, bounds=(1, 0))
     with pytest.raises(ParameterError, match="sigmoid"):
         optimize(scene, KEY, targets, keeping="sigmoyd")
-    with pytest.raises(ParameterError, match="begin coarse"):
+    with pytest.raises(ParameterError, match="start coarse"):
         optimize(scene, KEY, targets, coarse={KEY: 1})
     with pytest.raises(RenderError, match="unknown loss 'l3'"):
         optimize(scene, KEY, targets, loss="l3")

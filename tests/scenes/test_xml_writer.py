@@ -170,7 +170,7 @@ UNWRITABLE = {
     "unknown": ({"type": "scene", "a": {"type": "spher"}}, "scene.a: unknown plugin 'spher'; did you mean 'sphere'?"),
     "circle": (
         {"type": "scene", "a": {"type": "ref", "id": "b"}, "b": {"type": "ref", "id": "a"}},
-        "scene.a: references run in a circle",
+        "scene.a: references form a cycle",
     ),
     "nowhere": ({"type": "scene", "a": {"type": "ref", "id": "b"}}, "scene.a: nothing has the id 'b'"),
     "not a dict": ([1], "load_dict: a scene description is a dict, found list [1]"),

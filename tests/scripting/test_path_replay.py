@@ -97,7 +97,7 @@ def test_a_parameter_without_effect_has_no_gradient() -> None:
 
 
 def test_images_by_bounces_are_refused() -> None:
-    with pytest.raises(SceneError, match="'bounces' has no place in 'PRBIntegrator': use the plugin 'path'"):
+    with pytest.raises(SceneError, match="'bounces' isn't supported by 'PRBIntegrator': use the plugin 'path'"):
         made("prb", bounces=True)
 
 

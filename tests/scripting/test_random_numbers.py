@@ -68,7 +68,7 @@ def test_radical_inverses_are_mirrored_digits() -> None:
     [
         (lambda: djpt.permute(0, 12, 1), "must be a power of two, found 12"),
         (lambda: djpt.RadicalInverse(1), "must be at least 2, found 1"),
-        (lambda: djpt.RadicalInverse(10).eval(4, 1), "base 4 isn't there; 'max_base' allows 4"),
+        (lambda: djpt.RadicalInverse(10).eval(4, 1), "base 4 doesn't exist; 'max_base' allows 4"),
     ],
 )
 def test_what_is_refused(call: Callable[[], Any], message: str) -> None:

@@ -124,8 +124,8 @@ def test_a_new_batch_compiles_no_kernel() -> None:
         ({"target_images": dr.zeros(TensorXf, (4, 6, 4))}, "has 3 channels, its image 4"),
         ({"target_images": dr.zeros(TensorXf, (5, 6, 3))}, "has 6 x 4 pixels, its image 6 x 5"),
         ({"target_images": [dr.zeros(TensorXf, (4, 6, 3))] * 2}, "1 sensors don't fit 2 target images"),
-        ({"film": {"crop_width": 2, "crop_height": 2}}, "has a crop window, which has no place here"),
-        ({"film": {"sample_border": True}}, "has sample_border, which has no place here"),
+        ({"film": {"crop_width": 2, "crop_height": 2}}, "has a crop window, which isn't supported here"),
+        ({"film": {"sample_border": True}}, "has sample_border, which isn't supported here"),
     ],
 )
 def test_what_is_refused(change: dict[str, Any], words: str) -> None:

@@ -46,7 +46,7 @@ def test_a_ray_is_a_copy_of_what_it_was_made_of() -> None:
 
 
 def test_wavelengths_are_refused() -> None:
-    with pytest.raises(RenderError, match=r"light is RGB, so records have no wavelengths: give \[\], found \[500\]"):
+    with pytest.raises(RenderError, match=r"light is RGB, so records have no wavelengths: pass \[\], found \[500\]"):
         djpt.Ray3f([0, 0, 0], [0, 0, 1], 0, [500])
 
 

@@ -220,7 +220,7 @@ def test_points_by_texture_coordinates(name: str, mi: Any) -> None:
 
 
 def test_a_cube_has_no_parameterisation() -> None:
-    with pytest.raises(SceneError, match="cube: texture coordinates don't tell a point of this shape"):
+    with pytest.raises(SceneError, match="cube: texture coordinates don't determine a point of this shape"):
         djpt.load_dict({"type": "cube"}).eval_parameterization([0.1, 0.2])
 
 

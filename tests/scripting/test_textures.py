@@ -67,6 +67,6 @@ def test_largest_values() -> None:
 
 
 def test_spectra_are_refused() -> None:
-    with pytest.raises(RenderError, match="has no wavelengths: ask for colours"):
+    with pytest.raises(RenderError, match="has no wavelengths: use eval"):
         texture(djpt, "rgb").pdf_spectrum(None)
     assert djpt.Texture.D65(2.0).max() == 2

@@ -248,7 +248,7 @@ def test_mixed_kinds() -> None:
     )
     with pytest.raises(SceneError, match=r"AffineTransform4f @ AffineTransform3f: the two can't be composed"):
         lanes @ djpt.Transform3f()
-    with pytest.raises(SceneError, match=r"composed and applied by the operator @"):
+    with pytest.raises(SceneError, match=r"composed and applied with the operator @"):
         lanes * lanes
     with pytest.raises(TypeError, match="unsupported operand"):
         lanes @ "x"

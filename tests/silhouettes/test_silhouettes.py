@@ -268,7 +268,7 @@ def test_shapes_whose_silhouettes_are_not_known() -> None:
     assert "to_world" in params
     theta = djpt.Float(0)
     dr.enable_grad(theta)
-    with pytest.raises(ParameterError, match="to_world: gradients by this parameter aren't available"):
+    with pytest.raises(ParameterError, match="to_world: gradients with respect to this parameter aren't available"):
         params["to_world"] = djpt.Transform4f().translate([theta, 0, 0])
 
 

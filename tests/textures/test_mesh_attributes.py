@@ -79,7 +79,8 @@ def test_attributes_must_be_there_and_in_range(painted: str) -> None:
         return str(error.value)
 
     missing = {"type": "mesh_attribute", "name": "vertex_colour"}
-    assert "the mesh 'mesh' has no attribute 'vertex_colour'; found: vertex_color, face_heat" in problem(missing)
+    meant = "did you mean 'vertex_color'? (possible: vertex_color, face_heat)"
+    assert f"the mesh 'mesh' has no attribute 'vertex_colour'; {meant}" in problem(missing)
     sphere = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": COLOR}}
     assert "'other' isn't a mesh, and has no attribute 'vertex_color'" in problem(COLOR, other=sphere)
     assert "mesh: 'vertex_color' must lie in [0, 1], found " in problem({**COLOR, "scale": 3})

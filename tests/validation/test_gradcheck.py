@@ -1,5 +1,6 @@
 """The gradient checker: right gradients pass, planted faults are caught."""
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,11 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.overrides import override
+from djpt.cli.gradcheck import SIDE as SIDE_OF_HELP
+from djpt.description.overrides import override, reduced
 from djpt.errors import ParameterError
 from djpt.validation.gradcheck import check_gradient
+from djpt.validation.gradcheck.check import SIDE
 from djpt.validation.gradcheck.verdicts import Sample, compared, paired
 from tests.kit.commands import run
 from tests.kit.faulty import FAULTS
@@ -54,6 +57,44 @@ def test_false_alarms_are_rare() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS)
+def test_planted_faults_are_caught_by_the_defaults(fault: str) -> None:
+    scene = djpt.cornell_box()
+    scene["red"] = box(fault)["red"]
+    result = check_gradient(scene, KEY)
+    assert not result.passed, result
+
+
+def test_large_pictures_are_checked_small() -> None:
+    """The defaults of the README's own command take seconds: its pictures of 256 x 256 are reduced to 64 x 64."""
+    calls: list[tuple[int, int]] = []
+    options: dict[str, Any] = {"spp": 4, "seeds": 3, "most_seeds": 6, "precision": 0.0, "mitsuba": False}
+    result = check_gradient("cornell_box", "red.reflectance.value", progress=lambda *now: calls.append(now), **options)
+    assert result.derivative.shape == (SIDE, SIDE, 3)
+    # Each seed: reverse mode, and three times forward mode and four images of differences. The bar moves within seeds.
+    assert calls[0] == (0, 3 * 16) and calls[-1] == (6 * 16, 6 * 16)
+    assert max(b - a for (a, _), (b, _) in itertools.pairwise(calls)) <= 4
+    assert check_gradient(box(), KEY, width=5, **options).derivative.shape == (5, 5, 3)
+
+
+def test_reduced_films() -> None:
+    scene = {**djpt.cornell_box(), "other": {"type": "radiancemeter", "film": {"type": "hdrfilm", "width": 500}}}
+    wide = override(scene, width=200, height=100)
+    assert sizes(reduced(wide, 64)) == [(64, 32), (500, None)]
+    tall = override(scene, width=100, height=200)
+    assert sizes(reduced(tall, 64)) == [(32, 64), (500, None)]
+    assert reduced(tall, 200) == tall
+    scene["sensor"]["film"]["crop_width"] = 3
+    assert reduced(scene, 64) == scene, "a crop window says which pixels are meant"
+    scene["sensor"] = {"type": "perspective"}
+    assert sizes(reduced(scene, 64)) == [(64, 48), (500, None)]
+
+
+def sizes(scene: dict[str, Any]) -> list[tuple[int, int | None]]:
+    return [(scene[key]["film"]["width"], scene[key]["film"].get("height")) for key in ("sensor", "other")]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["white.reflectance.value", "light.emitter.radiance.value"])
 def test_against_mitsuba(key: str) -> None:
     pytest.importorskip("mitsuba")
@@ -68,7 +109,7 @@ def test_ends_of_ranges() -> None:
     scene["red"]["reflectance"] = {"type": "rgb", "value": [0.0, 1.0, 0.5]}
     result = check_gradient(scene, "red.reflectance.value", seeds=4, most_seeds=8)
     assert result.passed, result
-    assert any("divides by what it differentiates" in note for note in result.notes)
+    assert any("divides by the differentiated value" in note for note in result.notes)
 
 
 def test_textures_at_both_ends_of_their_range() -> None:
@@ -98,6 +139,20 @@ def test_textures_are_checked_by_directions_and_texels() -> None:
     assert sum(name.startswith("entry ") for name in names) == 4
 
 
+@pytest.mark.parametrize("data", ["white and black", "black"])
+def test_texels_at_the_ends_of_their_range(data: str) -> None:
+    """Entries at an end change inwards only: a black texel, of three zeros, can't follow random signs."""
+    scene = override(djpt.cornell_box(), width=8)
+    texels = np.full((4, 4, 3), 0.5, np.float32)
+    texels[1, 1] = 0
+    texels[2, 2] = 1 if "white" in data else 0.5
+    scene["white"]["reflectance"] = {"type": "bitmap", "data": texels, "raw": True}
+    options: dict[str, Any] = {"spp": 16, "seeds": 3, "most_seeds": 3, "samples": 2, "mitsuba": False}
+    result = check_gradient(scene, "white.reflectance.data", **options)
+    assert result.passed, result
+    assert len(result.verdicts) >= 2 * 4
+
+
 def test_verdicts() -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(size=20)
@@ -120,6 +175,7 @@ def test_what_cant_be_checked() -> None:
 
 
 def test_the_command_line(tmp_path: Path) -> None:
+    assert SIDE_OF_HELP == SIDE
     small = ("--width", "8", "--spp", "16", "--seeds", "4", "--most-seeds", "4", "--no-mitsuba")
     picture = tmp_path / "red.png"
     code, out, err = run("gradcheck", "cornell_box", "red.reflectance.value", *small, "-o", str(picture))

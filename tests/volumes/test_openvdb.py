@@ -59,7 +59,7 @@ def test_messages_name_what_is_wrong(path: Path) -> None:
     with pytest.raises(SceneError, match=r"'filename' .*has no grid of numbers called 'soot'; possible: density"):
         djpt.load_dict({"type": "gridvolume", "filename": str(path), "grid_name": "soot"})
     path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(FileError, match="can't be read as a file of OpenVDB"):
+    with pytest.raises(FileError, match="can't be read as an OpenVDB file"):
         read_openvdb(path)
 
 

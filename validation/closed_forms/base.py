@@ -1,4 +1,4 @@
-"""What a closed form is, and what its scenes are made of."""
+"""Closed forms, and the parts of their scenes."""
 
 from __future__ import annotations
 

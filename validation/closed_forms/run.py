@@ -49,7 +49,7 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether noise explains the difference."""
+        """True if noise explains the difference."""
         return abs(self.z) <= self.critical
 
     @property

@@ -1,4 +1,4 @@
-"""`check_gradient`: is the derivative of an image by a parameter right."""
+"""`check_gradient`: a test of the derivative of an image with respect to a parameter."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from djpt.description.overrides import described, override
+from djpt.description.overrides import described, override, reduced
 from djpt.display.progress import Progress, watched
 from djpt.errors import BackendError
 from djpt.rendering.arguments import check_count, check_seed
-from djpt.validation.gradcheck.differences import LEAST, Difference, Step, choose_step
+from djpt.validation.gradcheck.differences import Difference, Step, choose_step
 from djpt.validation.gradcheck.directions import Direction, directions_of
 from djpt.validation.gradcheck.losses import Loss, MitsubaLoss
 from djpt.validation.gradcheck.verdicts import Sample, Verdict, compared, paired
@@ -27,7 +27,10 @@ __all__ = ["GradientCheck", "check_gradient"]
 Floats = npt.NDArray[np.float64]
 
 GROWTH = 2
-"""By how much the number of seeds grows while an estimate isn't precise enough."""
+"""The factor by which the number of seeds grows while an estimate isn't precise enough."""
+
+SIDE = 64
+"""The largest side of the pictures that are checked by default, in pixels: larger ones take longer and find no more."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +38,11 @@ class GradientCheck:
     """The result of `check_gradient`. `print()` shows a table; `write_picture(path)` draws a picture.
 
     * `key`, `value`: the parameter, and its entries where it was checked, (n,).
-    * `gradient`: the derivative of the loss by each entry, by reverse mode, (n,).
+    * `gradient`: the derivative of the loss with respect to each entry, by reverse mode, (n,).
     * `verdicts`: the comparisons, all of which must pass.
-    * `seeds`, `spp`: how many renders each estimate comes from, and their samples per pixel.
+    * `seeds`, `spp`: the number of seeds of each estimate, and the samples per pixel of each render.
     * `resolution`: the largest standard error of a difference between reverse mode and finite differences, relative to
-      the largest derivative: a smaller fault would not have been found.
+      the largest derivative: a smaller error would not have been detected.
     * `derivative`, `by_differences`: the derivative image in the first direction, by forward mode and by finite
       differences, (H, W, C).
     * `notes`: what wasn't compared, and why.
@@ -64,7 +67,7 @@ class GradientCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether all comparisons passed."""
+        """True if all comparisons passed."""
         return not self.failures
 
     def write_picture(self, path: str | os.PathLike[str]) -> None:
@@ -84,7 +87,7 @@ class GradientCheck:
             rows.append((verdict.what, f"{verdict.found:+.5g}", f"{verdict.expected:+.5g}", f"{verdict.z:+.2f}", good))
         widths = [max(len(row[i]) for row in rows) for i in range(4)]
         lines += ["  " + "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[4]]) for row in rows]
-        lines.append(f"  resolution: faults above {self.resolution:.2%} of the largest derivative would be found")
+        lines.append(f"  resolution: detects errors above {self.resolution:.2%} of the largest derivative")
         lines += [f"  {note}" for note in self.notes]
         lines.append("passed" if self.passed else "FAILED")
         return "\n".join(line.rstrip() for line in lines)
@@ -120,9 +123,9 @@ def check_gradient(
     mitsuba: bool | None = None,
     progress: Progress | bool | None = None,
 ) -> GradientCheck:
-    """Check the derivative of the loss mean(w * image), with random weights w, by a parameter of a scene.
+    """Check the derivative of the loss mean(w * image), with random weights w, with respect to a parameter of a scene.
 
-    In each of some directions (see `djpt.validation.gradcheck.directions`) the derivative by reverse mode is compared
+    In each of several directions (`djpt.validation.gradcheck.directions`) the derivative by reverse mode is compared
 
     * with forward mode, at the same seeds: both differentiate the same estimator, so they agree to rounding;
     * with finite differences at the same seeds, which follow nearly the same paths, so that most noise cancels: two
@@ -137,36 +140,39 @@ def check_gradient(
         scene: A dict of Mitsuba's schema, the name of a built-in scene, or a file.
         key: The parameter, as in `djpt.traverse`.
         spp: Samples per pixel of each render.
-        seeds: Renders of each estimate at first.
-        most_seeds: At most.
-        precision: The standard error that is aimed at, relative to the largest derivative.
+        seeds: The number of seeds to start with.
+        most_seeds: The largest number of seeds.
+        precision: The standard error to reach, relative to the largest derivative.
         samples: How many single entries of large parameters, such as textures, are checked.
-        significance: The probability that a right gradient fails in any comparison, as far as noise goes.
-        sensor: The number of the sensor.
-        seed: Changes all seeds.
-        width: Pixels, instead of the scene's.
-        height: Pixels, instead of the scene's.
+        significance: The probability that noise makes a right gradient fail in any comparison.
+        sensor: The index of the sensor.
+        seed: The number from which all seeds are derived.
+        width: Pixels. Default: the scene's, or fewer, so that no side has more than 64; with `width` or `height` alone,
+            the image keeps its aspect ratio.
+        height: Pixels, as `width`.
         integrator: Instead of the scene's.
-        mitsuba: Compare with Mitsuba: None if it can be done (it is installed and knows the scene and the parameter).
-        progress: Called with (seeds done, seeds so far); True shows a bar.
+        mitsuba: Compare with Mitsuba. None: if possible (it is installed, and knows the scene and the parameter).
+        progress: Called with (renders done, renders in all), which grows when seeds are added; True shows a bar.
 
     Raises:
-        ParameterError: There is no such parameter, it has no derivatives, or can't be changed.
-        ComparisonError: Mitsuba is asked for and can't do it.
+        ParameterError: There is no such parameter, it has no derivatives, or it can't be changed.
+        ComparisonError: The comparison with Mitsuba is requested and impossible.
         SceneError: The scene is wrong.
         RenderError: Arguments are out of range.
     """
     name, description = described(scene)
     description = override(description, width=width, height=height, integrator=integrator)
+    if width is None and height is None:
+        description = reduced(description, SIDE)
     first = check_seed("seed", seed)
     spp, seeds = max(1, check_count("spp", spp)), max(3, check_count("seeds", seeds))
     most_seeds = max(seeds, check_count("most_seeds", most_seeds))
-    loss = Loss(description, key, spp, sensor, first)
-    theirs, notes = mitsuba_loss(description, loss, mitsuba)
-    numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
-    directions = directions_of(loss.values, loss.reverse(numbers[0]), samples, first, loss.inward(LEAST))
-    record = Record(loss, theirs, [(d, choose_step(loss, d.vector)) for d in directions])
-    with watched(progress, "checking", "seeds") as shown:
+    with watched(progress, "checking", "renders") as shown:
+        loss = Loss(description, key, spp, sensor, first)
+        theirs, notes = mitsuba_loss(description, loss, mitsuba)
+        numbers = np.random.SeedSequence([first, 5]).generate_state(2 * most_seeds).tolist()
+        directions = directions_of(loss.inward(), loss.reverse(numbers[0]), samples, first)
+        record = Record(loss, theirs, [(d, choose_step(loss, d.vector)) for d in directions])
         while True:
             record.extend(numbers, seeds, most_seeds, shown)
             if record.precision() <= precision or seeds >= most_seeds:
@@ -222,7 +228,7 @@ class Series:
 
 
 class Record:
-    """All estimates so far."""
+    """The estimates of all derivatives so far."""
 
     def __init__(self, loss: Loss, theirs: MitsubaLoss | None, steps: list[tuple[Direction, Step]]) -> None:
         self.loss, self.theirs, self.steps = loss, theirs, steps
@@ -234,19 +240,32 @@ class Record:
 
     def extend(self, numbers: list[int], count: int, most: int, progress: Progress | None) -> None:
         """Add seeds until there are `count`; Mitsuba has the second half of the numbers."""
+        each = 1 + sum(1 + step.renders for _, step in self.steps) + (self.theirs is not None)
+        done = each * len(self.gradients)
+
+        def advance(renders: int = 1) -> None:
+            nonlocal done
+            done += renders
+            if progress:
+                progress(done, each * count)
+
+        advance(0)
         for place in range(len(self.gradients), count):
             number = numbers[place]
-            self.gradients.append(self.loss.reverse(number))
+            gradient = self.loss.reverse(number)
+            advance()
             for i, (direction, step) in enumerate(self.steps):
                 image = self.loss.forward(direction.vector, number)
                 self.forward[i].add(self.loss.value(image), image)
+                advance()
                 found: Difference = step.difference(number)
                 self.differences[i].add(found.loss, found.image)
                 self.changes[i].append(found.error)
+                advance(step.renders)
             if self.theirs is not None:
                 self.mitsuba.append(self.theirs.reverse(numbers[most + place]))
-            if progress:
-                progress(place + 1, count)
+                advance()
+            self.gradients.append(gradient)
 
     def along(self, gradients: list[Floats], direction: Direction) -> Sample:
         """The derivatives in a direction by reverse mode."""
@@ -262,7 +281,7 @@ class Record:
         return max(errors) / max(sizes) if max(sizes) > 0 else 0.0
 
     def verdicts(self, significance: float) -> list[Verdict]:
-        """All comparisons."""
+        """The verdicts on all comparisons."""
         found = []
         tests = len(self.steps) * (2 + (self.theirs is not None))
         for i, (direction, _) in enumerate(self.steps):

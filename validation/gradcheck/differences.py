@@ -10,7 +10,7 @@ import numpy.typing as npt
 from djpt.errors import ParameterError
 from djpt.validation.gradcheck.losses import Loss
 
-__all__ = ["LEAST", "Difference", "Step", "choose_step"]
+__all__ = ["Difference", "Step", "choose_step"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -18,7 +18,7 @@ SHARE, LEAST = 0.1, 0.02
 """The step as a share of the largest entry that is changed, and the least one for entries near zero."""
 
 HALVINGS = 12
-"""How often a step that leaves the parameter's range is halved."""
+"""The most times that a step which leaves the parameter's range is halved."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Difference:
     """A derivative by finite differences at one seed."""
 
     image: Floats
-    """Of each pixel, (H, W, C)."""
+    """The derivative of each pixel, (H, W, C)."""
     loss: float
     error: float
     """The change that halving the step made to the loss's derivative: the truncation error is a fraction of it."""
@@ -41,6 +41,11 @@ class Step:
     size: float
     sides: int
     """0: central; 1: ahead only; -1: behind only."""
+
+    @property
+    def renders(self) -> int:
+        """The images that `difference` renders."""
+        return 4 if self.sides == 0 else 6
 
     def difference(self, seed: int) -> Difference:
         """The derivative at a seed, by two steps and Richardson's extrapolation, of fourth order (central) or third."""

@@ -22,6 +22,9 @@ __all__ = ["Loss", "MitsubaLoss", "weights"]
 NEAR_ZERO = 1e-6
 """Entries below this are taken for zero."""
 
+NEAR_END = 1e-3
+"""Entries that are no farther from an end of their range are taken for the end."""
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -67,7 +70,7 @@ class Loss:
             self._assign(self.values)
 
     def allows(self, entries: Floats) -> bool:
-        """Whether the parameter can have these entries."""
+        """True if the parameter can have these entries."""
         try:
             self._assign(entries)
         except ParameterError:
@@ -76,21 +79,21 @@ class Loss:
             self._assign(self.values)
         return True
 
-    def inward(self, reach: float) -> Floats:
-        """The sign of the changes that keep each entry in its range: 1 or -1 within `reach` of an end, else 0, (n,)."""
-        signs = np.zeros(self.values.size)
-        for end, sign in ((self.values.min(), 1.0), (self.values.max(), -1.0)):
-            near = np.abs(self.values - end) < reach
-            if not self.allows(self.values - sign * reach * near):
-                signs[near] = sign
-        return signs
+    def inward(self) -> Floats:
+        """The direction into the parameter's range for entries at its ends, 1 or -1, and 0 for the others, (n,)."""
+        found = np.zeros_like(self.values)
+        for sign, end in ((1.0, self.values.min()), (-1.0, self.values.max())):
+            at_end = np.abs(self.values - end) <= NEAR_END
+            if not self.allows(self.values - sign * NEAR_END * at_end):
+                found[at_end] = sign
+        return found
 
     def value(self, image: npt.NDArray[np.floating]) -> float:
         """The loss of an image."""
         return float(np.mean(np.asarray(image, np.float64) * self.weights))
 
     def reverse(self, seed: int) -> Floats:
-        """The derivative of the loss by each entry, by reverse mode, (n,)."""
+        """The derivative of the loss with respect to each entry, by reverse mode, (n,)."""
         self._attach()
         try:
             image = self._rendered(seed)
@@ -126,11 +129,11 @@ class Loss:
 
 
 REPLAYING = {"path": "prb", "volpath": "prbvolpath", "volpathmis": "prbvolpath"}
-"""Mitsuba's integrators that need not record loops to be differentiated, in place of others."""
+"""The integrators that replace others in Mitsuba, since they need not record loops to be differentiated."""
 
 
 class MitsubaLoss:
-    """The same loss in Mitsuba, with its integrators `prb` and `prbvolpath`; only reverse mode.
+    """The loss of `Loss` in Mitsuba, with its integrators `prb` and `prbvolpath`; only reverse mode.
 
     Raises:
         ComparisonError: Mitsuba can't load the scene, has no such parameter, or is wrong at this value.
@@ -139,7 +142,7 @@ class MitsubaLoss:
     def __init__(self, scene: Mapping[str, Any], key: str, spp: int, sensor: int, like: Loss) -> None:
         self.key, self.spp, self.sensor, self.like = key, spp, sensor, like
         if np.any(np.abs(like.values) < NEAR_ZERO):
-            raise ComparisonError("its replay divides by what it differentiates, which is zero here")
+            raise ComparisonError("its path replay divides by the differentiated value, which is zero here")
         node = scene.get("integrator")
         kind = node.get("type") if isinstance(node, Mapping) else None
         if kind in REPLAYING:
@@ -152,7 +155,7 @@ class MitsubaLoss:
                 raise ComparisonError(f"Mitsuba's parameter '{key}' has {np.array(self.params[key]).size} entries")
 
     def reverse(self, seed: int) -> Floats:
-        """The derivative of the loss by each entry, (n,)."""
+        """The derivative of the loss with respect to each entry, (n,)."""
         with mitsuba_scene(None) as (mi, _):
             dr.enable_grad(self.params[self.key])
             self.params.update()

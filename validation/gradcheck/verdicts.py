@@ -1,4 +1,4 @@
-"""Whether two estimates of a derivative agree, and with which certainty."""
+"""Tests of the agreement of two estimates of a derivative."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Sample:
 
     @property
     def mean(self) -> float:
-        """Their mean."""
+        """The mean of the values."""
         return float(np.mean(self.values))
 
     @property
@@ -55,7 +55,7 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Whether noise explains the difference."""
+        """True if noise explains the difference."""
         return math.isfinite(self.z) and abs(self.z) <= self.critical
 
     def __str__(self) -> str:

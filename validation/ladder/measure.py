@@ -92,7 +92,7 @@ class Measured:
 
     @property
     def at_floor(self) -> bool:
-        """Whether more samples won't remove most of the last image's error."""
+        """True if more samples won't remove most of the last image's error."""
         return self.floor > 0.5 * self.last.rmse
 
     def seconds_to(self, rmse: float) -> float:

@@ -18,23 +18,23 @@ SHARED: dict[str, Any] = {"max_depth": -1, "rr_depth": 5, "hide_emitters": False
 
 
 def always(scene: Scene) -> bool:
-    """Whether the light matters in `scene`: true for any scene."""
+    """True if the light matters in `scene`: true for any scene."""
     return True
 
 
 def has_points(scene: Scene) -> bool:
-    """Whether a scene has lights that no path meets by chance, such as points."""
+    """True if a scene has lights that no path meets by chance, such as points."""
     return any(has_flag(emitter.flags(), EmitterFlags.Delta) for emitter in scene.emitters())
 
 
 def has_mirrors(scene: Scene) -> bool:
-    """Whether a scene has mirrors or smooth panes."""
+    """True if a scene has mirrors or smooth panes."""
     mirrors = BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission
     return any(has_flag(bsdf.flags(), mirrors) for bsdf in scene.bsdfs.plugins)
 
 
 def has_caustics_of_points(scene: Scene) -> bool:
-    """Whether a scene has both: lights that no path meets by chance, and mirrors or smooth panes."""
+    """True if a scene has both: lights that no path meets by chance, and mirrors or smooth panes."""
     return has_points(scene) and has_mirrors(scene)
 
 
@@ -51,7 +51,7 @@ class Step:
     shares: tuple[str, ...]
     """The settings of `SHARED` that the integrator has."""
     matters: Callable[[Scene], bool] = always
-    """Whether a scene has the light that the step leaves out."""
+    """True if a scene has the light that the step leaves out."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     deepest: int | None = None
     """Most edges of its paths on the ladder, though longer ones are possible; None: as many as the scene asks for."""
@@ -206,8 +206,8 @@ STEPS: tuple[Step, ...] = (
 
 ELSEWHERE: dict[str, str] = {
     "prb": "`path` with other defaults",
-    "direct_projective": "`direct`, with gradients by moving shapes",
-    "prb_projective": "`path`, with gradients by moving shapes",
+    "direct_projective": "`direct`, with gradients with respect to moving shapes",
+    "prb_projective": "`path`, with gradients with respect to moving shapes",
     "volpath": "`path`, with media that scatter light",
     "volpathmis": "`volpath`, with weights for media of several colours",
     "prbvolpath": "`volpath` with other defaults",

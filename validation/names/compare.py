@@ -21,7 +21,7 @@ MISSING: Any = object()
 
 
 class Verdict(enum.Enum):
-    """What became of a name."""
+    """The result for a name."""
 
     HERE = "here"
     DIFFERENT = "different"
@@ -36,7 +36,7 @@ class Finding:
     name: PublicName
     verdict: Verdict
     note: str = ""
-    """What differs, or the reason to leave the name out."""
+    """The difference, or the reason to leave the name out."""
 
 
 def findings(mitsuba: ModuleType, djpt: Any) -> list[Finding]:
@@ -72,9 +72,9 @@ class Method:
 
     cls: type
     value: Any
-    """As `getattr` gives it."""
+    """The attribute as `getattr` returns it."""
     static: Any
-    """As the class stores it."""
+    """The attribute as the class stores it."""
 
 
 def look_up(root: Any, path: str) -> Any:
@@ -94,7 +94,7 @@ def look_up(root: Any, path: str) -> Any:
 
 
 def member(cls: type, name: str) -> Any:
-    """What the objects of a class have under a name."""
+    """The attribute that the objects of a class have under a name."""
     static = inspect.getattr_static(cls, name, MISSING)
     if static is not MISSING:
         value = getattr(cls, name)

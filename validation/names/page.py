@@ -32,7 +32,7 @@ LINE = re.compile(r"^\* `([\w.]+)`: (.*)$")
 
 
 def counts(found: Iterable[Finding]) -> Counter[Verdict]:
-    """How many names have each verdict."""
+    """The number of names with each verdict."""
     return Counter(f.verdict for f in found)
 
 
@@ -70,7 +70,7 @@ def summary(found: list[Finding]) -> list[str]:
 
 
 def exclusions(found: list[Finding]) -> list[str]:
-    """What is left out, by reason."""
+    """The names that are left out, by reason."""
     families = defaultdict(list)
     for f in found:
         if f.verdict is Verdict.EXCLUDED:
@@ -82,18 +82,18 @@ def exclusions(found: list[Finding]) -> list[str]:
 
 
 def different(found: list[Finding]) -> list[str]:
-    """What differs, each with what is refused."""
+    """The names that differ, each with the calls that are refused."""
     chosen = [f for f in found if f.verdict is Verdict.DIFFERENT]
     return ["## Different", "", *(f"* `{f.name.path}`: {f.note}" for f in chosen), ""]
 
 
 def absent(found: list[Finding]) -> list[str]:
-    """What is missing, by class."""
+    """The names that are missing, by class."""
     return ["## Absent", "", *by_owner(found, Verdict.ABSENT), ""]
 
 
 def here(found: list[Finding]) -> list[str]:
-    """What is here, by class."""
+    """The names that are here, by class."""
     return [HERE, "", *by_owner(found, Verdict.HERE)]
 
 

@@ -1,4 +1,4 @@
-"""Which calls a function allows, and whether another function allows them, too."""
+"""The calls that a function allows, compared with those of another function."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def calls(signature: Signature) -> Iterator[tuple[list[str], list[str]]]:
 
 
 def accepts(signature: Signature, positional: list[str], named: list[str]) -> bool:
-    """Whether a call binds, with each name to a parameter of that name."""
+    """True if a call binds, with each name to a parameter of that name."""
     known = {
         p.name
         for p in signature.parameters.values()

@@ -65,7 +65,7 @@ def in_module(module: ModuleType, prefix: str, seen: set[int]) -> Iterator[Publi
 
 
 def is_theirs(value: Any) -> bool:
-    """Whether an object is Mitsuba's or Dr.Jit's, or a type of numbers, and not an import from elsewhere."""
+    """True if an object is Mitsuba's or Dr.Jit's, or a type of numbers, and not an import from elsewhere."""
     home = str(getattr(value, "__module__", "") or "")
     return home.split(".")[0] in ("mitsuba", "drjit", "") or (home == "builtins" and inspect.isclass(value))
 
@@ -100,7 +100,7 @@ def in_class(cls: type, path: str, seen: set[int]) -> Iterator[PublicName]:
 
 
 def is_array(cls: type) -> bool:
-    """Whether a class is a Dr.Jit array of numbers, as opposed to one of pointers."""
+    """True if a class is a Dr.Jit array of numbers, as opposed to one of pointers."""
     import drjit as dr
 
     return issubclass(cls, dr.ArrayBase) and not any(hasattr(v, "__nb_signature__") for v in vars(cls).values())

@@ -102,7 +102,7 @@ def data(result: Comparison, flip: np.ndarray[Any, Any] | None) -> str:
 
 
 def failures(result: Comparison) -> str:
-    """What failed, as a list."""
+    """The failures, as a list."""
     if result.passed:
         return ""
     return '<ul class="bad">' + "".join(f"<li>{escape(line)}</li>" for line in result.failures) + "</ul>"
@@ -122,7 +122,7 @@ def table(result: Comparison) -> str:
 
 
 def has(result: Comparison, name: str) -> bool:
-    """Whether a measure can be computed: FLIP needs its package, and HDR-FLIP a reference that isn't black."""
+    """True if a measure can be computed: FLIP needs its package, and HDR-FLIP a reference that isn't black."""
     try:
         return math.isfinite(result.measure(name))
     except (BackendError, AssertionError):
@@ -158,7 +158,7 @@ def histograms(result: Comparison) -> str:
 
 
 def inward(ticks: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """The same ticks, with the outer ones nearer so that their texts fit: at 9 tenths."""
+    """The ticks of an axis, the outer ones moved inwards to 9 tenths so that their labels fit."""
     return [(0.9 * place, text if place == 0 else f"{0.9 * place:.2g}".replace("-", "−")) for place, text in ticks]
 
 
@@ -176,7 +176,7 @@ def decades(values: np.ndarray[Any, Any]) -> tuple[int, int]:
 
 
 def origin(result: Comparison) -> str:
-    """What was rendered, by what, and where."""
+    """The origin of the images: scenes, programs and machines."""
     blocks = []
     for title, facts in zip(result.titles, result.facts, strict=True):
         lines = "".join(fact(name, value) for name, value in facts.items())

@@ -58,5 +58,5 @@ class Node:
     def append(self, entry: Entry) -> None:
         """Append an entry; raise `SceneError` if its name is taken."""
         if entry.name and self.places.setdefault(entry.name, entry.place) is not entry.place:
-            raise SceneError(f"{entry.place}: '{entry.name}' was given already ({self.places[entry.name]})")
+            raise SceneError(f"{entry.place}: '{entry.name}' was already given ({self.places[entry.name]})")
         self.entries.append(entry)

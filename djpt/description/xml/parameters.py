@@ -84,7 +84,7 @@ class Parameters:
     def check_all_used(self, where: str) -> None:
         """Raise `SceneError` for a value that was given and that no file uses; `where` names the file."""
         for name in sorted(self._given - self._used):
-            hint = near_miss(name, self._known - {name}) or "; the file has no parameters"
+            hint = near_miss(name, self._known - self._given) or "; the file has no parameters"
             raise SceneError(f"{where}: the parameter '{name}' isn't used{hint}")
 
 

@@ -127,7 +127,7 @@ class Reader:
 
     def _register(self, name: str, node: Node, element: Element) -> None:
         if name in self.ids:
-            raise element.error(f"the id '{name}' is taken already ({self.ids[name].place})")
+            raise element.error(f"the id '{name}' is already taken ({self.ids[name].place})")
         self.ids[name] = node
 
     def _child(self, element: Element, parent: Node, file: _File, is_root: bool) -> None:
@@ -193,7 +193,7 @@ class Reader:
         real = os.path.realpath(path)
         if real in file.real:
             circle = [Path(step).name for step in (*file.real[file.real.index(real) :], real)]
-            raise element.error(f"files include each other in a circle: {' -> '.join(circle)}")
+            raise element.error(f"files include each other in a cycle: {' -> '.join(circle)}")
         if len(file.real) >= MAX_INCLUDES:
             raise element.error(f"includes are nested deeper than {MAX_INCLUDES} levels")
         if self._files >= MAX_FILES:

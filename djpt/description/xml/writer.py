@@ -104,7 +104,7 @@ class _Writer:
                 return seen[-1]
             following = self.loader.target(node, seen[-1])
             if following in seen:
-                raise SceneError(f"{self.loader.name(path)}: references run in a circle")
+                raise SceneError(f"{self.loader.name(path)}: references form a cycle")
             seen.append(following)
 
     # ---- tags ------------------------------------------------------------------------------

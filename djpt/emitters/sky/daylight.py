@@ -75,7 +75,7 @@ class Daylight(OrientedEmitter):
         self.sun_scale = as_float(props.float("sun_scale", 1.0, low=0.0))
         self.albedo = props.texture("albedo", 0.3, low=0.0, high=1.0)
         if not self.albedo.is_constant:
-            raise props.error("albedo", "can't vary: it is that of all the ground")
+            raise props.error("albedo", "can't vary: it applies to all of the ground")
         aperture = props.float("sun_aperture", 0.5358, low=0.0, high=180.0, low_open=True, high_open=True)
         self.disc = SunDisc(aperture, props.boolean("complex_sun", False))
         self.set_bounds(np.zeros(3), 1.0)

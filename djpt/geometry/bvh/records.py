@@ -148,7 +148,8 @@ def pack(
     starts = roots(trees)
     if starts[-1] > MAX_RECORDS:
         raise SceneError(
-            f"the scene has too many triangles: they take {starts[-1]} records of the BVH, {MAX_RECORDS} are possible"
+            f"the scene has too many triangles: they take {starts[-1]} records of the BVH; at most {MAX_RECORDS} are "
+            "possible"
         )
     words = aligned((starts[-1], WORDS))
     words[EMPTY, :12], words[EMPTY, 12] = NO_CHILD, EMPTY_CELL

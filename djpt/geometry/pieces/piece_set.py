@@ -24,7 +24,7 @@ STEPS = 3
 
 @dataclass
 class Place:
-    """A place along a curve: the centre, the radius, and derivatives by the parameter of the segment."""
+    """A place along a curve: the centre, the radius, and derivatives with respect to the parameter of the segment."""
 
     c: Point3f
     dc: Vector3f

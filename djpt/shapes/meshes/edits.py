@@ -69,6 +69,6 @@ class Edits:
             if name in self.changed:
                 raise ParameterError(f"{self.node}.{name}: must be {count} rows of {width}, found {len(value)}")
             if name != "vertex_normals":
-                warnings.warn(f"{self.node}.{name}: the mesh has another size now; set to zero", stacklevel=2)
+                warnings.warn(f"{self.node}.{name}: the size of the mesh has changed; set to zero", stacklevel=2)
             value = np.zeros((count, width), np.float32)
         return value
