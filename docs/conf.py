@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import re
+import shutil
 from importlib.metadata import distribution
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.ext.napoleon import Config, GoogleDocstring
 
 import djpt
 
@@ -12,8 +18,16 @@ author = "djpt contributors"
 copyright = "djpt contributors, BSD-3-Clause"
 version = release = djpt.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
-exclude_patterns = ["_build"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+]
+templates_path = ["_templates"]
+exclude_patterns = ["_build", "_templates"]
+toc_object_entries = False  # every page carries the table of contents: thousands of methods would make it megabytes
 html_theme = "furo"
 html_title = f"djpt {version}"
 
@@ -34,8 +48,28 @@ autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "show-inheritance": True}
 python_use_unqualified_type_names = True
-napoleon_google_docstring = True
-napoleon_numpy_docstring = False
+
+SECTIONS = Config(napoleon_numpy_docstring=False)
+"""Docstrings have Google's sections: Args, Returns, Raises."""
+
+# The chapters of the API reference list modules; each gets a page, which is written here at every build.
+MODULE_PAGES = Path(__file__).parent / "api" / "modules"
+
+
+def _forget_module_pages(app: Sphinx) -> None:
+    """Modules come and go: the page of one that is gone would be in no table of contents."""
+    shutil.rmtree(MODULE_PAGES, ignore_errors=True)
+
+
+def _google_sections(app, what, name, obj, options, lines) -> None:
+    """What the extension Napoleon does, except for attributes: it takes words before a colon for their type."""
+    if what not in ("attribute", "data", "property"):
+        lines[:] = GoogleDocstring(lines, SECTIONS, app, what, name, obj, options).lines()
+
+
+def _skip_drjit(app, what, name, obj, skip, options) -> bool | None:
+    """Classes of Dr.Jit that modules offer under a name of theirs: Dr.Jit documents them."""
+    return True if inspect.isclass(obj) and obj.__module__.startswith("drjit") else None
 
 
 def _absolute_values(app, what, name, obj, options, lines) -> None:
@@ -45,4 +79,7 @@ def _absolute_values(app, what, name, obj, options, lines) -> None:
 
 def setup(app) -> None:
     """Called by Sphinx."""
+    app.connect("builder-inited", _forget_module_pages, priority=100)  # before autosummary writes them
+    app.connect("autodoc-skip-member", _skip_drjit)
+    app.connect("autodoc-process-docstring", _google_sections, priority=400)
     app.connect("autodoc-process-docstring", _absolute_values)

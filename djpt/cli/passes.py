@@ -153,7 +153,7 @@ class Passes:
         try:
             from distributed import Client
         except ImportError:
-            raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+            raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
         try:
             client: Any = Client(self.cluster)  # type: ignore[no-untyped-call]
         except (OSError, ValueError, TypeError) as error:

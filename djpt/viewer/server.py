@@ -74,7 +74,7 @@ class Server:
         try:
             from websockets.sync.server import serve
         except ImportError:
-            raise BackendError("the page needs the package 'websockets': pip install 'djpt[view]'") from None
+            raise BackendError("the page needs the package 'websockets': pip install websockets") from None
         self.inbox: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         """Messages of pages; ``{"do": "join"}`` when one has connected."""
         self._outboxes: set[Outbox] = set()
