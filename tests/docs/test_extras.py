@@ -19,7 +19,9 @@ pytestmark = pytest.mark.skipif(not PYPROJECT.exists(), reason="not a working co
 def extras() -> dict[str, list[str]]:
     """The optional dependencies: name -> packages."""
     table = PYPROJECT.read_text().split("[project.optional-dependencies]")[1].split("\n[project.")[0]
-    return {name: re.findall(r'"([^"]+)"', packages) for name, packages in re.findall(r"^(\w+) = \[(.*)\]$", table, re.M)}
+    return {
+        name: re.findall(r'"([^"]+)"', packages) for name, packages in re.findall(r"^(\w+) = \[(.*)\]$", table, re.M)
+    }
 
 
 def sources() -> list[Path]:

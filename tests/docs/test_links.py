@@ -59,7 +59,9 @@ def test_links_lead_somewhere(page: str) -> None:
 
 def test_dead_links_are_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("# A heading, with `code`\n\n[a](#a-heading-with-code) [b](#b) [c](c.md) [d](page.md#d) [e](page.md)\n")
+    page.write_text(
+        "# A heading, with `code`\n\n[a](#a-heading-with-code) [b](#b) [c](c.md) [d](page.md#d) [e](page.md)\n"
+    )
     assert dead_links(page) == ["#b", "c.md", "page.md#d"]
 
 
