@@ -13,9 +13,9 @@ __all__ = ["counts", "read_names", "render_page", "share"]
 HEAD = """# Mitsuba's names
 
 A script written for Mitsuba 3.9.1 runs in djpt after changing its import to `import djpt as mi`, if djpt has the names
-that it uses. `python -m djpt.validation.names --write` generated this page: it walks the public names of the installed Mitsuba in
-its variant `llvm_ad_rgb`, that is functions, classes, methods, attributes, members of enumerations and constants, and
-compares each with djpt's.
+that it uses. `python -m djpt.validation.names --write` generated this page: it walks the public names of the installed
+Mitsuba in its variant `llvm_ad_rgb`, that is functions, classes, methods, attributes, members of enumerations and
+constants, and compares each with djpt's.
 
 * *Here*: present, and every call that Mitsuba's signature allows is accepted, by position and by name; numbers of
   enumerations and constants are equal.
