@@ -12,14 +12,14 @@ READY := $(VENV)/.djpt-ready
 .PHONY: help setup render gallery test test-narrow lint format check check-cuda bench bench-cuda docs clean
 
 help:
-	@echo 'make setup    create $(VENV), install djpt and what its tests need, see to LLVM'
+	@echo 'make setup    create $(VENV), install djpt and what its tests and pages need, see to LLVM'
 	@echo 'make render   render the Cornell box to cornell_box.png'
 	@echo 'make gallery  render a ball of each material to gallery.png'
 	@echo 'make test     run the tests (without the slow ones)'
 	@echo 'make test-narrow   some of them again, with kernels as for AVX2'
 	@echo 'make lint     ruff and mypy'
 	@echo 'make format   let ruff format the code and sort the imports'
-	@echo 'make check    lint and all tests'
+	@echo 'make check    lint and all tests; one of them builds the documentation'
 	@echo 'make check-cuda    tests on a GPU, if there is one'
 	@echo 'make bench    measure against Mitsuba'
 	@echo 'make bench-cuda    measure on a GPU, if there is one, against Mitsuba and the processor'
@@ -31,7 +31,7 @@ setup: $(READY)
 $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "djpt needs Python 3.10 or newer, $(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[validate,dev]'
+	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[validate,dev,docs]'
 	$(PY) -m djpt.llvm --if-needed
 	@touch $@
 
@@ -70,7 +70,6 @@ bench-cuda: $(READY)  # without a GPU it says so and is content
 	@$(PY) benchmarks/cuda.py
 
 docs: $(READY)
-	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	$(PY) -m sphinx -q -W --keep-going -b html docs build/docs
 	@echo 'build/docs/index.html'
 

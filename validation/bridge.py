@@ -139,7 +139,7 @@ def _variant() -> Iterator[Any]:
         import mitsuba as mi
     except ImportError as error:
         raise BackendError(
-            f"comparing needs Mitsuba {VERSION}, which can't be imported ({error}): pip install 'djpt[validate]'"
+            f"comparing needs Mitsuba {VERSION}, which can't be imported ({error}): pip install mitsuba=={VERSION}"
         ) from None
     name, before = variant(), mi.variant()
     if name not in mi.variants():

@@ -99,7 +99,7 @@ def evaluated(image: Array, reference: Array, kind: str) -> Array:
     try:
         import flip_evaluator
     except ImportError:
-        raise BackendError("FLIP needs the package flip-evaluator: pip install 'djpt[validate]'") from None
+        raise BackendError("FLIP needs the package flip-evaluator: pip install flip-evaluator") from None
     found, _, _ = flip_evaluator.evaluate(
         reference.astype(np.float32), image.astype(np.float32), kind, applyMagma=False, computeMeanError=False
     )

@@ -273,5 +273,5 @@ def _scipy() -> Any:
         import scipy.special
         import scipy.stats
     except ImportError:
-        raise BackendError("the statistical tests need SciPy: pip install 'djpt[validate]'") from None
+        raise BackendError("the statistical tests need SciPy: pip install scipy") from None
     return scipy

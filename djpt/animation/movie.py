@@ -96,7 +96,7 @@ def ffmpeg() -> Any:
         import imageio_ffmpeg
     except ImportError:
         raise BackendError(
-            "mp4 needs the package 'imageio-ffmpeg': pip install 'djpt[animation]'; gif needs none"
+            "mp4 needs the package 'imageio-ffmpeg': pip install imageio-ffmpeg; gif needs none"
         ) from None
     return imageio_ffmpeg
 

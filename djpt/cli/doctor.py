@@ -109,7 +109,7 @@ def examine() -> Report:
             _variant(),
             trial,
             *([_ray_queries()] if trial.verdict == "ok" else []),
-            _package("mitsuba", "only for validation: pip install 'djpt[validate]'"),
+            _package("mitsuba", "only for validation: pip install mitsuba==3.9.1"),
         ),
         usable=trial.verdict == "ok",
     )

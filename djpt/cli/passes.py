@@ -165,7 +165,7 @@ class Passes:
         try:
             from distributed import Client
         except ImportError:
-            raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+            raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
         from djpt.cluster.patience import within
 
         try:

@@ -47,7 +47,7 @@ def command(
     try:
         from distributed import Worker
     except ImportError:
-        raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+        raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
     import drjit as dr
 
     import djpt.cluster.work  # noqa: F401 (compiles nothing later than it must)

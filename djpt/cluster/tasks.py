@@ -275,6 +275,6 @@ def require_client(client: Any) -> None:
     try:
         from distributed import Client
     except ImportError:
-        raise BackendError("clusters need the package 'distributed': pip install 'djpt[cluster]'") from None
+        raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
     if not isinstance(client, Client):
         raise BackendError(f"'client' must be a distributed.Client, found {type(client).__name__}")

@@ -27,7 +27,7 @@ def library() -> Any:
         return importlib.import_module("mitsuba_oidn")
     except ImportError as error:
         raise BackendError(
-            f"Open Image Denoise can't be loaded ({error}): pip install 'djpt[denoise]', or choose the method 'nlm', "
+            f"Open Image Denoise can't be loaded ({error}): pip install mitsuba-oidn, or choose the method 'nlm', "
             "which needs no package but denoises worse"
         ) from error
 

@@ -153,5 +153,5 @@ def sparse() -> Any:
         import scipy.sparse
         import scipy.sparse.linalg
     except ImportError:
-        raise DjptError("LargeSteps solves by SciPy, which isn't installed: pip install djpt[largesteps]") from None
+        raise DjptError("LargeSteps solves by SciPy, which isn't installed: pip install scipy") from None
     return scipy.sparse

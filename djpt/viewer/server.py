@@ -104,7 +104,7 @@ class Server:
         try:
             from websockets.sync.server import ServerConnection, serve
         except ImportError:
-            raise BackendError("the page needs the package 'websockets': pip install 'djpt[view]'") from None
+            raise BackendError("the page needs the package 'websockets': pip install websockets") from None
         self.inbox: queue.Queue[dict[str, Any]] = queue.Queue(WAITING)
         """Messages of pages; ``{"do": "join"}`` when one has connected."""
         self._secret = secrets.token_urlsafe(SECRET_BYTES)

@@ -1,6 +1,6 @@
 """Files of OpenVDB: sparse grids of voxels.
 
-They are read by tinyvdb, which is installed by ``pip install 'djpt[vdb]'``. Only what is stored voxel by voxel arrives:
+They are read by tinyvdb, which is installed by ``pip install tinyvdb``. Only what is stored voxel by voxel arrives:
 tinyvdb 0.9 skips constant tiles, so a file whose own count of voxels says that there are some is refused.
 """
 
@@ -43,7 +43,7 @@ def read_openvdb(path: str | os.PathLike[str], name: str = "") -> VolumeGrid:
     try:
         tinyvdb: Any = importlib.import_module("tinyvdb")
     except ImportError:
-        raise FileError(f"'{path}': OpenVDB files need the package tinyvdb: pip install 'djpt[vdb]'") from None
+        raise FileError(f"'{path}': OpenVDB files need the package tinyvdb: pip install tinyvdb") from None
     require_regular(path)
     try:
         with tinyvdb.open(os.fspath(path)) as file:

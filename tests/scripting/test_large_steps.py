@@ -107,5 +107,5 @@ def test_coordinates_of_another_mesh_are_refused() -> None:
 
 def test_without_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.sparse", None)
-    with pytest.raises(DjptError, match=r"pip install djpt\[largesteps\]"):
+    with pytest.raises(DjptError, match=r"pip install scipy"):
         smooth()

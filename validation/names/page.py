@@ -12,19 +12,19 @@ __all__ = ["counts", "read_names", "render_page", "share"]
 
 HEAD = """# Mitsuba's names
 
-A script that was written for Mitsuba 3.9.1 runs here by its import, `import djpt as mi`, if the names that it uses are
-here. `python -m djpt.validation.names --write` made this page: it walks the public names of the installed Mitsuba in
-its variant `llvm_ad_rgb`, that is functions, classes, methods, attributes, members of enumerations and constants, and
-compares each with djpt's.
+A script written for Mitsuba 3.9.1 runs in djpt after changing its import to `import djpt as mi`, if djpt has the names
+that it uses. `python -m djpt.validation.names --write` generated this page: it walks the public names of the installed
+Mitsuba in its variant `llvm_ad_rgb`, that is functions, classes, methods, attributes, members of enumerations and
+constants, and compares each with djpt's.
 
 * *Here*: present, and every call that Mitsuba's signature allows is accepted, by position and by name; numbers of
   enumerations and constants are equal.
-* *Different*: present, but some call of Mitsuba's is refused, or a value differs.
-* *Left out*: not here on purpose, with the reason.
-* *Absent*: not here.
+* *Different*: present, but some call that Mitsuba accepts is refused, or a value differs.
+* *Left out*: omitted on purpose, with the reason.
+* *Absent*: missing.
 
-Only names and signatures count here: other tests compare results. Operators aren't counted, inherited names count once,
-at their base.
+Only names and signatures are compared here; other tests compare results. Operators aren't counted, and inherited names
+count once, at their base.
 """
 
 HERE = "## Here"
