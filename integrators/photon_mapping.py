@@ -32,10 +32,11 @@ Self = TypeVar("Self", bound="PhotonMapping")
 class PhotonMapping(SplattingIntegrator):
     """An estimator whose camera paths look at photons: at what light paths have left near a point on a surface.
 
-    An image is made in passes. Each traces `photon_count` light paths, whose photons make a map, and one sample of
-    each pixel, or as many as give one camera path for `paths_per_sample` light paths, which look at it. To count all
-    photons within a radius as if they had come to the point itself is to blur, which is an error; it vanishes,
-    because the radius shrinks from pass to pass::
+    An image is made in passes. Each traces `photon_count` light paths, whose photons make a map, and one sample of each
+    pixel, or as many as give one camera path for `paths_per_sample` light paths,
+    which look at it. To count all photons within a radius
+    as if they had come to the point itself is to blur, which is an error; it vanishes, because the radius shrinks from
+    pass to pass::
 
         r_i = r_1 i^((alpha - 1) / 2),    i = 1, 2, ..
 
