@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from djpt.cli import options
-from djpt.cli.console import Command, number_or_word, parameters, progress_bar, require_positive
+from djpt.cli.console import Command, number_or_word, parameters, require_positive
+from djpt.display.progress import progress_bar
 
 __all__ = ["command"]
 

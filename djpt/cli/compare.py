@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from djpt.cli import options
-from djpt.cli.console import Command, ExitCode, parameters, progress_bar, require_positive, say
+from djpt.cli.console import Command, ExitCode, parameters, require_positive, say
+from djpt.display.progress import progress_bar
 from djpt.files import require_different
 
 if TYPE_CHECKING:

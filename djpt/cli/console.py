@@ -1,43 +1,31 @@
-"""Parts that all commands share: exit codes, errors as one line, the progress bar."""
+"""Parts that all commands share: exit codes, and errors as one line."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from djpt.cli.terminal import beneath, showing_all, visible
+from djpt.cli.terminal import visible
 from djpt.errors import BackendError, DjptError, RenderError, SceneError
 from djpt.files import reason
 from djpt.process.interruption import Terminated
-
-if TYPE_CHECKING:
-    from rich.progress import Task
-    from rich.text import Text
 
 __all__ = [
     "Command",
     "ExitCode",
     "announce",
     "fail",
-    "has_terminal",
     "number_or_word",
     "parameters",
-    "progress_bar",
     "readable_errors",
     "require_positive",
     "say",
-    "short",
 ]
-
-
-FORCE_TERMINAL = frozenset({"FORCE_COLOR", "TTY_COMPATIBLE"})
-"""Variables by which `rich` takes something else for a terminal."""
 
 
 class ExitCode(IntEnum):
@@ -115,11 +103,6 @@ def require_positive(**options: float | None) -> None:
             raise RenderError(f"--{name.replace('_', '-')} must be at least 1, found {value}")
 
 
-def has_terminal() -> bool:
-    """True if there is a terminal to show progress on."""
-    return sys.stderr.isatty() or bool(set(os.environ) & FORCE_TERMINAL)
-
-
 def announce(line: str) -> None:
     """Print a line of progress at once, for a file or a pipe, where no bar is shown."""
     print(visible(line), file=sys.stderr, flush=True)
@@ -128,48 +111,3 @@ def announce(line: str) -> None:
 def say(line: str) -> None:
     """Print a line of results, which stays one line whatever names it has."""
     print(visible(line))
-
-
-@contextlib.contextmanager
-def progress_bar(title: str, unit: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar with `unit`/s and the time left; gives a function to be called with (done, total).
-
-    Nothing is shown with --quiet, or if the output isn't a terminal.
-    """
-    nothing: Callable[[int, int], None] = lambda done, total: None  # noqa: E731
-    # Asked before `rich` is imported, which takes longer than small pictures.
-    if quiet or not has_terminal():
-        yield nothing
-        return
-
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-    from rich.text import Text
-
-    console = Console(file=beneath(sys.stderr))
-    if not console.is_terminal:
-        yield nothing
-        return
-
-    class Speed(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            return Text("" if task.speed is None else f"{short(task.speed)}{unit}/s")
-
-    name = TextColumn("{task.description}", markup=False)
-    columns: list[Any] = [name, BarColumn(), TaskProgressColumn(), Speed(), TimeRemainingColumn()]
-    # `rich` prints above the bar what is printed meanwhile.
-    with Progress(*columns, console=console, transient=True) as bar, showing_all():
-        task = bar.add_task(visible(title), total=None)
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield update
-
-
-def short(number: float) -> str:
-    """Format a number with three digits and a prefix: ``13.5 M``."""
-    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if number >= factor:
-            return f"{number / factor:.3g} {prefix}"
-    return f"{number:.3g} "

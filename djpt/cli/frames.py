@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from djpt.cli import options
-from djpt.cli.console import parameters, progress_bar, require_positive, say
+from djpt.cli.console import parameters, require_positive, say
+from djpt.display.progress import progress_bar
 from djpt.errors import RenderError
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command, announce, has_terminal, progress_bar, require_positive, say
+from djpt.cli.console import Command, announce, require_positive, say
+from djpt.display.progress import has_terminal, progress_bar
 from djpt.errors import RenderError
 
 __all__ = ["command"]

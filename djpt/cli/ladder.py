@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from djpt.cli import options
-from djpt.cli.console import Command, parameters, progress_bar, require_positive, say
+from djpt.cli.console import Command, parameters, require_positive, say
+from djpt.display.progress import progress_bar
 from djpt.errors import RenderError
 from djpt.files import check_target, writing
 

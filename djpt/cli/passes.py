@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from djpt.cli.console import announce, has_terminal, short
+from djpt.cli.console import announce
 from djpt.cli.terminal import beneath, visible
+from djpt.display.progress import has_terminal, short
 from djpt.errors import BackendError, FileError, RenderError
 from djpt.files import check_target, reason
 from djpt.process.interruption import Interruption, interruptible

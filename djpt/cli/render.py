@@ -10,7 +10,8 @@ import click
 
 import djpt
 from djpt.cli import options
-from djpt.cli.console import Command, parameters, progress_bar, require_positive, say, short
+from djpt.cli.console import Command, parameters, require_positive, say
+from djpt.display.progress import progress_bar, short
 from djpt.errors import RenderError
 from djpt.files import require_different
 from djpt.process.interruption import ending_at_once

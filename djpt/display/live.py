@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from djpt.display.notebooks import running_notebook
+from djpt.display.progress import running_notebook
 from djpt.errors import RenderError
 
 if TYPE_CHECKING:

@@ -6,10 +6,11 @@ a function is registered for it when djpt is imported in a notebook.
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
-__all__ = ["LEAST_SIZE", "picture_of", "running_notebook", "show_images"]
+from djpt.display.progress import running_shell
+
+__all__ = ["LEAST_SIZE", "picture_of", "show_images"]
 
 TENSORS = tuple((f"drjit.{backend}{ad}", "TensorXf") for backend in ("llvm", "cuda") for ad in (".ad", ""))
 """The classes of images: their modules and names, so that none has to be imported."""
@@ -44,14 +45,3 @@ def picture_of(tensor: Any) -> bytes | None:
         return Image(dr.detach(tensor))._repr_png_()
     except FileError:
         return None
-
-
-def running_shell() -> Any:
-    """The IPython that runs this process, or None."""
-    ipython = sys.modules.get("IPython")
-    return None if ipython is None else ipython.get_ipython()
-
-
-def running_notebook() -> bool:
-    """True if cells of a notebook are run, and not lines of a terminal."""
-    return getattr(running_shell(), "kernel", None) is not None

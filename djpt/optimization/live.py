@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from djpt.display.notebooks import running_notebook
+from djpt.display.progress import running_notebook
 
 __all__ = ["LiveSearch", "curve", "markup", "shown_live", "sparkline"]
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.console import ExitCode, short
+from djpt.cli.console import ExitCode
 from djpt.cli.main import COMMANDS, main
+from djpt.display.progress import short
 from djpt.errors import BackendError, DjptError, FileError, RenderError
 from djpt.images.image import read_pixels
 from tests.kit.commands import run

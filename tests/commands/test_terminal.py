@@ -236,7 +236,7 @@ run()
 
 
 def test_what_is_printed_while_a_bar_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    from djpt.cli.console import progress_bar
+    from djpt.display.progress import progress_bar
 
     terminal = Terminal()
     monkeypatch.setenv("TERM", "xterm-256color")
