@@ -32,7 +32,7 @@ $(READY): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "djpt needs Python 3.10 or newer, $(PYTHON) is " + sys.version.split()[0] + "; try make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[validate,dev,docs]'
-	$(PY) -m djpt.llvm --if-needed
+	$(PY) -m djpt.jit.llvm --if-needed
 	@touch $@
 
 render: $(READY)

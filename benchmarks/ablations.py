@@ -18,8 +18,9 @@ from unittest.mock import patch
 
 from versus_mitsuba import cornell_box, seconds
 
-from djpt import lookup
-from djpt.geometry import axes, unrolled
+from djpt.core import lookup
+from djpt.geometry import unrolled
+from djpt.shapes import axes
 
 Render = Callable[[int], Any]
 

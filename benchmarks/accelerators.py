@@ -23,15 +23,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.frame import Frame3f
+from djpt.core.frame import Frame3f
+from djpt.core.records import Ray3f
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.geometry.accelerators.base import Accelerator
 from djpt.geometry.accelerators.brute_force import BruteForce
 from djpt.geometry.accelerators.bvh import Bvh
 from djpt.geometry.accelerators.grid import UniformGrid
 from djpt.geometry.accelerators.kdtree import KdTree
-from djpt.records import Ray3f
-from djpt.types import PCG32, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
+from djpt.jit.types import PCG32, Float, Point2f, Point3f, UInt32, Vector3f
 
 BRUTE_FORCE = 3000
 """Most triangles for which brute force is measured."""

@@ -63,7 +63,7 @@ def hard_corner() -> dict[str, Any]:
     }
 
 
-def described(name: str, size: int, rfilter: str) -> djpt.scene.Scene:
+def described(name: str, size: int, rfilter: str) -> djpt.scene.scene.Scene:
     """A scene with a square film."""
     description = hard_corner() if name == "hard corner" else djpt.scenes.SCENES[name]()
     description["sensor"]["film"].update(width=size, height=size, rfilter={"type": rfilter})

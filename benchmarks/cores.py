@@ -24,7 +24,7 @@ from typing import Any
 import drjit as dr
 from mesh_scenes import bumpy_sphere, over_floor, write_bumpy_sphere
 
-from djpt.schedules import passes
+from djpt.rendering.schedules import passes
 
 LAYOUT = "{:40} {:>24} {:>10} {:>10} {:>10} {:>12}"
 

@@ -27,8 +27,8 @@ from gradients import image_and_gradient
 from mesh_scenes import bumpy_sphere, over_floor, textured_sphere, twenty_meshes, write_bumpy_sphere
 from pairs import machine, seconds, times_in_pairs
 
-from djpt.backends import VARIANTS, load_backend
 from djpt.errors import BackendError
+from djpt.jit.backends import VARIANTS, load_backend
 
 Work = Callable[[int], Any]
 """Does what is measured, with a seed."""

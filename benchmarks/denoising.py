@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from djpt.denoising.filtering import METHODS, Guides, denoise_pixels
-from djpt.denoising.guides import render_guides
+from djpt.rendering.denoising.filtering import METHODS, Guides, denoise_pixels
+from djpt.rendering.denoising.guides import render_guides
 from djpt.scenes.gallery import panels
 
 SCENES = ("cornell_box", "shader_ball", "stage", "gallery")

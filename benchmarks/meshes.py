@@ -158,8 +158,8 @@ def in_process(what: str, file: Path) -> str:
 
 def build_alone(file: Path) -> None:
     """Print the seconds that the BVH of a mesh takes, and the peak of additional memory in MiB."""
-    from djpt.geometry.forest import Forest
-    from djpt.geometry.mesh_set import MeshSet
+    from djpt.geometry.two_level_bvh import Forest
+    from djpt.shapes.meshes.mesh_set import MeshSet
 
     meshes = MeshSet([djpt.load_dict(bumpy_sphere(file, True))])
     # What is compiled once and kept on disk doesn't count.

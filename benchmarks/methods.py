@@ -24,7 +24,7 @@ import drjit as dr
 import mesh_scenes
 import numpy as np
 
-from djpt.validation.ladder.steps import STEPS
+from djpt.validation.integrator_comparison.steps import STEPS
 
 FIRST = next(i for i, step in enumerate(STEPS) if step.title == "path")
 

@@ -22,8 +22,8 @@ import mitsuba as mi
 import numpy as np
 from pairs import seconds, times_in_pairs
 
-from djpt.backends import load_backend
-from djpt.llvm.lanes import force_lanes
+from djpt.jit.backends import load_backend
+from djpt.jit.llvm.lanes import force_lanes
 from djpt.validation.metrics import ComparisonError, relative_rmse
 from djpt.validation.same_seed import agreement
 

@@ -28,8 +28,8 @@ import numpy as np
 from mesh_scenes import write_bumpy_sphere
 from pairs import heading, machine
 
-from djpt.optimization import Progressed, optimize
-from djpt.optimization.gauss_newton import RATE
+from djpt.apps.optimization import Progressed, optimize
+from djpt.apps.optimization.gauss_newton import RATE
 from djpt.validation.bridge import mitsuba_scene, to_mitsuba
 
 KEY = "floor.bsdf.reflectance.data"

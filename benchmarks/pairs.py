@@ -21,8 +21,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from djpt.backends import load_backend, variant
-from djpt.llvm.lanes import force_lanes, instruction_set, lane_count
+from djpt.jit.backends import load_backend, variant
+from djpt.jit.llvm.lanes import force_lanes, instruction_set, lane_count
 
 __all__ = ["Row", "first_image", "heading", "in_pairs", "machine", "report", "seconds", "times_in_pairs"]
 

@@ -27,8 +27,8 @@ import mitsuba as mi
 from pairs import heading, machine
 from scene_table import HEADING, SceneRow, line, markdown, numbers, summary
 
-from djpt.backends import load_backend
-from djpt.llvm.lanes import force_lanes
+from djpt.jit.backends import load_backend
+from djpt.jit.llvm.lanes import force_lanes
 
 FRAGMENTS = {"include", "includes", "fragments"}
 """Folders of files that are included by others."""

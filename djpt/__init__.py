@@ -17,30 +17,55 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
-from djpt.lazy import lazily as _lazily
-from djpt.llvm.finder import prepare as _prepare
-from djpt.scripting.names import EXPORTS as _FOR_SCRIPTS
-from djpt.scripting.names import SUBMODULES as _MODULES_FOR_SCRIPTS
-from djpt.scripting.names import VARIANT_MODULES as _VARIANT_MODULES
+from djpt.core.former_paths import FormerPaths as _FormerPaths
+from djpt.core.lazy import lazily as _lazily
+from djpt.jit.llvm.finder import prepare as _prepare
+from djpt.mitsuba.names import EXPORTS as _FOR_SCRIPTS
+from djpt.mitsuba.names import SUBMODULES as _MODULES_FOR_SCRIPTS
+from djpt.mitsuba.names import VARIANT_MODULES as _VARIANT_MODULES
 from djpt.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from djpt import ad as ad
     from djpt import errors as errors
     from djpt import integrators as integrators
     from djpt import materials as materials
-    from djpt import optimization as optimization
     from djpt import scenes as scenes
-    from djpt import types as types
-    from djpt import util as util
     from djpt import validation as validation
-    from djpt import warp as warp
-    from djpt import xml as xml
-    from djpt.backends import set_variant as set_variant
-    from djpt.backends import variant as variant
-    from djpt.backends import variants as variants
-    from djpt.denoising.filtering import denoise as denoise
+    from djpt.apps import optimization as optimization
+    from djpt.apps.display.live import show_passes as show_passes
+    from djpt.apps.optimization.loop import optimize as optimize
+    from djpt.core import warp as warp
+    from djpt.core.bounding_box import BoundingBox2f as BoundingBox2f
+    from djpt.core.bounding_box import BoundingBox3f as BoundingBox3f
+    from djpt.core.bounding_box import ScalarBoundingBox2f as ScalarBoundingBox2f
+    from djpt.core.bounding_box import ScalarBoundingBox3f as ScalarBoundingBox3f
+    from djpt.core.bounding_sphere import BoundingSphere3f as BoundingSphere3f
+    from djpt.core.bounding_sphere import ScalarBoundingSphere3f as ScalarBoundingSphere3f
+    from djpt.core.frame import Frame3f as Frame3f
+    from djpt.core.frame import coordinate_system as coordinate_system
+    from djpt.core.process.interruption import Terminated as Terminated
+    from djpt.core.records import BSDFContext as BSDFContext
+    from djpt.core.records import BSDFFlags as BSDFFlags
+    from djpt.core.records import BSDFSample3f as BSDFSample3f
+    from djpt.core.records import DirectionSample3f as DirectionSample3f
+    from djpt.core.records import EmitterFlags as EmitterFlags
+    from djpt.core.records import Interaction3f as Interaction3f
+    from djpt.core.records import PositionSample3f as PositionSample3f
+    from djpt.core.records import PreliminaryIntersection3f as PreliminaryIntersection3f
+    from djpt.core.records import Ray3f as Ray3f
+    from djpt.core.records import RayFlags as RayFlags
+    from djpt.core.records import SurfaceInteraction3f as SurfaceInteraction3f
+    from djpt.core.records import TransportMode as TransportMode
+    from djpt.core.records import has_flag as has_flag
+    from djpt.core.transforms import ScalarTransform3f as ScalarTransform3f
+    from djpt.core.transforms import ScalarTransform4f as ScalarTransform4f
+    from djpt.core.transforms.lanes import AffineTransform3f as AffineTransform3f
+    from djpt.core.transforms.lanes import AffineTransform4f as AffineTransform4f
+    from djpt.core.transforms.lanes import Transform3f as Transform3f
+    from djpt.core.transforms.lanes import Transform4f as Transform4f
     from djpt.description.loader import load_dict as load_dict
+    from djpt.description.parameters import SceneParameters as SceneParameters
+    from djpt.description.parameters import traverse as traverse
     from djpt.description.plugin import ParamFlags as ParamFlags
     from djpt.description.plugin import Plugin as Plugin
     from djpt.description.properties import Properties as Properties
@@ -60,7 +85,6 @@ if TYPE_CHECKING:
     from djpt.description.scene_files import load_string as load_string
     from djpt.description.xml.writer import to_xml as to_xml
     from djpt.description.xml.writer import write_dict as write_dict
-    from djpt.display.live import show_passes as show_passes
     from djpt.emitters import Emitter as Emitter
     from djpt.emitters.pointer import EmitterPtr as EmitterPtr
     from djpt.errors import AmbiguityError as AmbiguityError
@@ -70,14 +94,6 @@ if TYPE_CHECKING:
     from djpt.errors import ParameterError as ParameterError
     from djpt.errors import RenderError as RenderError
     from djpt.errors import SceneError as SceneError
-    from djpt.frame import Frame3f as Frame3f
-    from djpt.frame import coordinate_system as coordinate_system
-    from djpt.geometry.bounding_box import BoundingBox2f as BoundingBox2f
-    from djpt.geometry.bounding_box import BoundingBox3f as BoundingBox3f
-    from djpt.geometry.bounding_box import ScalarBoundingBox2f as ScalarBoundingBox2f
-    from djpt.geometry.bounding_box import ScalarBoundingBox3f as ScalarBoundingBox3f
-    from djpt.geometry.bounding_sphere import BoundingSphere3f as BoundingSphere3f
-    from djpt.geometry.bounding_sphere import ScalarBoundingSphere3f as ScalarBoundingSphere3f
     from djpt.images.image import Image as Image
     from djpt.images.image import read as read
     from djpt.images.image import read_metadata as read_metadata
@@ -85,62 +101,47 @@ if TYPE_CHECKING:
     from djpt.images.tone_mapping import tonemap as tonemap
     from djpt.integrators import Integrator as Integrator
     from djpt.integrators.moment import variance as variance
-    from djpt.long_renders.accumulation import Accumulation as Accumulation
-    from djpt.long_renders.passes import render_passes as render_passes
-    from djpt.long_renders.to_file import render_to_file as render_to_file
+    from djpt.jit import types as types
+    from djpt.jit.backends import set_variant as set_variant
+    from djpt.jit.backends import variant as variant
+    from djpt.jit.backends import variants as variants
+    from djpt.jit.types import PCG32 as PCG32
+    from djpt.jit.types import Bool as Bool
+    from djpt.jit.types import Color3f as Color3f
+    from djpt.jit.types import Float as Float
+    from djpt.jit.types import Float64 as Float64
+    from djpt.jit.types import Int as Int
+    from djpt.jit.types import Int32 as Int32
+    from djpt.jit.types import Mask as Mask
+    from djpt.jit.types import Matrix4f as Matrix4f
+    from djpt.jit.types import Normal3f as Normal3f
+    from djpt.jit.types import Point2f as Point2f
+    from djpt.jit.types import Point3f as Point3f
+    from djpt.jit.types import Spectrum as Spectrum
+    from djpt.jit.types import TensorXf as TensorXf
+    from djpt.jit.types import UInt as UInt
+    from djpt.jit.types import UInt32 as UInt32
+    from djpt.jit.types import UInt64 as UInt64
+    from djpt.jit.types import Vector2f as Vector2f
+    from djpt.jit.types import Vector3f as Vector3f
     from djpt.materials import BSDF as BSDF
     from djpt.materials.pointer import BSDFPtr as BSDFPtr
-    from djpt.optimization.loop import optimize as optimize
-    from djpt.parameters import SceneParameters as SceneParameters
-    from djpt.parameters import traverse as traverse
-    from djpt.process.interruption import Terminated as Terminated
-    from djpt.records import BSDFContext as BSDFContext
-    from djpt.records import BSDFFlags as BSDFFlags
-    from djpt.records import BSDFSample3f as BSDFSample3f
-    from djpt.records import DirectionSample3f as DirectionSample3f
-    from djpt.records import EmitterFlags as EmitterFlags
-    from djpt.records import Interaction3f as Interaction3f
-    from djpt.records import PositionSample3f as PositionSample3f
-    from djpt.records import PreliminaryIntersection3f as PreliminaryIntersection3f
-    from djpt.records import Ray3f as Ray3f
-    from djpt.records import RayFlags as RayFlags
-    from djpt.records import SurfaceInteraction3f as SurfaceInteraction3f
-    from djpt.records import TransportMode as TransportMode
-    from djpt.records import has_flag as has_flag
+    from djpt.mitsuba import ad as ad
+    from djpt.mitsuba import util as util
+    from djpt.mitsuba import xml as xml
+    from djpt.rendering.denoising.filtering import denoise as denoise
     from djpt.rendering.image import channel_names as channel_names
+    from djpt.rendering.progressive.accumulation import Accumulation as Accumulation
+    from djpt.rendering.progressive.passes import render_passes as render_passes
+    from djpt.rendering.progressive.to_file import render_to_file as render_to_file
     from djpt.rendering.render import render as render
-    from djpt.scene import Scene as Scene
+    from djpt.scene.scene import Scene as Scene
     from djpt.scenes.cornell import cornell_box as cornell_box
     from djpt.sensors.pointer import SensorPtr as SensorPtr
     from djpt.shapes import Mesh as Mesh
     from djpt.shapes.base import Shape as Shape
     from djpt.shapes.pointer import ShapePtr as ShapePtr
     from djpt.shapes.shape_type import ShapeType as ShapeType
-    from djpt.transforms import ScalarTransform3f as ScalarTransform3f
-    from djpt.transforms import ScalarTransform4f as ScalarTransform4f
-    from djpt.transforms.lanes import AffineTransform3f as AffineTransform3f
-    from djpt.transforms.lanes import AffineTransform4f as AffineTransform4f
-    from djpt.transforms.lanes import Transform3f as Transform3f
-    from djpt.transforms.lanes import Transform4f as Transform4f
-    from djpt.types import PCG32 as PCG32
-    from djpt.types import Bool as Bool
-    from djpt.types import Color3f as Color3f
-    from djpt.types import Float as Float
-    from djpt.types import Float64 as Float64
-    from djpt.types import Int as Int
-    from djpt.types import Int32 as Int32
-    from djpt.types import Mask as Mask
-    from djpt.types import Matrix4f as Matrix4f
-    from djpt.types import Normal3f as Normal3f
-    from djpt.types import Point2f as Point2f
-    from djpt.types import Point3f as Point3f
-    from djpt.types import Spectrum as Spectrum
-    from djpt.types import TensorXf as TensorXf
-    from djpt.types import UInt as UInt
-    from djpt.types import UInt32 as UInt32
-    from djpt.types import UInt64 as UInt64
-    from djpt.types import Vector2f as Vector2f
-    from djpt.types import Vector3f as Vector3f
 
 
 _SUBMODULES = _MODULES_FOR_SCRIPTS
@@ -154,11 +155,13 @@ __all__ = sorted([*_own_names, *_HOME, *_SUBMODULES, "__version__"])
 # The variant is chosen for the process: Mitsuba's modules of one variant are this module.
 sys.modules.update({f"djpt.{name}": sys.modules[__name__] for name in _VARIANT_MODULES})
 
+sys.meta_path.insert(0, _FormerPaths())
+
 # Before anything can import Dr.Jit, also the user's own `import mitsuba` on the next line.
 _prepare()
 
 if "IPython" in sys.modules:
-    from djpt.display.notebooks import show_images
+    from djpt.apps.display.notebooks import show_images
 
     show_images()
 
@@ -183,7 +186,7 @@ def _hint(name: str) -> str:
     """Why Mitsuba's name is left out, or which name is like it."""
     if name.startswith(("_", "DRJIT_")):  # protocols that others look for, Dr.Jit in each call of a frozen function
         return ""
-    from djpt.scripting.exclusions import reason
+    from djpt.mitsuba.exclusions import reason
 
     why = reason(name)
     if why:

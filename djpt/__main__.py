@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.cli.main import run
+from djpt.apps.cli.main import run
 
 if __name__ == "__main__":
     run()

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import Ray3f, SceneView, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import SceneError, near_miss
-from djpt.integrators.nesting import NestingIntegrator
-from djpt.records import Ray3f, SceneView, SurfaceInteraction3f
+from djpt.integrators.paths.nesting import NestingIntegrator
+from djpt.jit.types import Bool, Color3f, Float, Vector2f, Vector3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Vector2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["AOV"]
 

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import drjit as dr
 
+from djpt.core.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
-from djpt.integrators.blind_spots import warn_of_blind_spots
-from djpt.integrators.walk import walk
-from djpt.records import PreliminaryIntersection3f, Ray3f, Reference, SurfaceInteraction3f
+from djpt.integrators.paths.scene_checks import warn_of_blind_spots
+from djpt.integrators.paths.trace_path import walk
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
 from djpt.samplers.base import SampleStream
-from djpt.scene_arguments import require_scene
-from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, TensorXf, UInt32
+from djpt.scene.arguments import require_scene
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
 __all__ = ["Integrator", "PathIntegrator", "PathState", "SamplingIntegrator", "Vertex", "mis_weight"]
@@ -30,17 +30,17 @@ class Integrator(Plugin):
     The smallest integrator overrides `sample` and nothing else: it is then run with one lane per
     sample, and differentiated by Dr.Jit's automatic differentiation of its code. Estimators that follow
     paths derive from `PathIntegrator`, those that start at the lights or need several passes from
-    `djpt.integrators.passes.PassIntegrator`.
+    `djpt.integrators.paths.passes.PassIntegrator`.
 
     Parameters of all integrators: `hide_emitters` (default false): camera rays pass through
     area lights and see no environment; `unproven_gradients` (default false): derivatives that are known to be wrong
-    are computed all the same, in place of an error (see `djpt.gradients.unproven`).
+    are computed all the same, in place of an error (see `djpt.rendering.gradients.unproven`).
     """
 
     kind: ClassVar[str] = "integrator"
 
     schedules: tuple[str, ...] = ("wave",)
-    """The schedules that can run it, by their modules: see `djpt.schedules`."""
+    """The schedules that can run it, by their modules: see `djpt.rendering.schedules`."""
 
     needs_light = False
     """True if every image is black without an emitter: `render` then refuses."""
@@ -53,7 +53,7 @@ class Integrator(Plugin):
     differentiable = True
     """True if its code can be differentiated; else `render` refuses parameters with gradients."""
     emitter_choice = "uniform"
-    """The way that light sampling chooses emitters: see `djpt.emitters.choice`."""
+    """The way that light sampling chooses emitters: see `djpt.emitters.light_samplers`."""
     writes_color = True
     """False if the image consists of AOVs alone."""
     follows_media = False
@@ -75,7 +75,8 @@ class Integrator(Plugin):
     """True if derivatives by the place of shapes know what appears and disappears at their outlines."""
 
     unproven_gradients: bool = False
-    """Whether derivatives that are known to be wrong are computed all the same: see `djpt.gradients.unproven`."""
+    """Whether derivatives that are known to be wrong are computed all the same: see
+    `djpt.rendering.gradients.unproven`."""
 
     _cancelled = False
 

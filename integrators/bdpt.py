@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import DirectionSample3f, Ray3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
-from djpt.integrators.both_ends import (
+from djpt.integrators.bidirectional.light_paths import LightVertex, departure, is_beam, vertices
+from djpt.integrators.bidirectional.splatting import Sink, SplattingIntegrator
+from djpt.integrators.bidirectional.strategies import MAX_PYRAMID, Ledger, layer_names
+from djpt.integrators.bidirectional.subpath import (
     CameraHit,
     CameraLane,
     CameraStep,
@@ -25,19 +29,15 @@ from djpt.integrators.both_ends import (
     power,
     scaled,
 )
-from djpt.integrators.light_paths import LightVertex, departure, is_beam, vertices
-from djpt.integrators.places import Place, Scattering, arriving, arriving_between, is_half_open, reach
-from djpt.integrators.splatting import Sink, SplattingIntegrator
-from djpt.integrators.strategies import MAX_PYRAMID, Ledger, layer_names
+from djpt.integrators.paths.path_vertex import Place, Scattering, arriving, arriving_between, is_half_open, reach
 from djpt.integrators.termination import Terminating, first_roulette, roulette
-from djpt.kernels import loop_traced_once, minimum, while_loop, wide
-from djpt.records import DirectionSample3f, Ray3f
+from djpt.jit.kernels import loop_traced_once, minimum, while_loop, wide
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["JOINED", "BidirectionalPath"]
 
@@ -57,7 +57,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     A light path y_0 .. y_(m-1) and a camera path x_0 .. x_(n-1) give, for each s <= m and t <= n, one sample of the
     light along paths of s + t - 1 edges: s = 0 is a light that is met, s = 1 a light sample, t = 1 a light path's
     vertex that the camera sees. Each counts with its weight against all others that could have made the same path:
-    see `djpt.integrators.both_ends`.
+    see `djpt.integrators.bidirectional.subpath`.
 
     Strong where light comes from a lamp in a fixture or through glass; elsewhere a sample costs several times as
     much as one of `path`, and gains little. Sensors that light can't be traced to, such as meters, are left out as

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import Ray3f
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import Integrator
-from djpt.records import Ray3f
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["Depth"]
 

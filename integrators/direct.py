@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.choice import CHOICES
+from djpt.emitters.light_samplers import CHOICES
 from djpt.errors import SceneError
 from djpt.integrators.base import Integrator, mis_weight
-from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, has_flag
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["Direct"]
 

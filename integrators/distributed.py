@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.choice import CHOICES
+from djpt.emitters.light_samplers import CHOICES
 from djpt.integrators.base import Integrator, mis_weight
-from djpt.integrators.ray_stack import Branch, RayStack, branch, camera_branch
-from djpt.kernels import while_loop, wide
-from djpt.records import BSDFContext, BSDFFlags, DirectionSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.integrators.paths.ray_stack import Branch, RayStack, branch, camera_branch
+from djpt.jit.kernels import while_loop, wide
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["Distributed"]
 

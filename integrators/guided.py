@@ -11,24 +11,24 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.choice import CHOICES
+from djpt.emitters.light_samplers import CHOICES
 from djpt.integrators.base import PathState, mis_weight
 from djpt.integrators.guiding.cells import Cells, Leaves
 from djpt.integrators.guiding.guide import SIDE, SQUARES, Guide
-from djpt.integrators.guiding.practice import GuidedVertex, practise
-from djpt.integrators.learning import LearningIntegrator, Lessons
+from djpt.integrators.guiding.learning import LearningIntegrator, Lessons
+from djpt.integrators.guiding.training import GuidedVertex, practise
+from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import first_roulette, roulette
-from djpt.integrators.unidirectional import UnidirectionalPath
-from djpt.kernels import minimum
+from djpt.jit.kernels import minimum
+from djpt.jit.types import Color3f, Float
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.samplers.base import SampleStream
-from djpt.types import Color3f, Float
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["GuidedPath"]
 

@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
-from djpt.description.frozen import recording
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.blind_spots import refuse_scattering_media
-from djpt.integrators.markov_chains import Bootstrap, MarkovChains
-from djpt.integrators.one_strategy import OneStrategy, numbers_drawn
-from djpt.integrators.passes import PassIntegrator, Walks
+from djpt.integrators.bidirectional.single_strategy import OneStrategy, numbers_drawn
+from djpt.integrators.markov.chains import Bootstrap, MarkovChains
 from djpt.integrators.path import Path
+from djpt.integrators.paths.passes import PassIntegrator, Walks
+from djpt.integrators.paths.scene_checks import refuse_scattering_media
+from djpt.jit.frozen import recording
+from djpt.jit.types import Color3f, Float, UInt32
 from djpt.samplers.hashing import sample_tea_32
 from djpt.sensors.base import Sensor
-from djpt.types import Color3f, Float, UInt32
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["MultiplexedMetropolis"]
 

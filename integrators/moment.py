@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
+from djpt.core.records import Ray3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.images.colorimetry import XYZ_TO_RGB
-from djpt.integrators.nesting import NestingIntegrator
-from djpt.records import Ray3f
+from djpt.integrators.paths.nesting import NestingIntegrator
+from djpt.jit.types import Bool, Color3f, Float, TensorXf
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, TensorXf
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["Moment", "variance"]
 

@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.choice import CHOICES
+from djpt.emitters.light_samplers import CHOICES
 from djpt.integrators.base import PathState, Vertex, mis_weight
+from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import first_roulette, roulette
-from djpt.integrators.unidirectional import UnidirectionalPath
-from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
+from djpt.jit.types import UInt32
 from djpt.samplers.base import SampleStream
-from djpt.types import UInt32
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["Path"]
 

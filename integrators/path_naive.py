@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
-from djpt.description.properties import Properties
-from djpt.description.registry import register_integrator
-from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.termination import first_roulette, roulette
-from djpt.integrators.unidirectional import UnidirectionalPath
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
-from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32, Vector3f
-from djpt.warp import (
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.core.warp import (
     square_to_cosine_hemisphere,
     square_to_cosine_hemisphere_pdf,
     square_to_uniform_hemisphere,
     square_to_uniform_hemisphere_pdf,
 )
+from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
+from djpt.integrators.base import PathState, Vertex
+from djpt.integrators.paths.unidirectional import UnidirectionalPath
+from djpt.integrators.termination import first_roulette, roulette
+from djpt.jit.types import Bool, Color3f, Float, UInt32, Vector3f
+from djpt.samplers.base import SampleStream
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["PathNaive"]
 

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
-from djpt.emitters.choice import CHOICES
+from djpt.emitters.light_samplers import CHOICES
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.unidirectional import UnidirectionalPath
-from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
+from djpt.integrators.paths.unidirectional import UnidirectionalPath
+from djpt.jit.types import Float
 from djpt.samplers.base import SampleStream
-from djpt.types import Float
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["PathNEE"]
 

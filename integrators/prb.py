@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from djpt.core.records import SurfaceInteraction3f
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState
 from djpt.integrators.path import Path
-from djpt.records import SurfaceInteraction3f
-from djpt.types import Bool, UInt32
+from djpt.jit.types import Bool, UInt32
 
 __all__ = ["PRB"]
 
@@ -14,7 +14,7 @@ __all__ = ["PRB"]
 class PRB(Path):
     """`path` under the name and with the defaults of Mitsuba's differentiable path tracer.
 
-    Gradients of both come from path replay (`djpt.gradients.replay`): D. Vicini, S. Speierer and W. Jakob,
+    Gradients of both come from path replay (`djpt.rendering.gradients.replay`): D. Vicini, S. Speierer and W. Jakob,
     "Path Replay Backpropagation", SIGGRAPH 2021. Sampling decisions are detached.
 
     Parameters: as `path`, with `max_depth` 6 by default. Russian roulette starts one vertex

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.unidirectional import UnidirectionalPath
-from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
+from djpt.integrators.paths.unidirectional import UnidirectionalPath
+from djpt.jit.types import Bool, Color3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["PRBBasic"]
 

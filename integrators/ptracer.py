@@ -7,26 +7,26 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.core.records import BSDFSample3f, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.errors import RenderError
 from djpt.films.splats import Splats
-from djpt.integrators.both_ends import scaled
-from djpt.integrators.light_paths import departure
-from djpt.integrators.passes import LightPath, PassIntegrator, Walks
+from djpt.integrators.bidirectional.light_paths import departure
+from djpt.integrators.bidirectional.subpath import scaled
 from djpt.integrators.path import Path
+from djpt.integrators.paths.passes import LightPath, PassIntegrator, Walks
 from djpt.integrators.termination import Terminating, first_roulette, roulette
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.materials.adjoint import eval_pdf_light, sample_light
 from djpt.materials.base import BSDF
 from djpt.materials.pointer import at_fixed_direction
-from djpt.records import BSDFSample3f, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 if TYPE_CHECKING:
     from djpt.emitters.pointer import EmitterPtr
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["LightVertex", "ParticleTracer", "leave_light"]
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import Integrator
-from djpt.kernels import minimum
-from djpt.records import BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.jit.kernels import minimum
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["Raycast"]
 

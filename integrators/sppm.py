@@ -7,24 +7,24 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex
-from djpt.integrators.light_paths import is_beam
-from djpt.integrators.passes import LightPath
+from djpt.integrators.bidirectional.light_paths import is_beam
+from djpt.integrators.bidirectional.splatting import Sink
 from djpt.integrators.path import Path
-from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
+from djpt.integrators.paths.passes import LightPath
+from djpt.integrators.photons import Photon, PhotonStore, inverse_coverage
+from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.ptracer import leave_light
-from djpt.integrators.splatting import Sink
 from djpt.integrators.termination import roulette
+from djpt.jit.types import Bool, Color3f, Float, Point2f
 from djpt.materials.adjoint import sample_light
-from djpt.photons import Photon, PhotonStore, inverse_coverage
-from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Point2f
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
 __all__ = ["StochasticProgressivePhotonMapping"]

@@ -7,9 +7,9 @@ import warnings
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.kernels import maximum, minimum
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["UNBOUNDED", "Terminating", "first_roulette", "roulette"]
 

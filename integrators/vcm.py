@@ -10,17 +10,17 @@ import drjit as dr
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.bdpt import BidirectionalPath
-from djpt.integrators.blind_spots import refuse_scattering_media
-from djpt.integrators.both_ends import End, mis_weight
-from djpt.integrators.photon_mapping import PhotonMapping, over_cosine, scatters
-from djpt.integrators.places import Place
+from djpt.integrators.bidirectional.subpath import End, mis_weight
+from djpt.integrators.paths.path_vertex import Place
+from djpt.integrators.paths.scene_checks import refuse_scattering_media
+from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, inverse_coverage
+from djpt.integrators.photons.photon_mapping import PhotonMapping, over_cosine, scatters
 from djpt.integrators.termination import roulette
-from djpt.photons import Photon, PhotonMap, PhotonStore, inverse_coverage
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
     from djpt.sensors.base import Sensor
 
 __all__ = ["VertexConnectionMerging"]

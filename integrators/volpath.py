@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
+from djpt.core.records.flags import PhaseFunctionContext
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex, mis_weight
-from djpt.integrators.shadows import light_through_null
+from djpt.integrators.paths.transmittance import light_through_null
+from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import roulette
-from djpt.integrators.unidirectional import UnidirectionalPath
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, UInt32
 from djpt.media.flight import Flight, of_channel
-from djpt.records import BSDFContext, BSDFFlags, Ray3f, SurfaceInteraction3f, has_flag
-from djpt.records.flags import PhaseFunctionContext
-from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, Normal3f, UInt32
 
 if TYPE_CHECKING:
-    from djpt.scene import Scene
+    from djpt.scene.scene import Scene
 
 __all__ = ["VolumetricPath", "VolumetricPathState"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from djpt.lazy import lazily
+from djpt.core.lazy import lazily
 
 if __name__ != "djpt.materials":  # a second copy of every class would be made
     raise ImportError(f"{__name__!r} is part of djpt: import djpt.materials instead")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode, has_flag
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode, has_flag
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["eval_pdf_light", "sample_light"]
 

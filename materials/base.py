@@ -11,12 +11,12 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError, near_miss
-from djpt.frame import Frame3f
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BSDF"]
 

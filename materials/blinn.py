@@ -7,8 +7,8 @@ import math
 import drjit as dr
 
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Float, Point2f, Vector3f
 from djpt.materials.phong import Phong, cosine_power, power
-from djpt.types import Float, Point2f, Vector3f
 
 __all__ = ["Blinn"]
 

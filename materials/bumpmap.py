@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
 from djpt.description.allowed import Allowed
 from djpt.description.plugin import ParamFlags, Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
-from djpt.kernels import as_float
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Vector3f
 from djpt.materials.perturbed import PerturbedBSDF
-from djpt.records import BSDFFlags, SurfaceInteraction3f, has_flag
-from djpt.types import Bool, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["BumpMap"]
 

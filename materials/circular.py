@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from djpt.core.records import SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Bool, Color3f
 from djpt.materials.filters import Filter
-from djpt.records import SurfaceInteraction3f
-from djpt.types import Bool, Color3f
 
 __all__ = ["Circular"]
 

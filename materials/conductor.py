@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Bool, Color3f, Float, Point2f
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Conductor"]
 

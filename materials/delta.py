@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, SurfaceInteraction3f
+from djpt.jit.types import Bool, Color3f, Float, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Vector3f
 
 __all__ = ["DeltaBSDF", "derivative_of_choice"]
 

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.kernels import as_float
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Point2f
 from djpt.materials.delta import DeltaBSDF, derivative_of_choice
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Point2f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["REFLECTION", "TRANSMISSION", "Dielectric", "optional_texture", "tint"]
 

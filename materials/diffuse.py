@@ -6,12 +6,12 @@ import math
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Diffuse"]
 

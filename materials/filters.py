@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
+from djpt.jit.types import Bool, Color3f, Float, Point2f
 from djpt.materials.delta import DeltaBSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Filter"]
 

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import drjit as dr
 
-from djpt.types import Bool, Color3f, Float, Normal3f, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Vector3f
 
 __all__ = [
     "fresnel",

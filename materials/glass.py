@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
+from djpt.jit.types import Bool, Color3f, Float, Point2f
 from djpt.materials.dielectric import REFLECTION, TRANSMISSION, Dielectric
 from djpt.materials.fresnel import fresnel, fresnel_schlick
-from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f
 
 __all__ = ["Glass"]
 

@@ -8,21 +8,21 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.color import LUMINANCE
+from djpt.core.numeric import as_array
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_rough_fiber_pdf
 from djpt.description.allowed import Allowed
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
-from djpt.images.color import LUMINANCE
-from djpt.kernels import as_float
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.fresnel import fresnel
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_rough_fiber_pdf
 
 __all__ = ["Hair"]
 

@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import drjit as dr
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, describe
+from djpt.core.numeric import as_array, describe
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError, near_miss
+from djpt.jit.frozen import recording
 
 __all__ = ["IOR", "check_eta", "ior"]
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
-from djpt.kernels import minimum
+from djpt.jit.kernels import minimum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDF
 from djpt.materials.delta import derivative_of_choice
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["Mask", "rescaled", "unit_interval"]
 

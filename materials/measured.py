@@ -9,16 +9,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.files import resolve
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.description.tensor_files import read_tensors
 from djpt.distributions.marginal_2d import MarginalContinuous2D0, MarginalContinuous2D2
 from djpt.errors import DjptError, FileError
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.fresnel import reflect
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["Measured"]
 

@@ -6,8 +6,8 @@ from typing import Final
 
 from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
+from djpt.jit.types import Color3f
 from djpt.textures.base import Texture
-from djpt.types import Color3f
 
 __all__ = ["METALS", "metal"]
 

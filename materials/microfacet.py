@@ -7,11 +7,11 @@ from typing import Final
 
 import drjit as dr
 
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
+from djpt.jit.types import Float, Normal3f, Point2f, Vector2f, Vector3f
 from djpt.textures.base import Texture
-from djpt.types import Float, Normal3f, Point2f, Vector2f, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["DISTRIBUTIONS", "MIN_ALPHA", "MicrofacetDistribution", "alpha_textures", "distribution_name"]
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from djpt.core.records import SurfaceInteraction3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.materials.conductor import Conductor
 from djpt.materials.delta import DeltaBSDF
 from djpt.materials.fresnel import fresnel_conductor, schlick
 from djpt.materials.metals import metal
-from djpt.records import SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float
 
 __all__ = ["Mirror"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.core.records import SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Bool, Vector3f
 from djpt.materials.perturbed import PerturbedBSDF
-from djpt.records import SurfaceInteraction3f
-from djpt.types import Bool, Vector3f
 
 __all__ = ["NormalMap"]
 

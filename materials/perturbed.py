@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import drjit as dr
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
-from djpt.frame import Frame3f
-from djpt.kernels import maximum
+from djpt.jit.kernels import maximum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["PerturbedBSDF"]
 

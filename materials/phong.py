@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import drjit as dr
 
-from djpt.description.numeric import as_array
+from djpt.core.frame import Frame3f
+from djpt.core.numeric import as_array
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError, SceneError
-from djpt.frame import Frame3f
-from djpt.kernels import maximum
+from djpt.jit.kernels import maximum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Phong", "cosine_power", "power"]
 

@@ -8,17 +8,17 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.kernels import as_float
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, fresnel_diffuse_reflectance, reflect
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Plastic"]
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
-from djpt.frame import Frame3f
-from djpt.kernels import mapped
+from djpt.jit.kernels import mapped
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 __all__ = ["BSDFPtr", "at_fixed_direction"]
 

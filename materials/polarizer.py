@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from djpt.core.records import BSDFFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.materials.filters import Filter
-from djpt.records import BSDFFlags
 
 __all__ = ["Polarizer"]
 

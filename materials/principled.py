@@ -9,13 +9,16 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import non_negative
+from djpt.core.numeric import non_negative
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import ParameterError
-from djpt.kernels import as_float, maximum
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, maximum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.fresnel import fresnel, reflect, refract, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.materials.principled_lobes import (
@@ -32,9 +35,6 @@ from djpt.materials.principled_lobes import (
     square_root,
     tint,
 )
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, TransportMode
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Principled"]
 

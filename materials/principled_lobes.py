@@ -12,13 +12,13 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.color import LUMINANCE
+from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.properties import Properties
-from djpt.images.color import LUMINANCE
-from djpt.kernels import maximum, minimum
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 __all__ = [
     "GRAZING",

@@ -9,12 +9,15 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import non_negative
+from djpt.core.numeric import non_negative
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.kernels import as_float, maximum
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, maximum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.fresnel import fresnel, reflect, schlick
 from djpt.materials.microfacet import MicrofacetDistribution
 from djpt.materials.principled_lobes import (
@@ -28,9 +31,6 @@ from djpt.materials.principled_lobes import (
     sheen,
     tint,
 )
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["PrincipledThin"]
 

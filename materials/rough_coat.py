@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import drjit as dr
 
+from djpt.core.records import BSDFFlags, BSDFSample3f
+from djpt.core.warp import square_to_cosine_hemisphere
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.materials.fresnel import reflect
 from djpt.materials.microfacet import MicrofacetDistribution
-from djpt.records import BSDFFlags, BSDFSample3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["RoughCoatAtPoint"]
 

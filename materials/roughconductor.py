@@ -6,16 +6,16 @@ from typing import ClassVar
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel_conductor, reflect
 from djpt.materials.metals import metal
 from djpt.materials.microfacet import MicrofacetDistribution, alpha_textures, distribution_name
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["RoughConductor"]
 

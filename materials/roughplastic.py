@@ -11,23 +11,23 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.numeric import as_array
+from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f
 from djpt.description.allowed import Allowed
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import as_float, opaque
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, opaque
+from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect, refract
 from djpt.materials.ior import check_eta, ior
 from djpt.materials.microfacet import MIN_ALPHA, MicrofacetDistribution, distribution_name
 from djpt.materials.rough_coat import RoughCoatAtPoint
 from djpt.materials.shared_work import BSDFAtPoint, SharedWorkBSDF
-from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 
 __all__ = ["RoughPlastic"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from djpt.core.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import BSDFContext, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["BSDFAtPoint", "SharedWorkBSDF"]
 

@@ -7,16 +7,16 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
-from djpt.kernels import as_float
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
 from djpt.materials.delta import DeltaBSDF, derivative_of_choice
 from djpt.materials.dielectric import optional_texture, tint
 from djpt.materials.fresnel import fresnel, reflect
 from djpt.materials.ior import check_eta, ior
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["ThinDielectric"]
 

@@ -7,13 +7,13 @@ from typing import Any, TypeVar
 
 import drjit as dr
 
+from djpt.core.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_bsdf
 from djpt.errors import SceneError
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.materials.base import BSDF
-from djpt.records import ALL_COMPONENTS, BSDFContext, BSDFFlags, BSDFSample3f, SurfaceInteraction3f, has_flag
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["TwoSided"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.scenes.cornell import cornell_box
-from djpt.transforms import ScalarTransform4f as T
 
 __all__ = ["furnace"]
 

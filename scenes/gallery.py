@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError, near_miss
-from djpt.transforms import ScalarTransform4f as T
 
 __all__ = ["GLASS", "MATERIALS", "PANELS", "Panel", "panels", "shader_ball", "sheet"]
 

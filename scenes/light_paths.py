@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.scenes.cornell import cornell_box, shape
-from djpt.transforms import ScalarTransform4f as T
 
 __all__ = ["door_ajar", "fixture", "glass_ball", "lamp_behind_pane", "lamp_in_glass", "parabolic_mirror"]
 

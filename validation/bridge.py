@@ -13,12 +13,12 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.backends import load_backend, variant
-from djpt.description.numeric import as_array
-from djpt.description.overrides import described
+from djpt.core.numeric import as_array
+from djpt.core.transforms import ScalarTransform3f, as_transform
 from djpt.description.plugin import Plugin
 from djpt.errors import BackendError, SceneError
-from djpt.transforms import ScalarTransform3f, as_transform
+from djpt.jit.backends import load_backend, variant
+from djpt.scenes.overrides import described
 from djpt.validation.metrics import ComparisonError
 
 __all__ = ["VERSION", "Renderer", "mitsuba_renderer", "mitsuba_scene", "render_in_mitsuba", "to_mitsuba"]

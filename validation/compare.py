@@ -15,15 +15,15 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from djpt.description.overrides import described, override
-from djpt.display.progress import Progress, watched
+from djpt.rendering.progress import Progress, watched
+from djpt.scenes.overrides import described, override
 from djpt.validation.bridge import Renderer
+from djpt.validation.comparands import Side, djpt_renderer, is_described, mitsuba_side, side_of, told_apart
 from djpt.validation.comparison import Comparison
 from djpt.validation.measures import checked_limits
 from djpt.validation.measuring import THEIR_SEEDS, Rendering, compared, plan
 from djpt.validation.metrics import ComparisonError
 from djpt.validation.references import Reference, write_reference
-from djpt.validation.sides import Side, djpt_renderer, is_described, mitsuba_side, side_of, told_apart
 
 __all__ = ["Comparison", "assert_matches", "compare", "compare_renderers", "djpt_renderer", "store_reference"]
 
@@ -59,7 +59,7 @@ def compare(
     Args:
         scene: The first side: a scene (a dict of Mitsuba's schema, the name of a built-in scene, an XML file) that
             djpt renders, a scene loaded by djpt or Mitsuba, an image file, an array (H, W, C), a `Reference`, or a
-            function that gives an array: see `djpt.validation.sides.as_renderer`.
+            function that gives an array: see `djpt.validation.comparands.as_renderer`.
         spp: Samples per pixel of a side that renders, in all batches together; rounded down to full batches. At
             least 4.
         rmse: Limit for the RMSE, which includes the noise of both images; None: no limit.
@@ -74,7 +74,7 @@ def compare(
         tests: Whether the tests decide, or only the thresholds do.
         batches: Independent renders that `spp` is split into.
         same_seed_spp: Samples per pixel of the same-seed pair; 0 leaves it out.
-        width: Pixels, instead of the scenes'; see `djpt.description.overrides.override`.
+        width: Pixels, instead of the scenes'; see `djpt.scenes.overrides.override`.
         height: Pixels, instead of the scenes'.
         rfilter: Reconstruction filter, instead of the scenes'. With `box` the tests are more sensitive.
         integrator: Integrator, instead of the scenes', on both sides.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from djpt.backends import variant
+from djpt.jit.backends import variant
 from djpt.version import __version__
 
 __all__ = ["machine", "readable", "versions"]

@@ -40,7 +40,7 @@ class Endpoint(Plugin):
         self.shape = shape
 
     def get_medium(self) -> Any:
-        """The medium that it was put into, or None: a scene finds that of a sensor (`djpt.media.placement.Media`)."""
+        """The medium that it was put into, or None; `djpt.scene.media_placement.Media` finds that of a sensor."""
         return self._medium
 
     def set_medium(self, medium: Any) -> None:

@@ -11,11 +11,11 @@ from typing import Any, Final
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import as_vector, describe
+from djpt.core.numeric import as_vector, describe
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import Plugin
 from djpt.errors import SceneError, near_miss
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Color3f
+from djpt.jit.types import Color3f
 
 __all__ = ["REQUIRED", "Entries", "EntryType"]
 

@@ -9,8 +9,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
+from djpt.core.files import as_path, shortened
 from djpt.errors import FileError
-from djpt.files import as_path, shortened
 
 __all__ = ["FileResolver", "confined", "file_resolver", "read_once", "reading_once", "resolve", "set_file_resolver"]
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from djpt.core.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
+from djpt.core.numeric import describe
 from djpt.description.document import Document
 from djpt.description.files import FileResolver, file_resolver, reading_once
 from djpt.description.fitting import fitting_kinds
-from djpt.description.limits import MAX_DEPTH, MAX_NAME, MAX_NODES, MAX_PARTS
 from djpt.description.merging import Merging
-from djpt.description.numeric import describe
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.description.registry import kind_of, lookup

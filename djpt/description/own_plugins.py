@@ -28,7 +28,6 @@ PACKAGES = (
     "djpt.samplers",
     "djpt.sensors",
     "djpt.integrators",
-    "djpt.ad.integrators",
     "djpt.rendering",
 )
 """The packages that djpt's own plugins stand in. Usually a plugin's file bears its name."""

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
-from djpt.backends import variant
-from djpt.description.frozen import Holder
-from djpt.types import Float
+from djpt.jit.backends import variant
+from djpt.jit.frozen import Holder
+from djpt.jit.types import Float
 
 if TYPE_CHECKING:
+    from djpt.description.frame_change import Frame
     from djpt.description.properties import Properties
-    from djpt.working_frame.contract import Frame
 
 __all__ = ["ParamFlags", "Plugin", "TraversalCallback", "is_plain"]
 

@@ -10,13 +10,13 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.numeric import as_integer, as_number, as_vector, describe
+from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.allowed import Allowed, bounds
 from djpt.description.entries import REQUIRED, Entries
-from djpt.description.numeric import as_integer, as_number, as_vector, describe
 from djpt.description.plugin import Plugin
 from djpt.description.registry import kind_of, lookup
 from djpt.errors import SceneError, near_miss
-from djpt.transforms import ScalarTransform4f, as_transform
 
 if TYPE_CHECKING:
     from djpt.textures.base import Texture

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.files import as_path, read_bytes, writing
 from djpt.errors import FileError
-from djpt.files import as_path, read_bytes, writing
 
 __all__ = ["TensorField", "read_tensors", "tensor_fields", "write_tensors"]
 

@@ -10,7 +10,7 @@ How values are looked up is the ensemble's `Lookup`:
 
 * `Detached` selects among opaque copies (or gathers, if there are many): rendering.
 * `Attached` gathers from a buffer that stays attached to the parameters: plain AD.
-* `djpt.gradients.leaves` adds one that makes fresh AD leaves at each path vertex: path replay.
+* `djpt.rendering.gradients.leaves` adds one that makes fresh AD leaves at each path vertex: path replay.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from typing import Any, Generic, Protocol, TypeVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.frozen import recording
+from djpt.core.lookup import Flat, Members, Numbers, Rows
 from djpt.description.plugin import Plugin
-from djpt.dispatch.lookup import Flat, Members, Numbers, Rows
 from djpt.dispatch.tables import Buffer, channels_of
-from djpt.kernels import if_stmt, may_wait, opaque
-from djpt.types import Bool, UInt32
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import if_stmt, may_wait, opaque
+from djpt.jit.types import Bool, UInt32
 
 __all__ = [
     "Attached",

@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Generic, TypeVar
 import drjit as dr
 import numpy as np
 
+from djpt.core.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, runs
+from djpt.core.records import DirectionSample3f, Ray3f, Record
+from djpt.core.records.scene_ref import Home, only
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.followed import followed
-from djpt.dispatch.lookup import MAX_CHAIN, Members, Numbers, choose, is_one_of, runs
 from djpt.errors import SceneError
-from djpt.records import DirectionSample3f, Ray3f, Record
-from djpt.records.homes import Home, only
-from djpt.types import Bool, Float, UInt32
+from djpt.jit.types import Bool, Float, UInt32
 
 __all__ = ["ACQUAINTANCES", "NONE", "Family", "Pointer", "filled"]
 

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import drjit as dr
 
 from djpt.dispatch.ensemble import Attached, Detached, Ensemble, Lookup
-from djpt.types import Float
+from djpt.jit.types import Float
 
 __all__ = ["followed", "prepare_followed"]
 

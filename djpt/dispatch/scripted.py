@@ -8,7 +8,7 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.types import Bool, Vector3f, converting
+from djpt.jit.types import Bool, Vector3f, converting
 
 __all__ = ["accept_scripts"]
 

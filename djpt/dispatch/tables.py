@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import drjit as dr
 
-from djpt.dispatch.lookup import Rows
-from djpt.types import Array4f, ArrayXf, Bool, Color3f, Float, Point2f, UInt32
+from djpt.core.lookup import Rows
+from djpt.jit.types import Array4f, ArrayXf, Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["Buffer", "Table", "channels_of", "entry_at", "entry_size"]
 

@@ -6,9 +6,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import Rows
-from djpt.kernels import as_float
-from djpt.types import Float, UInt32
+from djpt.core.lookup import Rows
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Float, UInt32
 
 __all__ = ["Discrete"]
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
-from djpt.kernels import aligned_floats, as_float, maximum
-from djpt.types import Bool, Float, Point2f, TensorXf, UInt32
+from djpt.jit.kernels import aligned_floats, as_float, maximum
+from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["DiscreteDistribution2D"]
 

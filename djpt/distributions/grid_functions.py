@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from djpt.llvm.arithmetic import maximum
-from djpt.llvm.ir import F32, F64, I64, PTR, Function, Module, Type, Value
+from djpt.jit.llvm.arithmetic import maximum
+from djpt.jit.llvm.ir import F32, F64, I64, PTR, Function, Module, Type, Value
 
 __all__ = ["PARAMETERS", "add_grid_functions"]
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.color import LUMINANCE
 from djpt.distributions.grid_functions import PARAMETERS, add_grid_functions
-from djpt.images.color import LUMINANCE
-from djpt.kernels import aligned_floats
-from djpt.llvm.host import HostFunctions
+from djpt.jit.kernels import aligned_floats
+from djpt.jit.llvm.host import HostFunctions
 
 __all__ = ["cell_masses", "corner_table", "halve", "luminance", "side_by_side"]
 

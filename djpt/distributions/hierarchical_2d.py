@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.distributions.grids import cell_masses, corner_table, halve
-from djpt.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, minimum
-from djpt.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
+from djpt.jit.kernels import aligned_floats, as_vector, if_stmt, lerp, maximum, minimum
+from djpt.jit.types import Array4f, Bool, Float, Point2f, TensorXf, UInt32
 
 __all__ = ["Hierarchical2D", "entry", "place_in_cell"]
 

@@ -10,10 +10,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.warp import square_to_bilinear_pdf
 from djpt.distributions.search import find_interval
 from djpt.errors import ArgumentError
-from djpt.types import Bool, Float, Point2f, UInt32, converting
-from djpt.warp import square_to_bilinear_pdf
+from djpt.jit.types import Bool, Float, Point2f, UInt32, converting
 
 __all__ = ["Cell", "Interpolated2D", "Numbers", "Slices", "WithParameters", "table_of"]
 

@@ -8,10 +8,10 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.core.warp import bilinear_to_square, square_to_bilinear
 from djpt.distributions.interpolated_2d import Interpolated2D, Numbers, Slices, WithParameters, table_of
 from djpt.distributions.search import first_without
-from djpt.types import Bool, Float, Point2f, UInt32, converting
-from djpt.warp import bilinear_to_square, square_to_bilinear
+from djpt.jit.types import Bool, Float, Point2f, UInt32, converting
 
 __all__ = [
     "MarginalContinuous2D0",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import drjit as dr
 
-from djpt.types import Bool, UInt32
+from djpt.jit.types import Bool, UInt32
 
 __all__ = ["find_interval", "first_without"]
 

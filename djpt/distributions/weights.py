@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.types import Bool, Float, UInt32
+from djpt.jit.types import Bool, Float, UInt32
 
 __all__ = ["Weights"]
 

@@ -8,16 +8,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.allowed import LARGEST
-from djpt.description.plugin import TraversalCallback
-from djpt.description.properties import Properties
-from djpt.description.registry import register_emitter
-from djpt.emitters.base import Emitter
-from djpt.emitters.bounds import LightBounds
-from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
-from djpt.errors import SceneError
-from djpt.frame import Frame3f
-from djpt.records import (
+from djpt.core.frame import Frame3f
+from djpt.core.records import (
     DirectionSample3f,
     EmissionSample,
     EmitterFlags,
@@ -26,9 +18,17 @@ from djpt.records import (
     Ray3f,
     SurfaceInteraction3f,
 )
+from djpt.core.warp import square_to_cosine_hemisphere
+from djpt.description.allowed import LARGEST
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.description.registry import register_emitter
+from djpt.emitters.base import Emitter
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
+from djpt.errors import SceneError
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.shapes.base import towards
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["Area"]
 

@@ -7,12 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import non_negative
-from djpt.description.plugin import TraversalCallback
-from djpt.description.properties import Properties
-from djpt.emitters.bounds import LightBounds
-from djpt.emitters.questions import EmitterQuestions
-from djpt.records import (
+from djpt.core.numeric import non_negative
+from djpt.core.records import (
     DirectionSample3f,
     EmissionSample,
     EmitterFlags,
@@ -20,11 +16,15 @@ from djpt.records import (
     SurfaceInteraction3f,
     has_flag,
 )
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
-from djpt.working_frame.contract import Rooted
+from djpt.description.frame_change import Rooted
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.emitters.bounds import LightBounds
+from djpt.emitters.mitsuba_api import EmitterQuestions
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Emitter"]
 
@@ -93,7 +93,7 @@ class Emitter(EmitterQuestions):
         """The power of the emitted light in W, averaged over the colours.
 
         For light from infinity: what enters the scene's bounding sphere. An estimate will do, since it
-        guides the choice of emitters (see `djpt.emitters.choice`).
+        guides the choice of emitters (see `djpt.emitters.light_samplers`).
         """
         raise NotImplementedError
 

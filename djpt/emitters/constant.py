@@ -10,6 +10,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
@@ -17,18 +20,8 @@ from djpt.description.registry import register_emitter
 from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
-from djpt.frame import Frame3f
-from djpt.kernels import as_float, as_vector
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["ConstantBackground"]
 

@@ -10,6 +10,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import coordinate_system
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.transforms import ScalarTransform4f
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import LARGEST
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
@@ -18,19 +22,8 @@ from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import SceneError
-from djpt.frame import coordinate_system
-from djpt.kernels import as_float, as_vector
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["DirectionalEmitter"]
 

@@ -6,6 +6,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.description.allowed import LARGEST
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
@@ -14,15 +15,7 @@ from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import area_of, box_of, mean_of, normals_of, require_area
 from djpt.errors import SceneError
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["DirectionalArea"]
 

@@ -10,9 +10,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f
+from djpt.core.numeric import non_negative
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import LARGEST, Allowed
-from djpt.description.frozen import recording
-from djpt.description.numeric import non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -23,19 +25,10 @@ from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import number
 from djpt.emitters.oriented import OrientedEmitter
 from djpt.errors import ParameterError, SceneError
-from djpt.frame import Frame3f
-from djpt.kernels import aligned_floats, as_float, as_vector, lerp, maximum, minimum
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import aligned_floats, as_float, as_vector, lerp, maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
 from djpt.textures.texels import as_texels, check_texels, load_texels, numbers_of
-from djpt.types import Bool, Color3f, Float, Int32, Normal3f, Point2f, TensorXf, UInt32, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
 
 __all__ = ["EnvironmentMap"]
 

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_array
+from djpt.core.numeric import as_array
 from djpt.errors import SceneError
 from djpt.shapes import Shape
 from djpt.textures import Texture

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.base import Emitter
 from djpt.errors import SceneError
-from djpt.kernels import as_vector
-from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.types import Point2f, Vector3f
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Point2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["OnImage", "OrientedEmitter"]
 

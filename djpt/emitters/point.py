@@ -10,8 +10,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.numeric import as_array
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.allowed import LARGEST
-from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -19,19 +21,10 @@ from djpt.emitters.base import Emitter
 from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of
 from djpt.errors import SceneError
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_sphere
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["PointLight", "from_point", "towards_point"]
 

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.dispatch.family import Pointer, filled
-from djpt.dispatch.lookup import choose
-from djpt.emitters.base import Emitter
-from djpt.records import (
+from djpt.core.lookup import choose
+from djpt.core.records import (
     DirectionSample3f,
     EmissionSample,
     Observer,
@@ -18,8 +16,10 @@ from djpt.records import (
     Reference,
     SurfaceInteraction3f,
 )
-from djpt.records.record import Wavelengths
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.core.records.record import Wavelengths
+from djpt.dispatch.family import Pointer, filled
+from djpt.emitters.base import Emitter
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
     from djpt.shapes.pointer import ShapePtr

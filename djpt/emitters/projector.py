@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.numeric import as_array, non_negative
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
 from djpt.description.allowed import LARGEST
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, non_negative
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -18,21 +18,14 @@ from djpt.emitters.bounds import LightBounds
 from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import from_point, towards_point
-from djpt.kernels import as_float
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 from djpt.sensors.projective import horizontal_fov
 from djpt.textures.bitmap import Bitmap
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Projector"]
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.numeric import as_array, as_number
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, Observer, Ray3f, SurfaceInteraction3f
+from djpt.core.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
 from djpt.description.allowed import LARGEST
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, as_number
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -19,20 +20,12 @@ from djpt.emitters.extent import mean_of, number
 from djpt.emitters.oriented import OnImage, OrientedEmitter
 from djpt.emitters.point import from_point, towards_point
 from djpt.errors import ParameterError
-from djpt.kernels import maximum, minimum
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
-from djpt.warp import square_to_uniform_cone, square_to_uniform_cone_pdf
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["SpotLight"]
 

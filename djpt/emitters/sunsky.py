@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array
+from djpt.core.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -23,8 +22,9 @@ from djpt.emitters.sky.dome import SkyDome
 from djpt.emitters.sky.instant import Instant
 from djpt.emitters.sky.position import FARTHEST, TimeAndPlace
 from djpt.errors import ParameterError
-from djpt.kernels import as_vector
-from djpt.types import Float
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Float
 
 __all__ = ["SunSky"]
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import EmissionSample, Ray3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_emitter
@@ -18,9 +19,8 @@ from djpt.emitters.sky.instant import Instant
 from djpt.emitters.sky.position import FARTHEST, TimeAndPlace, sun_direction
 from djpt.emitters.sky.tables import entries_between, table
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import as_float, opaque
-from djpt.records import EmissionSample, Ray3f
-from djpt.types import Array4f, Bool, Color3f, Float, Normal3f, Point2f, TensorXf, UInt32, Vector3f
+from djpt.jit.kernels import as_float, opaque
+from djpt.jit.types import Array4f, Bool, Color3f, Float, Normal3f, Point2f, TensorXf, UInt32, Vector3f
 
 __all__ = ["TimedSunSky"]
 

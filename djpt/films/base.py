@@ -13,8 +13,8 @@ import drjit as dr
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, RenderError, SceneError
+from djpt.jit.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
 from djpt.rfilters import Box, Gaussian, ReconstructionFilter
-from djpt.types import Bool, Color3f, Float, ScalarArray2u, TensorXf
 
 if TYPE_CHECKING:
     from djpt.films.image_block import ImageBlock

@@ -8,9 +8,9 @@ from typing import Any
 import drjit as dr
 
 from djpt.films.base import Film
-from djpt.kernels import as_float, while_loop
+from djpt.jit.kernels import as_float, while_loop
+from djpt.jit.types import Array4f, Bool, Color3f, Float, Point2f, UInt32
 from djpt.rfilters.base import is_wide
-from djpt.types import Array4f, Bool, Color3f, Float, Point2f, UInt32
 
 __all__ = ["Footprint", "SpreadReader", "in_window"]
 

@@ -13,7 +13,7 @@ from djpt.description.registry import register_film
 from djpt.errors import RenderError
 from djpt.films.base import Film, FilmFlags
 from djpt.films.pixel_formats import CHANNELS, ROWS
-from djpt.types import Bool, Color3f, Float, TensorXf, UInt32
+from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 
 if TYPE_CHECKING:
     from djpt.films.image_block import ImageBlock
@@ -170,7 +170,7 @@ class HDRFilm(Film):
 
     def bitmap(self, raw: bool = False) -> Any:
         """The result of `develop` as a `djpt.Bitmap`."""
-        from djpt.scripting.bitmap import Bitmap  # rendering needs none
+        from djpt.images.bitmap import Bitmap  # rendering needs none
 
         image, names = self.develop(raw), self.developed_names()
         if raw:

@@ -8,9 +8,20 @@ from typing import Any, overload
 import drjit as dr
 
 from djpt.errors import RenderError
-from djpt.kernels import opaque
+from djpt.jit.kernels import opaque
+from djpt.jit.types import (
+    Array4f,
+    Bool,
+    Color3f,
+    Float,
+    Int32,
+    Point2f,
+    ScalarArray2i,
+    ScalarArray2u,
+    TensorXf,
+    UInt32,
+)
 from djpt.rfilters.base import ReconstructionFilter, is_wide
-from djpt.types import Array4f, Bool, Color3f, Float, Int32, Point2f, ScalarArray2i, ScalarArray2u, TensorXf, UInt32
 
 __all__ = ["ImageBlock"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.images.color import LUMINANCE, RGB_TO_XYZ
+from djpt.core.color import LUMINANCE, RGB_TO_XYZ
 
 __all__ = ["CHANNELS", "ROWS"]
 

@@ -12,8 +12,8 @@ import drjit as dr
 
 from djpt.films.base import Film
 from djpt.films.footprint import Footprint
-from djpt.kernels import as_float
-from djpt.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, UInt32
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Array4i64, Bool, Color3f, Float, Float64, Int64, Point2f, UInt32
 
 __all__ = ["ChangeSplats", "Splats"]
 

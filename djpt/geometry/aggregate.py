@@ -14,18 +14,18 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from djpt.core.frame import Frame3f
+from djpt.core.lookup import Numbers, is_one_of
+from djpt.core.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.dispatch.lookup import Numbers, is_one_of
-from djpt.frame import Frame3f
 from djpt.geometry.contents import NO_INSTANCE, Contents
 from djpt.geometry.query import ANALYTIC, FACE, NONE, Cursor, Near, Query
 from djpt.geometry.recentre import recentre
-from djpt.geometry.surface import Surface
 from djpt.geometry.unrolled import Unrolled
-from djpt.kernels import as_vector
-from djpt.records import RAY_EPSILON, PreliminaryIntersection3f, Ray3f
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.base import Shape
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.surface import Surface
 
 __all__ = ["FaceNumbers", "Geometry"]
 

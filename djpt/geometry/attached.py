@@ -6,9 +6,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.frame import Frame3f
-from djpt.records import PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f
-from djpt.types import Float, Point3f, Vector3f
+from djpt.core.frame import Frame3f
+from djpt.core.records import PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f
+from djpt.jit.types import Float, Point3f, Vector3f
 
 __all__ = ["distance_on_plane", "distance_to", "is_attached", "make_ends"]
 

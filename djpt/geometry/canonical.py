@@ -14,9 +14,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.arithmetic import KERNELS, Arithmetic
-from djpt.geometry.pieces.formula import hit_piece
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.geometry.curve_segments.formula import hit_piece
+from djpt.jit.arithmetic import KERNELS, Arithmetic
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["FLAT_KINDS", "KINDS", "PIECE", "LocalSurface", "hit_kind", "intersect", "surface"]
 

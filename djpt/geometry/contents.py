@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from djpt.dispatch.lookup import Numbers
-from djpt.geometry.axes import AxisPool
+from djpt.core.lookup import Numbers
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.instance import Instance
 from djpt.shapes.shapegroup import ShapeGroup
@@ -71,9 +71,9 @@ class Contents:
         if not meshes and not solids:
             return None
         # Scenes without meshes need no trees, and don't import what builds and searches them.
-        from djpt.geometry.forest import Forest, Placement
-        from djpt.geometry.mesh_set import MeshSet
         from djpt.geometry.triangles import Triangles
+        from djpt.geometry.two_level_bvh import Forest, Placement
+        from djpt.shapes.meshes.mesh_set import MeshSet
 
         mesh_set = MeshSet(meshes)
         world = sum(s.of_triangles for s in self._own)

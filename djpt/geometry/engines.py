@@ -1,7 +1,7 @@
 """The choice of how rays are traced through trees.
 
 ``call``
-    By functions that Python writes and LLVM compiles: see `djpt.geometry.compiled`.
+    By functions that Python writes and LLVM compiles: see `djpt.geometry.bvh.calls`.
 ``steps``
     By steps that all lanes of a kernel take together: see `djpt.geometry.bvh`. Works everywhere.
 ``auto``
@@ -11,9 +11,9 @@
 from __future__ import annotations
 
 from djpt.errors import SceneError
-from djpt.geometry.bvh.step_trees import StepTrees
-from djpt.geometry.compiled.engine import why_not
-from djpt.geometry.compiled.trees import CompiledTrees
+from djpt.geometry.bvh.calls.engine import why_not
+from djpt.geometry.bvh.calls.trees import CompiledTrees
+from djpt.geometry.bvh.steps.trees import StepTrees
 from djpt.geometry.ray_queries import NAMES, VARIABLE, asked_for, ray_queries
 
 __all__ = ["NAMES", "VARIABLE", "chosen", "new_trees", "ray_queries"]

@@ -27,7 +27,7 @@ def face_frames(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Unit normals (F, 3), and the direction of dp/du (F, 2) as cosines with the two tangents of the normal.
 
-    The tangents are those of `djpt.frame.coordinate_system`. `flip_normals` has been applied.
+    The tangents are those of `djpt.core.frame.coordinate_system`. `flip_normals` has been applied.
     """
     normals, directions = np.empty((len(corners), 3), np.float32), np.empty((len(corners), 2), np.float32)
     first = 0
@@ -69,7 +69,7 @@ def unit(v: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def tangents(n: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """`djpt.frame.coordinate_system` on the host; as in kernels, -0 is no negative number."""
+    """`djpt.core.frame.coordinate_system` on the host; as in kernels, -0 is no negative number."""
     x, y, z = n.T
     sign = np.where(z < 0, np.float32(-1), np.float32(1))
     a = -1 / (sign + z)

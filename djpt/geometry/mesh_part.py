@@ -21,7 +21,7 @@ class MeshPart:
 
     meshes: Sequence[Mesh]
     labels: NDArray[np.uint32]
-    """The label of each mesh: see `djpt.geometry.bvh.records`."""
+    """The label of each mesh: see `djpt.geometry.bvh.steps.records`."""
     first_face: int
     """The set-wide number of the first triangle."""
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from djpt.dispatch.lookup import Members
+from djpt.core.lookup import Members
+from djpt.core.records import RAY_EPSILON, Ray3f
 from djpt.geometry.aggregate import Geometry
-from djpt.kernels import while_loop, wide
-from djpt.records import RAY_EPSILON, Ray3f
-from djpt.types import Bool, Point3f, UInt32, Vector3f
+from djpt.jit.kernels import while_loop, wide
+from djpt.jit.types import Bool, Point3f, UInt32, Vector3f
 
 __all__ = ["closed_shapes", "is_inside"]
 

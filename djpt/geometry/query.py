@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from djpt.records import Ray3f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.core.records import Ray3f
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = [
     "ANALYTIC",
@@ -42,7 +42,7 @@ class RayTree(Protocol):
 
     Each has a *record*, a number that isn't 0, and a *row* of eight words: unused, unit normal, label, face,
     direction of dp/du. Instances and solids have another row before: see `map_rows`. Labels are
-    explained in `djpt.geometry.bvh.records`. Coordinates are relative to `center`.
+    explained in `djpt.geometry.bvh.steps.records`. Coordinates are relative to `center`.
     """
 
     center: Point3f
@@ -118,7 +118,7 @@ class Found:
     """The result of a search."""
 
     origin: Point3f
-    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.approach.enter`."""
+    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.steps.approach.enter`."""
     entry: Float
     """How far the origin was moved, in units of the ray's `d`."""
     near_t: Float
@@ -141,7 +141,7 @@ class Near:
     """A hit as the search for triangles gives it."""
 
     origin: Point3f
-    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.approach.enter`."""
+    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.steps.approach.enter`."""
     t: Float
     """The distance from `origin`: exact also where the distance from a far origin would be rounded."""
     entry: Float | None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.records import Ray3f
-from djpt.types import Float, Point3f
+from djpt.core.records import Ray3f
+from djpt.jit.types import Float, Point3f
 
 __all__ = ["recentre"]
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from djpt.kernels import maximum, minimum
-from djpt.types import Bool, Float, Point3f, Vector3f
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Float, Point3f, Vector3f
 
 __all__ = ["RayPlane", "TriangleHit", "intersect_triangle"]
 

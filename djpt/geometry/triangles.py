@@ -11,22 +11,22 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.dispatch.lookup import Numbers
-from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.bvh.approach import enter
-from djpt.geometry.bvh.records import LEAF, NUMBER, PORTAL, SOLID
-from djpt.geometry.bvh.traversal import into_group
+from djpt.core.frame import Frame3f, coordinate_system
+from djpt.core.lookup import Numbers
+from djpt.core.records import Ray3f
+from djpt.geometry.bvh.steps.approach import enter
+from djpt.geometry.bvh.steps.records import LEAF, NUMBER, PORTAL, SOLID
+from djpt.geometry.bvh.steps.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
-from djpt.geometry.forest import Forest
-from djpt.geometry.mesh_set import MeshSet
-from djpt.geometry.pieces.piece_set import PieceSet
+from djpt.geometry.curve_segments.piece_set import PieceSet
 from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
-from djpt.geometry.surface import Surface
 from djpt.geometry.triangle import RayPlane, intersect_triangle
-from djpt.kernels import float_in
-from djpt.records import Ray3f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.geometry.two_level_bvh import Forest
+from djpt.jit.kernels import float_in
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.meshes.mesh_set import MeshSet
+from djpt.shapes.surface import Surface
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh

@@ -4,7 +4,7 @@ For scenes of a few analytic shapes nothing is faster: all values sit in registe
 shapes that share axes share projections. Three things are decided on the host, from the
 shapes' places, and become structure of the kernel:
 
-* which axes are shared (`djpt.geometry.axes`),
+* which axes are shared (`djpt.shapes.axes`),
 * which shapes can block the segment between a surface and a light (`Unrolled.occludes`),
 * how faces are numbered: sorted by normal, so that a frame is found by a few comparisons.
 
@@ -21,12 +21,12 @@ from functools import cached_property
 import drjit as dr
 import numpy as np
 
-from djpt.dispatch.lookup import Members, Numbers, Rows
-from djpt.frame import Frame3f
-from djpt.geometry.axes import Axis, AxisPool, ProjectedRay, SignedAxis
-from djpt.records import Ray3f
+from djpt.core.frame import Frame3f
+from djpt.core.lookup import Members, Numbers, Rows
+from djpt.core.records import Ray3f
+from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import Axis, AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Shape
-from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["Unrolled"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from djpt.description.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
+from djpt.core.files import shortened
+from djpt.core.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
 from djpt.errors import FileError
-from djpt.files import shortened
 from djpt.images.formats import picture_numbers
 from djpt.images.image import reading
 

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.files import as_path, check_target, reason, require_regular, writing
 from djpt.errors import FileError, near_miss
-from djpt.files import as_path, check_target, reason, require_regular, writing
 from djpt.images.exr import RESERVED
 from djpt.images.formats import (
     DISPLAY_FORMATS,
@@ -35,12 +35,12 @@ from djpt.images.formats import (
 from djpt.images.srgb import from_srgb, shares, to_srgb8
 
 if TYPE_CHECKING:
-    from djpt.types import TensorXf
+    from djpt.jit.types import TensorXf
 
 __all__ = ["Image", "check_writable", "checked_labels", "read", "read_metadata", "read_pixels", "reading", "write"]
 
 MOVIE_FORMATS = frozenset({".gif", ".mp4"})
-"""The formats of movies, which `djpt.animation` writes."""
+"""The formats of movies, which `djpt.apps.animation` writes."""
 
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
@@ -157,7 +157,7 @@ def read(path: str | os.PathLike[str]) -> TensorXf:
     Images that `write` wrote are read back bit for bit from exr, pfm and npy, and to the nearest representable value
     from the others. Raises `FileError` if the file is missing, damaged or of an unknown format.
     """
-    from djpt.types import TensorXf
+    from djpt.jit.types import TensorXf
 
     return TensorXf(read_pixels(path))
 

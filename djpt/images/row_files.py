@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from djpt.files import errors_of_writing, replacing
+from djpt.core.files import errors_of_writing, replacing
 from djpt.images.exr import ORDER, usual_names
 from djpt.images.exr_rows import ExrRows
 from djpt.images.formats import FORMATS, Labels, hdr_header, pfm_header, to_rgbe

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
+from djpt.core.files import as_path, read_bytes
 from djpt.errors import FileError
-from djpt.files import as_path, read_bytes
 
 __all__ = ["read_pairs"]
 

@@ -14,8 +14,8 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.files import writing
 from djpt.errors import FileError, near_miss
-from djpt.files import writing
 from djpt.images.exr import ORDER, RESERVED, read_layers, write_layers
 from djpt.images.formats import FORMATS, Labels, encode_jpg, encode_png, png_metadata, write_npy
 from djpt.images.image import check_writable, reading

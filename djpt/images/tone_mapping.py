@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from djpt.core.color import LUMINANCE
 from djpt.errors import RenderError, near_miss
-from djpt.images.color import LUMINANCE
 from djpt.images.colorimetry import XYZ_TO_RGB, black_body_xyz
 from djpt.images.image import Image
 

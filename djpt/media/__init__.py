@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from djpt.lazy import lazily
+from djpt.core.lazy import lazily
 
 if TYPE_CHECKING:
     from djpt.media.base import Medium as Medium

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import drjit as dr
 
+from djpt.core.records import Ray3f
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.plugin import Plugin
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.materials.base import BSDF
 from djpt.media.base import Medium
 from djpt.media.flight import Flight
-from djpt.records import Ray3f
-from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["AbsorbingBody"]
 

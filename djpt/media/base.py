@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.description.frame_change import Rooted
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup
 from djpt.dispatch.scripted import accept_scripts
-from djpt.kernels import maximum, minimum
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media import tracking
 from djpt.media.flight import Flight, of_channel
-from djpt.records import Ray3f, SurfaceInteraction3f
-from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
-from djpt.working_frame.contract import Rooted
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Medium"]
 

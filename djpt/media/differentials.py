@@ -9,7 +9,8 @@ and S what arrives to be scattered. A change of sigma_t changes it in two ways.
   there is no matter, and few where there is little. So both this estimate (`of_flight`) and another are taken, with the
   shares sigma_t / (sigma_t + sigma_0) and sigma_0 / (sigma_t + sigma_0) of the derivative (`thin`). The other one is
   the light that a point of the way would scatter, the same point as before (`uniform_point`): a flight gets as far as
-  there with the probability T. A path that begins at the point finds that light: see `djpt.gradients.detours`.
+  there with the probability T. A path that begins at the point finds that light: see
+  `djpt.rendering.gradients.extinction_walk`.
 
 Trackers read one number of a grid in place of the eight around a point, which has the right mean. Derivatives are those
 of the interpolation between the eight: what a point tells is spread over all, with less noise for each.
@@ -25,13 +26,13 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.kernels import maximum
+from djpt.core.records import Ray3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.jit.kernels import maximum
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.flight import FAR
-from djpt.records import Ray3f
-from djpt.records.media import MediumInteraction3f
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import IndependentStream
-from djpt.types import Bool, Color3f, Float, UInt32
 
 if TYPE_CHECKING:
     from djpt.media.base import Medium

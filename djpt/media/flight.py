@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["FAR", "Flight", "of_channel"]
 

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.core.records import Ray3f
+from djpt.core.records.flags import PhaseFunctionFlags, has_flag
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.dispatch.tables import entry_at
-from djpt.kernels import as_float, as_vector, maximum, minimum
+from djpt.jit.kernels import as_float, as_vector, maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32, Vector3f
 from djpt.media.base import Medium
 from djpt.media.scaling import as_scale
 from djpt.media.tracking import Majorants
-from djpt.records import Ray3f
-from djpt.records.flags import PhaseFunctionFlags, has_flag
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, TensorXf, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Heterogeneous"]
 

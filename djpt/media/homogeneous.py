@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.records import Ray3f
+from djpt.core.records.flags import PhaseFunctionFlags, has_flag
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_medium
 from djpt.errors import SceneError
-from djpt.kernels import as_float, maximum, minimum
+from djpt.jit.kernels import as_float, maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.base import Medium
 from djpt.media.flight import FAR, Flight, of_channel
 from djpt.media.scaling import as_scale
-from djpt.records import Ray3f
-from djpt.records.flags import PhaseFunctionFlags, has_flag
-from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream
-from djpt.types import Bool, Color3f, Float, UInt32
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Homogeneous"]
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.records import Ray3f, SurfaceInteraction3f
+from djpt.core.records.media import MediumInteraction3f
 from djpt.dispatch.family import Pointer
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media.base import Medium
 from djpt.phase.pointer import PhaseFunctionPtr
-from djpt.records import Ray3f, SurfaceInteraction3f
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["MediumPtr"]
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import non_negative
-from djpt.types import Float
+from djpt.core.numeric import non_negative
+from djpt.jit.frozen import recording
+from djpt.jit.types import Float
 
 __all__ = ["as_scale"]
 

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.kernels import maximum, minimum, wide
+from djpt.core.records import Ray3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.jit.kernels import maximum, minimum, wide
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.media.differentials import ScatteringPoint, elsewhere, of_flight, own_stream, passed, uniform_point
 from djpt.media.flight import Flight
-from djpt.records import Ray3f
-from djpt.records.media import MediumInteraction3f
 from djpt.samplers.base import SampleStream, go_on_with
-from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
     from djpt.media.base import Medium

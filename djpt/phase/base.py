@@ -7,11 +7,11 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
+from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.plugin import Plugin
 from djpt.dispatch.scripted import accept_scripts
-from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["PhaseFunction"]
 

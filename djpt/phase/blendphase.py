@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import drjit as dr
 
+from djpt.core.records import ALL_COMPONENTS, PhaseFunctionContext
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.errors import SceneError
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.phase.base import PhaseFunction
-from djpt.records import ALL_COMPONENTS, PhaseFunctionContext
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.volumes.base import Volume
 
 __all__ = ["BlendPhaseFunction"]

@@ -6,8 +6,8 @@ import math
 
 import drjit as dr
 
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Float, Vector3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.jit.types import Float, Vector3f
 
 __all__ = ["around"]
 

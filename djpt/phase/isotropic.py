@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import ClassVar
 
+from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
+from djpt.core.records.media import MediumInteraction3f
+from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.phase.base import PhaseFunction
-from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.warp import square_to_uniform_sphere
 
 __all__ = ["IsotropicPhaseFunction"]
 

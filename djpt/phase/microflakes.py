@@ -12,11 +12,11 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import Record
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.errors import ArgumentError
-from djpt.frame import Frame3f
-from djpt.records import Record
-from djpt.types import Array3f, Float, Normal3f, Point2f, Vector3f, converting
-from djpt.warp import square_to_cosine_hemisphere
+from djpt.jit.types import Array3f, Float, Normal3f, Point2f, Vector3f, converting
 
 __all__ = ["SGGXPhaseFunctionParams", "sggx_pdf", "sggx_projected_area", "sggx_sample"]
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.records import PhaseFunctionContext
+from djpt.core.records.media import MediumInteraction3f
 from djpt.dispatch.ensemble import Detached
 from djpt.dispatch.family import Pointer
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 from djpt.phase.base import PhaseFunction
-from djpt.records import PhaseFunctionContext
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, UInt32, Vector3f
 
 __all__ = ["PhaseFunctionPtr"]
 

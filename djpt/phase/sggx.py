@@ -8,18 +8,18 @@ from typing import ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.frozen import recording
+from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.errors import SceneError
-from djpt.kernels import as_float
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.phase.base import PhaseFunction
 from djpt.phase.microflakes import SGGXPhaseFunctionParams, sggx_pdf, sggx_projected_area, sggx_sample
-from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.records.media import MediumInteraction3f
 from djpt.textures.texels import numbers_of
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.volumes.base import Volume
 from djpt.volumes.gridvolume import GridVolume
 

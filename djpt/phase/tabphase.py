@@ -9,19 +9,19 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, describe, numbers_in
+from djpt.core.numeric import as_array, describe, numbers_in
+from djpt.core.records import PhaseFunctionContext, PhaseFunctionFlags
+from djpt.core.records.media import MediumInteraction3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_phase
 from djpt.dispatch.tables import entry_at
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import as_float, own_floats
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, own_floats
+from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.phase.base import PhaseFunction
 from djpt.phase.directions import around
-from djpt.records import PhaseFunctionContext, PhaseFunctionFlags
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 
 __all__ = ["TabulatedPhaseFunction"]
 

@@ -6,17 +6,17 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.description.frozen import recording
-from djpt.description.numeric import whole
+from djpt.core.numeric import whole
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.integrators.path import Path
+from djpt.jit.frozen import recording
+from djpt.jit.types import UInt32
+from djpt.rendering.schedules.job import MAX_SAMPLES
 from djpt.samplers.seeds import Seed
-from djpt.scene import Scene
-from djpt.scene_arguments import require_scene
-from djpt.schedules.job import MAX_SAMPLES
-from djpt.types import UInt32
+from djpt.scene.arguments import require_scene
+from djpt.scene.scene import Scene
 
 __all__ = ["check_count", "check_seed", "find_integrator"]
 

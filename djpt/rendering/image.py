@@ -6,26 +6,26 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.display.progress import Progress
+from djpt.core.process.interruption import Interruption
 from djpt.errors import RenderError
-from djpt.gradients.leaves import attached_parameters, prepare_tables, unused_values
-from djpt.gradients.unproven import require_proven
 from djpt.integrators.base import Integrator
-from djpt.kernels import begin_trace
-from djpt.process.interruption import Interruption
+from djpt.jit.kernels import begin_trace
+from djpt.jit.types import TensorXf
 from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.gradients.leaves import attached_parameters, prepare_tables, unused_values
+from djpt.rendering.gradients.unproven import require_proven
+from djpt.rendering.progress import Progress
+from djpt.rendering.schedules.base import Schedule
+from djpt.rendering.schedules.called_sums import prepare_sums
+from djpt.rendering.schedules.canvas import picture
+from djpt.rendering.schedules.choice import choose
+from djpt.rendering.schedules.job import Job, image_channels
+from djpt.rendering.schedules.memory import check_memory
 from djpt.samplers import Sampler
 from djpt.samplers.seeds import Seed
-from djpt.scene import Scene
-from djpt.scene_arguments import find_sensor, require_scene
-from djpt.schedules.base import Schedule
-from djpt.schedules.called_sums import prepare_sums
-from djpt.schedules.canvas import picture
-from djpt.schedules.choice import choose
-from djpt.schedules.job import Job, image_channels
-from djpt.schedules.memory import check_memory
-from djpt.types import TensorXf
-from djpt.working_frame.twin import carried, twin
+from djpt.scene.arguments import find_sensor, require_scene
+from djpt.scene.normalization.normalized_scene import carried, twin
+from djpt.scene.scene import Scene
 
 __all__ = [
     "centres",
@@ -68,7 +68,7 @@ def film_image(
     unused = unused_values(job.scene, parameters)
     if parameters or unused:
         require_proven(scene, job.integrator)
-        from djpt.gradients.derivatives import differentiable
+        from djpt.rendering.gradients.derivatives import differentiable
 
         image = differentiable(job, how, parameters, unused, seed_grad, spp_grad)
     else:
@@ -87,7 +87,7 @@ def image_derivative(
     Gradients of the image, `grad`, are propagated to the scene's parameters; if it is None, gradients of these are
     propagated to the image, whose gradient (H, W, C) is returned.
     """
-    from djpt.gradients.derivatives import attached_image, derivative_of
+    from djpt.rendering.gradients.derivatives import attached_image, derivative_of
 
     begin_trace()
     require_still(scene)
@@ -193,7 +193,7 @@ def job_of(sampler: Sampler) -> type[Job]:
     """The kind of job that a sampler needs."""
     if sampler.has_streams:
         return Job
-    from djpt.schedules.wavefront import WavefrontJob
+    from djpt.rendering.schedules.wavefront import WavefrontJob
 
     return WavefrontJob
 

@@ -6,18 +6,18 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.display.progress import Progress, watched
+from djpt.core.process.interruption import noticing
 from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
-from djpt.kernels import begin_trace
-from djpt.process.interruption import noticing
+from djpt.jit.kernels import begin_trace
+from djpt.jit.types import TensorXf
 from djpt.rendering.arguments import check_count, check_seed, find_integrator
 from djpt.rendering.image import film_image
+from djpt.rendering.progress import Progress, watched
 from djpt.samplers.seeds import Seed
-from djpt.scene import Scene
-from djpt.scene_arguments import find_sensor
+from djpt.scene.arguments import find_sensor
+from djpt.scene.scene import Scene
 from djpt.sensors.base import Sensor
-from djpt.types import TensorXf
 
 __all__ = ["render"]
 
@@ -80,7 +80,7 @@ def render(
     if dr.flag(dr.JitFlag.SymbolicScope):
         raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
     if denoise:
-        from djpt.denoising.rendered import render_denoised
+        from djpt.rendering.denoising.rendered import render_denoised
 
         def noisy(eye: Sensor) -> TensorXf:
             return render(
@@ -99,14 +99,14 @@ def render(
 
         return render_denoised(scene, "oidn" if denoise is True else denoise, sensor, integrator, seed, noisy)
     if adaptive:
-        from djpt.long_renders.adaptive_image import render_adaptively
+        from djpt.rendering.progressive.adaptive_image import render_adaptively
 
         return render_adaptively(scene, sensor, integrator, seed, spp, schedule, progress, keep_partial)
     begin_trace()
     seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
     estimator = find_integrator(scene, integrator)
     if type(estimator).render is not Integrator.render:
-        from djpt.gradients.own_rendering import image_by_itself
+        from djpt.rendering.gradients.own_rendering import image_by_itself
 
         camera, (seed, spp) = find_sensor(scene, sensor), (check_seed("seed", seed), check_count("spp", spp))
         return image_by_itself(estimator, scene, params, camera, seed, spp, seed_grad, spp_grad)

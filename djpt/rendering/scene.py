@@ -6,8 +6,8 @@ from typing import Any
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_scene
-from djpt.scene import Renderer, Scene
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
+from djpt.scene.scene import Renderer, Scene
 
 __all__ = ["make_scene"]
 

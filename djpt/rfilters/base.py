@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-from djpt.arithmetic import KERNELS, Arithmetic
 from djpt.description.plugin import Plugin
-from djpt.types import Bool, Float
+from djpt.jit.arithmetic import KERNELS, Arithmetic
+from djpt.jit.types import Bool, Float
 
 __all__ = ["ReconstructionFilter", "is_wide", "tap_centers"]
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from djpt.arithmetic import Arithmetic
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
+from djpt.jit.arithmetic import Arithmetic
 from djpt.rfilters.base import ReconstructionFilter
 
 __all__ = ["CatmullRom", "Mitchell"]

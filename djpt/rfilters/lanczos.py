@@ -8,8 +8,8 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_rfilter
+from djpt.jit.types import Bool, Float
 from djpt.rfilters.base import ReconstructionFilter
-from djpt.types import Bool, Float
 
 __all__ = ["Lanczos"]
 

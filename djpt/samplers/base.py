@@ -12,8 +12,8 @@ import drjit as dr
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.errors import RenderError
-from djpt.kernels import opaque
-from djpt.types import Bool, Float, Point2f, UInt32
+from djpt.jit.kernels import opaque
+from djpt.jit.types import Bool, Float, Point2f, UInt32
 
 __all__ = ["SampleIndex", "SampleStream", "Sampler", "WavefrontIndex", "go_on_with"]
 
@@ -90,7 +90,7 @@ class Sampler(Plugin):
     `next_2d` draw from it. Loops of Dr.Jit carry it as state. Rendering doesn't touch that stream.
 
     A class that a script writes may be nothing but such a stream: images are then made with copies of it, see
-    `djpt.schedules.wavefront`.
+    `djpt.rendering.schedules.wavefront`.
 
     Parameters: `sample_count` (samples per pixel when `render` isn't told, default 4), `seed`
     (added to render's seed, default 0).

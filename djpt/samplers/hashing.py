@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from djpt.types import UInt32
+from djpt.jit.types import UInt32
 
 __all__ = ["sample_tea_32"]
 

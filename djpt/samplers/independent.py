@@ -8,10 +8,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.description.registry import register_sampler
-from djpt.kernels import float_in
+from djpt.jit.kernels import float_in
+from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
 from djpt.samplers.base import SampleIndex, Sampler
 from djpt.samplers.hashing import sample_tea_32
-from djpt.types import PCG32, Bool, Float, Point2f, UInt32, UInt64
 
 __all__ = ["Independent", "IndependentStream", "copy_of", "generator"]
 

@@ -8,12 +8,12 @@ from typing import TypeVar
 import drjit as dr
 
 from djpt.description.properties import Properties
-from djpt.kernels import minimum
+from djpt.jit.kernels import minimum
+from djpt.jit.types import PCG32, Bool, Float, UInt32
 from djpt.samplers.base import SampleIndex, Sampler
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.independent import copy_of, generator
 from djpt.samplers.permutation import quotient
-from djpt.types import PCG32, Bool, Float, UInt32
 
 __all__ = ["JitteredSampler", "JitteredStream", "PointSet", "PointSets", "below_one"]
 

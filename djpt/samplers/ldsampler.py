@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import drjit as dr
 
 from djpt.description.registry import register_sampler
-from djpt.kernels import while_loop
+from djpt.jit.kernels import while_loop
+from djpt.jit.types import Bool, Float, Point2f, UInt32
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.hashing import sample_tea_32
 from djpt.samplers.jittered import PointSets, below_one
 from djpt.samplers.sobol import pascal
-from djpt.types import Bool, Float, Point2f, UInt32
 
 __all__ = ["LDSampler", "LDStream"]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import drjit as dr
 
 from djpt.description.registry import register_sampler
+from djpt.jit.types import Bool, Float, Float64, Point2f, UInt32
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
 from djpt.samplers.permutation import permute_kensler, quotient
-from djpt.types import Bool, Float, Float64, Point2f, UInt32
 
 __all__ = ["Multijitter", "MultijitterStream"]
 

@@ -10,10 +10,10 @@ import drjit as dr
 
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sampler
+from djpt.jit.types import Bool, Float, Float64, Point2f, UInt32
 from djpt.samplers.base import SampleIndex
 from djpt.samplers.jittered import JitteredSampler, JitteredStream, below_one
 from djpt.samplers.permutation import permute_kensler, quotient, remainder
-from djpt.types import Bool, Float, Float64, Point2f, UInt32
 
 __all__ = ["Orthogonal", "OrthogonalStream"]
 

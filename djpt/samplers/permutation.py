@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from djpt.kernels import while_loop
-from djpt.types import Float64, UInt32
+from djpt.jit.kernels import while_loop
+from djpt.jit.types import Float64, UInt32
 
 __all__ = ["permute_kensler", "quotient", "remainder"]
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.kernels import opaque
+from djpt.jit.kernels import opaque
+from djpt.jit.types import UInt32
 from djpt.samplers.hashing import sample_tea_32
-from djpt.types import UInt32
 
 __all__ = ["Seed", "gradient_seed", "opaque_seed"]
 

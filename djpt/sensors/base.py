@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.numeric import as_number
+from djpt.core.records import DirectionSample3f, Ray3f
+from djpt.core.transforms import ScalarTransform4f, as_transform
 from djpt.description.endpoint import Endpoint
-from djpt.description.numeric import as_number
+from djpt.description.frame_change import Rooted
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import lookup, registered
 from djpt.errors import ParameterError, RenderError, SceneError, near_miss
 from djpt.films.base import Film
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
-from djpt.records import DirectionSample3f, Ray3f
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.samplers.base import Sampler
-from djpt.sensors.sampling import SampledRays
-from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.working_frame.contract import Rooted
+from djpt.sensors.mitsuba_api import SampledRays
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Sensor"]
 

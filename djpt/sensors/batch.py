@@ -8,16 +8,16 @@ from typing import Any
 
 import drjit as dr
 
+from djpt.core.records import Ray3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import maximum, minimum
-from djpt.records import Ray3f
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Point2f, UInt32
 from djpt.sensors.base import Sensor
 from djpt.sensors.group import SensorGroup
 from djpt.sensors.placement import require_area
-from djpt.types import Bool, Point2f, UInt32
 
 __all__ = ["Batch"]
 

@@ -9,18 +9,18 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import Ray3f
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
-from djpt.kernels import as_vector
-from djpt.records import Ray3f
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Bool, Point2f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along, placed_apart, require_area
-from djpt.types import Bool, Point2f
-from djpt.warp import square_to_uniform_disk_concentric
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Distant"]
 

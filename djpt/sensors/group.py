@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.records import Ray3f
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import RenderError, SceneError
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
-from djpt.records import Ray3f
+from djpt.jit.types import Bool, Point2f, UInt32
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import placed_apart
-from djpt.types import Bool, Point2f, UInt32
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["SensorGroup"]
 

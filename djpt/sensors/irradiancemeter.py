@@ -10,17 +10,17 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import RAY_EPSILON, DirectionSample3f, Ray3f
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
-from djpt.frame import Frame3f
-from djpt.records import RAY_EPSILON, DirectionSample3f, Ray3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import require_area
-from djpt.types import Bool, Color3f, Float, Point2f
-from djpt.warp import square_to_cosine_hemisphere
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["IrradianceMeter"]
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.core.records import DirectionSample3f, Ray3f
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
-from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, Ray3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.sensors.projective import ProjectiveCamera
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Orthographic"]
 
@@ -77,7 +77,7 @@ class Orthographic(ProjectiveCamera):
     def projection_transform(self) -> Any:
         film = self.film()
         window = (film.size(), film.crop_size(), film.crop_offset())
-        from djpt.scripting.projections import orthographic_projection  # the renderer needs no such matrix
+        from djpt.sensors.projection_matrices import orthographic_projection  # the renderer needs no such matrix
 
         return orthographic_projection(*window, self._near_clip, self._far_clip)
 

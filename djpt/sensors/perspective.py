@@ -8,16 +8,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_number
+from djpt.core.numeric import as_number
+from djpt.core.records import Ray3f
 from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
-from djpt.records import Ray3f
+from djpt.jit.types import Bool, Float, Point2f
 from djpt.sensors.projective import Central
-from djpt.types import Bool, Float, Point2f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Perspective"]
 

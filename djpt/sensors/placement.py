@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import coordinate_system
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
-from djpt.frame import coordinate_system
-from djpt.geometry.axes import AxisPool
-from djpt.geometry.mesh_set import MeshSet
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Vector3f
+from djpt.jit.types import Vector3f
+from djpt.shapes.axes import AxisPool
+from djpt.shapes.meshes.mesh_set import MeshSet
 
 if TYPE_CHECKING:
     from djpt.shapes import Shape

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import DirectionSample3f, Observer, PositionSample3f, Ray3f, SurfaceInteraction3f
+from djpt.core.records.record import Wavelengths
 from djpt.dispatch.family import Pointer, filled
-from djpt.records import DirectionSample3f, Observer, PositionSample3f, Ray3f, SurfaceInteraction3f
-from djpt.records.record import Wavelengths
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float
 
 if TYPE_CHECKING:
     from djpt.shapes.pointer import ShapePtr

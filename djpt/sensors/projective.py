@@ -11,18 +11,18 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_number
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.numeric import as_number
+from djpt.core.records import DirectionSample3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
-from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.sensors.base import Sensor
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Central", "ProjectiveCamera", "horizontal_fov"]
 
@@ -107,7 +107,7 @@ class ProjectiveCamera(Sensor):
         return float(distance[0] if dr.is_array_v(distance) else distance)
 
     def projection_transform(self) -> Any:
-        """The map of camera space to the crop window: see `djpt.scripting.projections`.
+        """The map of camera space to the crop window: see `djpt.sensors.projection_matrices`.
 
         The shift of a principal point is left out.
         """
@@ -165,7 +165,7 @@ class Central(ProjectiveCamera):
     def projection_transform(self) -> Any:
         film = self.film()
         window = (film.size(), film.crop_size(), film.crop_offset())
-        from djpt.scripting.projections import perspective_projection  # the renderer needs no such matrix
+        from djpt.sensors.projection_matrices import perspective_projection  # the renderer needs no such matrix
 
         return perspective_projection(*window, self.x_fov, self._near_clip, self._far_clip)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
+from djpt.core.records import RAY_EPSILON, Ray3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import SceneError
-from djpt.kernels import as_vector
-from djpt.records import RAY_EPSILON, Ray3f
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Bool, Point2f
 from djpt.sensors.base import Sensor
 from djpt.sensors.placement import look_along
-from djpt.types import Bool, Point2f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["RadianceMeter"]
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 
-from djpt.description.numeric import as_number
+from djpt.core.numeric import as_number
+from djpt.core.records import DirectionSample3f, Ray3f
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_sensor
 from djpt.errors import ParameterError
-from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f, Ray3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 from djpt.sensors.projective import Central
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["ThinLens"]
 

@@ -10,19 +10,19 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import non_negative
+from djpt.core.frame import Frame3f
+from djpt.core.numeric import non_negative
+from djpt.core.records import DirectionSample3f, PositionSample3f
+from djpt.core.transforms import as_transform
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError
-from djpt.frame import Frame3f
-from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.records import DirectionSample3f, PositionSample3f
-from djpt.shapes.questions import ShapeQuestions
-from djpt.transforms import as_transform
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
+from djpt.shapes.mitsuba_api import ShapeQuestions
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Face", "Hit", "Shape", "towards"]
 
@@ -74,7 +74,7 @@ class Shape(ShapeQuestions):
     faces_per_primitive: int = 1
     """Of meshes: how many triangles have one number in `SurfaceInteraction3f.prim_index`."""
     in_pieces: ClassVar[bool] = False
-    """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.pieces`."""
+    """Whether the shape consists of many pieces, which stand in the BVH: see `djpt.geometry.curve_segments`."""
     in_group: bool = False
     """Whether the shape belongs to a `shapegroup`: it is then seen where instances put it, and nothing follows it."""
     _axes: Any = None
@@ -131,8 +131,8 @@ class Shape(ShapeQuestions):
         Raises:
             ParameterError: there are no gradients with respect to this parameter.
         """
-        from djpt.silhouettes.moving import AttachedTransform
-        from djpt.transforms.lanes import Transform4f
+        from djpt.core.transforms.lanes import Transform4f
+        from djpt.shapes.silhouettes.moving import AttachedTransform
 
         if name != "to_world" or not self.can_be_followed():
             raise ParameterError(f"{self.id()}.{name}: gradients with respect to this parameter aren't available")

@@ -9,15 +9,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import PositionSample3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.geometry.axes import AxisPool, ProjectedRay
-from djpt.kernels import as_float
-from djpt.records import PositionSample3f
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution, along
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["Cone"]
 

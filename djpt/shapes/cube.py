@@ -9,19 +9,19 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import cross_product
+from djpt.core.lookup import choose
+from djpt.core.numeric import cross_product
+from djpt.core.records import PositionSample3f
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.dispatch.lookup import choose
 from djpt.errors import ParameterError
-from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.kernels import as_float, as_vector, maximum, minimum
-from djpt.records import PositionSample3f
+from djpt.jit.kernels import as_float, as_vector, maximum, minimum
+from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.shape_type import ShapeType
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["FACES", "Cube", "face_axis"]
 

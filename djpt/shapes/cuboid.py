@@ -10,8 +10,8 @@ from djpt.description.plugin import TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError
+from djpt.jit.types import Point3f
 from djpt.shapes.cube import Cube
-from djpt.types import Point3f
 
 __all__ = ["Cuboid"]
 

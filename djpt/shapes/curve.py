@@ -8,16 +8,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_array
+from djpt.core.numeric import as_array
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
-from djpt.geometry.axes import AxisPool
-from djpt.geometry.pieces.cutting import Pieces
-from djpt.kernels import own_copy, own_floats
+from djpt.jit.kernels import own_copy, own_floats
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
+from djpt.shapes.curve_segments import Pieces
 from djpt.shapes.mesh_file import MeshFile
-from djpt.transforms import ScalarTransform4f
 
 __all__ = ["Curves"]
 

@@ -10,20 +10,20 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import PositionSample3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import SceneError
-from djpt.geometry.axes import AxisPool, ProjectedRay
-from djpt.kernels import as_float
-from djpt.records import PositionSample3f
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit
 from djpt.shapes.revolution import Revolution, along
 from djpt.shapes.shape_type import ShapeType
-from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.silhouettes.base import Silhouette
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Cylinder"]
 
@@ -36,7 +36,7 @@ class Cylinder(Revolution):
     Parameters: `p0` (default origin), `p1` (default (0, 0, 1)), `radius` (default 1), `to_world` (rotation,
     translation, uniform scale, reflection; default identity), `flip_normals` (default false).
     uv = (phi / 2 pi, z) with z from 0 at `p0` to 1 at `p1`; phi counts from the x axis of the frame that
-    `djpt.frame.coordinate_system` gives for p1 - p0. Normals point outwards unless `flip_normals` is set,
+    `djpt.core.frame.coordinate_system` gives for p1 - p0. Normals point outwards unless `flip_normals` is set,
     also those of sampled points: Mitsuba 3.9.1 samples a reflected cylinder with normals that point inwards.
     """
 
@@ -117,7 +117,7 @@ class Cylinder(Revolution):
         return uv, 2 * math.pi * self.around(across), self.axis_z * self.length
 
     def silhouette_class(self) -> type[Silhouette] | None:
-        from djpt.silhouettes.cylinder import CylinderSilhouette
+        from djpt.shapes.silhouettes.cylinder import CylinderSilhouette
 
         return CylinderSilhouette
 

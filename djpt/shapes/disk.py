@@ -10,20 +10,20 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import cross_product
+from djpt.core.numeric import cross_product
+from djpt.core.records import PositionSample3f
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.kernels import as_float, as_vector
-from djpt.records import PositionSample3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Hit, Shape
 from djpt.shapes.shape_type import ShapeType
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
 
 if TYPE_CHECKING:
-    from djpt.silhouettes.base import Silhouette
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Disk"]
 
@@ -147,7 +147,7 @@ class Disk(Shape):
         return polar_uv(cos, sin, r), du, dv
 
     def silhouette_class(self) -> type[Silhouette] | None:
-        from djpt.silhouettes.disk import DiskSilhouette
+        from djpt.shapes.silhouettes.disk import DiskSilhouette
 
         return DiskSilhouette
 

@@ -10,16 +10,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_array
+from djpt.core.numeric import as_array
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import DjptError, ParameterError, SceneError, near_miss
-from djpt.kernels import own_floats
+from djpt.jit.kernels import own_floats
+from djpt.jit.types import ArrayXf, Bool, Color3f, Float, UInt32
 from djpt.shapes.base import Shape
 from djpt.shapes.ellipsoids_file import Table, read_ellipsoids
 from djpt.shapes.mesh_file import MeshFile
-from djpt.silhouettes.moving import exchanged_value
-from djpt.types import ArrayXf, Bool, Color3f, Float, UInt32
+from djpt.shapes.silhouettes.moving import exchanged_value
 
 __all__ = ["Cloud"]
 

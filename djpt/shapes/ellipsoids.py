@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.geometry.axes import AxisPool
-from djpt.geometry.pieces.cutting import Pieces, ellipsoid_pieces
+from djpt.shapes.axes import AxisPool
+from djpt.shapes.curve_segments import Pieces, ellipsoid_pieces
 from djpt.shapes.ellipsoid_cloud import Cloud
 from djpt.shapes.shape_type import ShapeType
-from djpt.transforms import ScalarTransform4f
 
 __all__ = ["Ellipsoids"]
 

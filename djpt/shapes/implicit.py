@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import as_array, describe
+from djpt.core.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, ParameterError
-from djpt.geometry.axes import AxisPool
-from djpt.kernels import as_float, as_vector
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Float, Point3f, Vector3f
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.level_set import PLACE, LevelSet
-from djpt.types import Float, Point3f, Vector3f
 
 __all__ = ["Implicit", "Metaballs", "Torus"]
 

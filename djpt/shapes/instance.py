@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
-from djpt.geometry.axes import AxisPool
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.shapegroup import ShapeGroup
-from djpt.transforms import ScalarTransform4f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Instance"]
 

@@ -9,14 +9,14 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f, coordinate_system
+from djpt.core.records import RAY_EPSILON, DirectionSample3f, Ray3f
 from djpt.description.properties import Properties
-from djpt.frame import Frame3f, coordinate_system
-from djpt.geometry.axes import AxisPool, ProjectedRay
-from djpt.geometry.march import Zero, first_zero
-from djpt.kernels import as_float, as_vector, maximum, minimum
-from djpt.records import RAY_EPSILON, DirectionSample3f, Ray3f
+from djpt.jit.kernels import as_float, as_vector, maximum, minimum
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit, Shape
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.root_finding import Zero, first_zero
 
 __all__ = ["PLACE", "LevelSet", "gradient"]
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from djpt.description.registry import register_shape
-from djpt.geometry.pieces.cutting import Pieces, linear_pieces
 from djpt.shapes.curve import Curves
+from djpt.shapes.curve_segments import Pieces, linear_pieces
 from djpt.shapes.shape_type import ShapeType
 
 __all__ = ["LinearCurve"]

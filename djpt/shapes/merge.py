@@ -12,7 +12,7 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import SceneError
-from djpt.geometry.axes import AxisPool
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.numbering import likeness, merged_last

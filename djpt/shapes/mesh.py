@@ -10,13 +10,13 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import PositionSample3f
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
-from djpt.geometry.axes import AxisPool
-from djpt.geometry.triangle_sampling import square_to_triangle
-from djpt.kernels import as_float, own_copy, own_floats
-from djpt.records import PositionSample3f
+from djpt.jit.kernels import as_float, own_copy, own_floats
+from djpt.jit.types import Float, Point2f, UInt32
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import clean
 from djpt.shapes.meshes.data import MeshData, unit
@@ -25,13 +25,13 @@ from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
 from djpt.shapes.meshes.measures import Measures, is_remote
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.meshes.topology import is_closed
+from djpt.shapes.meshes.triangle_sampling import square_to_triangle
 from djpt.shapes.shape_type import ShapeType
-from djpt.types import Float, Point2f, UInt32
 
 if TYPE_CHECKING:
-    from djpt.geometry.mesh_set import MeshSet
-    from djpt.silhouettes.base import Silhouette
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
+    from djpt.shapes.meshes.mesh_set import MeshSet
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Mesh"]
 
@@ -390,6 +390,6 @@ class Mesh(MeshQueries, Shape):
         return PositionSample3f.of(p, n, uv, dr.rcp(self.area))
 
     def silhouette_class(self) -> type[Silhouette] | None:
-        from djpt.silhouettes.mesh import MeshSilhouette
+        from djpt.shapes.silhouettes.mesh import MeshSilhouette
 
         return MeshSilhouette if self.shape_type() == ShapeType.Mesh else None

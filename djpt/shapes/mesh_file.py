@@ -7,10 +7,10 @@ from collections.abc import Hashable
 from pathlib import Path
 from typing import ClassVar
 
+from djpt.core.files import read_bytes
 from djpt.description.files import read_once, resolve
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
-from djpt.files import read_bytes
 from djpt.shapes.mesh import Mesh
 from djpt.shapes.meshes.data import MeshData
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
+from djpt.core.records import PreliminaryIntersection3f, Ray3f
 from djpt.description.plugin import Plugin
 from djpt.dispatch.family import NONE, Pointer
-from djpt.records import PreliminaryIntersection3f, Ray3f
+from djpt.jit.types import Bool, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
 from djpt.shapes.meshes.queries import MeshQueries
 from djpt.shapes.pointer import ShapePtr
-from djpt.types import Bool, Normal3f, Point2f, Point3f, UInt32, Vector3f, backend
 
 if TYPE_CHECKING:
     from drjit.llvm.ad import Array2u as Vector2u

@@ -9,17 +9,17 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import cross_product
+from djpt.core.frame import Frame3f
+from djpt.core.numeric import cross_product
+from djpt.core.records import DirectionSample3f
+from djpt.core.warp import square_to_uniform_cone
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.frame import Frame3f
-from djpt.geometry.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
-from djpt.kernels import as_float, as_vector
-from djpt.records import DirectionSample3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import ALIGNED, AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_cone
 
 __all__ = ["Plane"]
 

@@ -7,12 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 
-from djpt.dispatch.family import NONE, Pointer
-from djpt.dispatch.lookup import choose
-from djpt.emitters.pointer import EmitterPtr
-from djpt.errors import SceneError
-from djpt.materials.pointer import BSDFPtr
-from djpt.records import (
+from djpt.core.lookup import choose
+from djpt.core.records import (
     DirectionSample3f,
     Observer,
     PositionSample3f,
@@ -21,12 +17,16 @@ from djpt.records import (
     RayFlags,
     SurfaceInteraction3f,
 )
+from djpt.dispatch.family import NONE, Pointer
+from djpt.emitters.pointer import EmitterPtr
+from djpt.errors import SceneError
+from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.materials.pointer import BSDFPtr
 from djpt.sensors.pointer import SensorPtr
 from djpt.shapes.base import Shape
-from djpt.types import ArrayXf, Bool, Color3f, Float, Point2f, Point3f, UInt32
 
 if TYPE_CHECKING:
-    from djpt.silhouettes.samples import SilhouetteSample3f
+    from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
 __all__ = ["ShapePtr"]
 
@@ -262,14 +262,14 @@ class ShapePtr(Pointer[Shape]):
         return p
 
     def _silhouettes(self, question: Callable[[Any], SilhouetteSample3f]) -> SilhouetteSample3f:
-        from djpt.silhouettes.lanes import numbered
-        from djpt.silhouettes.samples import SilhouetteSample3f
+        from djpt.shapes.silhouettes.lanes import numbered
+        from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
         found: SilhouetteSample3f = self._ask_silhouettes(question, SilhouetteSample3f())
         return numbered(found, self.plugins, self.index)
 
     def _ask_silhouettes(self, question: Callable[[Any], Any], otherwise: Any) -> Any:
-        from djpt.silhouettes.lanes import ask  # rendering needs no silhouettes
+        from djpt.shapes.silhouettes.lanes import ask  # rendering needs no silhouettes
 
         return ask(self.ensemble, self.index, self.lookup, question, otherwise)
 

@@ -9,19 +9,19 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import cross_product
+from djpt.core.numeric import cross_product
+from djpt.core.records import PositionSample3f
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
-from djpt.geometry.axes import AxisPool, ProjectedRay, SignedAxis
-from djpt.kernels import as_float, as_vector
-from djpt.records import PositionSample3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay, SignedAxis
 from djpt.shapes.base import Face, Hit, Shape
 from djpt.shapes.shape_type import ShapeType
-from djpt.types import Float, Point2f, Point3f, UInt32, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.silhouettes.base import Silhouette
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Rectangle"]
 
@@ -118,7 +118,7 @@ class Rectangle(Shape):
         return dr.select(uv.x + uv.y > 1, UInt32(1), UInt32(0))
 
     def silhouette_class(self) -> type[Silhouette] | None:
-        from djpt.silhouettes.rectangle import RectangleSilhouette
+        from djpt.shapes.silhouettes.rectangle import RectangleSilhouette
 
         return RectangleSilhouette
 

@@ -9,13 +9,13 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
-from djpt.geometry.axes import ProjectedRay, SignedAxis
-from djpt.kernels import as_vector
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Float, Point2f, Point3f, Vector3f
+from djpt.shapes.axes import ProjectedRay, SignedAxis
 from djpt.shapes.base import Shape
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Float, Point2f, Point3f, Vector3f
 
 __all__ = ["Revolution", "along"]
 
@@ -113,7 +113,7 @@ class Revolution(Shape):
 def along(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> ScalarTransform4f:
     """The affine map that takes the segment (0, 0, 0) (0, 0, 1) to `start` `end`, and scales by `radius` across it.
 
-    x and y are Mitsuba's choice: Duff's frame, see `djpt.frame`, in double precision.
+    x and y are Mitsuba's choice: Duff's frame, see `djpt.core.frame`, in double precision.
     """
     z = (end - start) / np.linalg.norm(end - start)
     sign = math.copysign(1.0, z[2])

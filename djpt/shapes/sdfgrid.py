@@ -11,16 +11,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f, coordinate_system
+from djpt.core.numeric import describe
 from djpt.description.files import resolve
-from djpt.description.numeric import describe
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import DjptError, FileError, ParameterError
-from djpt.frame import Frame3f, coordinate_system
+from djpt.jit.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.shapes.level_set import PLACE, LevelSet, gradient
 from djpt.shapes.shape_type import ShapeType
-from djpt.types import Array4f, Float, Int32, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from djpt.volumes.volume_grid import VolumeGrid
 
 __all__ = ["SDFGrid", "read_volume"]

@@ -11,12 +11,12 @@ from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import SceneError
-from djpt.geometry.axes import AxisPool
+from djpt.jit.types import Float
+from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
-from djpt.types import Float
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["ShapeGroup"]
 

@@ -10,24 +10,24 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f
+from djpt.core.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
+from djpt.core.transforms import ScalarTransform4f
+from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_shape
 from djpt.errors import ParameterError, SceneError
-from djpt.frame import Frame3f
-from djpt.geometry.axes import AxisPool, ProjectedRay
-from djpt.geometry.large_sphere import intersect_large, is_large
-from djpt.kernels import as_float, as_vector
-from djpt.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit, Shape
+from djpt.shapes.large_sphere import intersect_large, is_large
 from djpt.shapes.shape_type import ShapeType
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_sphere
 
 if TYPE_CHECKING:
-    from djpt.silhouettes.base import Silhouette
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
+    from djpt.shapes.silhouettes.base import Silhouette
 
 __all__ = ["Sphere"]
 
@@ -49,7 +49,7 @@ class Sphere(Shape):
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
     large = False
-    """Whether the sphere is much larger than its distance from the origin: see `djpt.geometry.large_sphere`."""
+    """Whether the sphere is much larger than its distance from the origin: see `djpt.shapes.large_sphere`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -239,7 +239,7 @@ class Sphere(Shape):
         return self._uv(unit), du, dv
 
     def silhouette_class(self) -> type[Silhouette] | None:
-        from djpt.silhouettes.sphere import SphereSilhouette
+        from djpt.shapes.silhouettes.sphere import SphereSilhouette
 
         return SphereSilhouette
 

@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import SceneError, near_miss
-from djpt.types import ArrayXf, Bool, Color3f, Float
+from djpt.jit.types import ArrayXf, Bool, Color3f, Float
 
 __all__ = ["TextureAttributes"]
 

@@ -9,22 +9,22 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.core.color import LUMINANCE
+from djpt.core.warp import square_to_tent
 from djpt.description.allowed import Allowed
-from djpt.description.frozen import recording
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.distributions import DiscreteDistribution2D
 from djpt.distributions.grids import luminance
 from djpt.errors import ParameterError, SceneError
-from djpt.images.color import LUMINANCE
-from djpt.kernels import as_float, lerp, maximum, minimum
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, lerp, maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
 from djpt.textures.brightness import cell_weights
 from djpt.textures.texels import as_texels, check_texels, load_texels, mean_texel, numbers_of
 from djpt.textures.uv import UVTexture
 from djpt.textures.wrapping import WRAP_MODES, wrapped
-from djpt.types import Bool, Color3f, Float, Point2f, ScalarArray2i, UInt32, Vector2f
-from djpt.warp import square_to_tent
 
 __all__ = ["Bitmap"]
 

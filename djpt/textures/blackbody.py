@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from djpt.core.numeric import as_number
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_number
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.types import Float, Point2f
+from djpt.jit.types import Float, Point2f
 
 if TYPE_CHECKING:
     from djpt.textures.uv import UVTexture

@@ -9,8 +9,8 @@ import drjit as dr
 from djpt.description.allowed import Allowed
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
+from djpt.jit.types import Bool, Color3f, Float, Vector2f
 from djpt.textures.uv import UVTexture
-from djpt.types import Bool, Color3f, Float, Vector2f
 
 __all__ = ["Checkerboard"]
 

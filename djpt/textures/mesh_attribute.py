@@ -8,17 +8,17 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
+from djpt.core.color import LUMINANCE
+from djpt.core.numeric import as_array
 from djpt.description.allowed import Allowed
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import SceneError, near_miss
-from djpt.images.color import LUMINANCE
-from djpt.kernels import as_float
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float, Vector2f
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Vector2f
 
 __all__ = ["MeshAttribute"]
 

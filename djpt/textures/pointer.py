@@ -8,8 +8,8 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.family import Pointer
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector2f
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float, Point2f, Vector2f
 
 __all__ = ["TexturePtr"]
 

@@ -7,14 +7,14 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.numeric import as_array, describe
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float
 
 __all__ = ["RawConstant"]
 

@@ -8,13 +8,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.description.numeric import as_array
+from djpt.core.numeric import as_array
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
+from djpt.jit.types import Float
 from djpt.textures.tabulated import Pairs, TabulatedSpectrum, list_of_numbers, nested_pairs, pairs_of
-from djpt.types import Float
 
 __all__ = ["RegularSpectrum"]
 

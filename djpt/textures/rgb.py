@@ -9,15 +9,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.numeric import as_array, describe
 from djpt.description.allowed import Allowed
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import DjptError, ParameterError, SceneError
+from djpt.jit.frozen import recording
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float
 
 __all__ = ["ConstantTexture"]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.numeric import as_array, describe
 from djpt.description.files import resolve
-from djpt.description.numeric import as_array, describe
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import DjptError, SceneError

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.numeric import as_array, numbers_in
 from djpt.description.allowed import Allowed
-from djpt.description.numeric import as_array, numbers_in
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.images.colorimetry import spectrum_to_rgb
+from djpt.jit.types import Color3f
 from djpt.textures.rgb import ConstantTexture
-from djpt.types import Color3f
 
 __all__ = ["Pairs", "TabulatedSpectrum", "list_of_numbers", "nested_pairs", "pairs_of"]
 

@@ -9,9 +9,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.limits import LARGEST
+from djpt.core.numeric import describe
 from djpt.description.files import confined, resolve
-from djpt.description.limits import LARGEST
-from djpt.description.numeric import describe
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
 from djpt.images.claims import require_modest
@@ -19,7 +19,7 @@ from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.images.formats import DISPLAY_FORMATS
 from djpt.images.image import read_pixels
 from djpt.images.srgb import decoded, encoded, from_srgb, shares
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
 
 __all__ = ["as_texels", "check_texels", "load_texels", "mean_texel", "numbers_of"]
 

@@ -7,16 +7,16 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.numeric import as_array, as_number, describe
 from djpt.description.allowed import Allowed
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_array, as_number, describe
 from djpt.description.plugin import ParamFlags
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import as_float
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float
 
 __all__ = ["UniformTexture"]
 

@@ -8,14 +8,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_array, describe
+from djpt.core.numeric import as_array, describe
+from djpt.core.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
-from djpt.kernels import as_vector
+from djpt.jit.kernels import as_vector
+from djpt.jit.types import Float, Point2f, Vector2f, Vector3f
 from djpt.textures.base import Texture
-from djpt.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
-from djpt.types import Float, Point2f, Vector2f, Vector3f
 
 __all__ = ["UVTexture", "as_uv_transform"]
 

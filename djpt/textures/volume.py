@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 from djpt.description.allowed import Allowed
 from djpt.description.properties import Properties
 from djpt.description.registry import register_texture
+from djpt.jit.types import Bool, Color3f, Float
 from djpt.textures.base import Texture
-from djpt.types import Bool, Color3f, Float
 from djpt.volumes.base import Volume
 
 __all__ = ["VolumeTexture"]

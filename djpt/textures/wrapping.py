@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.kernels import maximum, minimum
-from djpt.types import Float, UInt32
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Float, UInt32
 
 __all__ = ["WRAP_MODES", "wrapped"]
 

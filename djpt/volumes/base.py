@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from drjit.scalar import Array3f as ScalarPoint3f
 from drjit.scalar import Array3i as ScalarArray3i
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.transforms import ScalarTransform4f
 from djpt.description.allowed import Allowed
+from djpt.description.frame_change import Rooted
 from djpt.description.plugin import Plugin
 from djpt.description.properties import Properties
 from djpt.dispatch.scripted import accept_scripts
 from djpt.errors import RenderError
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
-from djpt.transforms import ScalarTransform4f
-from djpt.types import Bool, Color3f, Float, Vector3f
-from djpt.working_frame.contract import Rooted
+from djpt.jit.types import Bool, Color3f, Float, Vector3f
 
 if TYPE_CHECKING:
-    from djpt.working_frame.contract import Frame
+    from djpt.description.frame_change import Frame
 
 __all__ = ["Volume"]
 

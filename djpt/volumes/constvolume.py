@@ -8,9 +8,9 @@ from djpt.description.allowed import Allowed
 from djpt.description.properties import Properties
 from djpt.description.registry import register_volume
 from djpt.errors import SceneError
+from djpt.jit.types import Bool, Color3f, Float, Vector3f
 from djpt.textures.base import Texture
 from djpt.textures.uniform import UniformTexture
-from djpt.types import Bool, Color3f, Float, Vector3f
 from djpt.volumes.base import Volume
 
 __all__ = ["ConstVolume"]

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from drjit.scalar import Array3f as ScalarPoint3f
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.files import require_regular
+from djpt.core.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
 from djpt.description.files import confined
-from djpt.description.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
 from djpt.errors import FileError, near_miss
-from djpt.files import require_regular
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
 from djpt.volumes.volume_grid import VolumeGrid
 
 __all__ = ["read_openvdb"]

@@ -14,9 +14,9 @@ from drjit.scalar import Array3f as ScalarPoint3f
 from drjit.scalar import Array3u as ScalarArray3u
 from numpy.typing import NDArray
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.files import as_path, read_bytes, writing
 from djpt.errors import ArgumentError, FileError
-from djpt.files import as_path, read_bytes, writing
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
 
 __all__ = ["VolumeGrid", "as_grid"]
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.limits import LARGEST
 from djpt.description.files import resolve
-from djpt.description.limits import LARGEST
 from djpt.description.properties import Properties
 from djpt.errors import ArgumentError, FileError, SceneError
-from djpt.geometry.bounding_box import ScalarBoundingBox3f
+from djpt.jit.types import TensorXf
 from djpt.textures.texels import numbers_of
-from djpt.types import TensorXf
 from djpt.volumes.openvdb import read_openvdb
 from djpt.volumes.volume_grid import VolumeGrid, as_grid
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import djpt
 from djpt.images.sheets import captioned_sheet
-from djpt.validation.ladder.strips import samples
+from djpt.validation.integrator_comparison.strips import samples
 from places import IMAGES
 
 __all__ = ["cornell_box", "spp"]

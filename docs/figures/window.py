@@ -6,8 +6,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from djpt.viewer.server import Server
-from djpt.viewer.session import Session
+from djpt.apps.viewer.server import Server
+from djpt.apps.viewer.session import Session
 from places import IMAGES, LADDER, ROOT
 
 sys.path.append(str(ROOT))  # for the browser of the tests

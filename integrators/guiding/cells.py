@@ -15,8 +15,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.kernels import as_vector, maximum, minimum
-from djpt.types import Normal3f, Point3f, UInt32
+from djpt.jit.kernels import as_vector, maximum, minimum
+from djpt.jit.types import Normal3f, Point3f, UInt32
 
 __all__ = ["SIDES", "Cells", "Leaves"]
 

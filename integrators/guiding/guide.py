@@ -12,10 +12,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.warp.octahedron import direction_at, place_of
 from djpt.integrators.guiding.cells import Cells, Leaves
-from djpt.kernels import minimum, own_copy, own_floats
-from djpt.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp.octahedron import direction_at, place_of
+from djpt.jit.kernels import minimum, own_copy, own_floats
+from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 
 __all__ = ["SIDE", "SQUARES", "Guide", "Heading", "LocalGuide"]
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.animation.frames import JOB, render_frames
-from djpt.animation.tracks import Track
-from djpt.description.overrides import described, override
+from djpt.apps.animation.frames import JOB, render_frames
+from djpt.apps.animation.tracks import Track
 from djpt.errors import FileError, ParameterError
-from djpt.long_renders.rounds import round_seed
+from djpt.rendering.progressive.rounds import round_seed
+from djpt.scenes.overrides import described, override
 
 KEY = "white.reflectance.value"
 TRACK = Track.of({0: [0.1, 0.1, 0.1], 4: [0.9, 0.5, 0.1]})

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.animation.tracks import Track, TurningCamera
+from djpt.apps.animation.tracks import Track, TurningCamera
+from djpt.apps.orbit import HeldCamera
 from djpt.errors import ParameterError
-from djpt.sensors.held import HeldCamera
 
 T = djpt.ScalarTransform4f
 

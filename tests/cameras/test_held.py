@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.sensors.held import HeldCamera
+from djpt.apps.orbit import HeldCamera
 
 
 def camera() -> HeldCamera:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Point2f
+from djpt.jit.types import Point2f
 
 POSITIONS = np.random.default_rng(1).random((2, 64)).astype(np.float32)
 LOOK_AT: dict[str, Any] = {"origin": [1, 2, 3], "target": [-3, 0.5, 1], "up": [0, 1, 0.1]}

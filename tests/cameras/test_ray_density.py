@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.frame import Frame3f
 from djpt.description import registry
 from djpt.errors import RenderError
-from djpt.frame import Frame3f
-from djpt.types import Float, Point2f, Point3f
+from djpt.jit.types import Float, Point2f, Point3f
 from tests.cameras.test_sensors import CAMERAS, FILMS, LOOK, METER, METERS, MIXED, batch
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 

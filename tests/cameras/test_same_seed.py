@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Color3f
+from djpt.jit.types import Color3f
 from djpt.validation import agreement
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import ours, pixels, theirs

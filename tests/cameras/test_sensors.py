@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, RenderError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Point2f
+from djpt.jit.types import Point2f
 
 POSITIONS, APERTURES = np.random.default_rng(1).random((2, 2, 64)).astype(np.float32)
 FILMS: dict[str, dict[str, Any]] = {

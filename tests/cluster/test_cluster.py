@@ -18,16 +18,16 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cluster import tasks
-from djpt.cluster.bundle import Bundle
-from djpt.description.overrides import described, override
+from djpt.apps.cluster import tasks
+from djpt.apps.cluster.bundle import Bundle
 from djpt.errors import BackendError, DjptError, FileError, ParameterError, RenderError, SceneError
-from djpt.long_renders.rounds import round_seed
+from djpt.rendering.progressive.rounds import round_seed
+from djpt.scenes.overrides import described, override
 from tests.kit.commands import run
 
 distributed = pytest.importorskip("distributed")
 
-import djpt.cluster  # noqa: E402
+import djpt.apps.cluster  # noqa: E402
 
 
 def box(**options: Any) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def last(images: Iterator[Any]) -> Any:
 
 def test_the_bits_are_those_of_one_machine(cluster: Cluster) -> None:
     expected = last(djpt.render_passes(djpt.load_dict(box()), spp=12, round_spp=4, seed=7))
-    found = last(djpt.cluster.render_passes(cluster.client, box(), spp=12, round_spp=4, seed=7))
+    found = last(djpt.apps.cluster.render_passes(cluster.client, box(), spp=12, round_spp=4, seed=7))
     assert found.rounds == 3
     assert np.array_equal(found.image().numpy(), expected.image().numpy())
     assert found.error().overall == expected.error().overall
@@ -80,12 +80,14 @@ def test_the_bits_are_those_of_one_machine(cluster: Cluster) -> None:
     more = last(djpt.render_passes(djpt.load_dict(box()), spp=16, seed=7, resume_from=found))
     assert np.array_equal(
         more.image().numpy(),
-        last(djpt.cluster.render_passes(cluster.client, box(), spp=16, seed=7, resume_from=expected)).image().numpy(),
+        last(djpt.apps.cluster.render_passes(cluster.client, box(), spp=16, seed=7, resume_from=expected))
+        .image()
+        .numpy(),
     )
 
 
 def test_a_render_that_is_left_early(cluster: Cluster) -> None:
-    images = djpt.cluster.render_passes(cluster.client, box(), spp=4000, round_spp=4)
+    images = djpt.apps.cluster.render_passes(cluster.client, box(), spp=4000, round_spp=4)
     next(images)
     images.close()  # type: ignore[attr-defined]
     deadline = time.monotonic() + 30
@@ -100,7 +102,7 @@ def test_workers_that_are_killed_join_and_leave(cluster: Cluster) -> None:
     expected = last(djpt.render_passes(djpt.load_dict(box(integrator="bdpt")), **options))
     cluster.add()
     cluster.wait(2)
-    for found in djpt.cluster.render_passes(cluster.client, box(integrator="bdpt"), **options):
+    for found in djpt.apps.cluster.render_passes(cluster.client, box(integrator="bdpt"), **options):
         if found.rounds == 4:
             os.kill(cluster.workers[-1].pid, signal.SIGKILL)
             cluster.add()
@@ -139,7 +141,7 @@ def test_a_stopped_worker_has_its_share_taken(fresh_cluster: Cluster, monkeypatc
     expected = last(djpt.render_passes(djpt.load_dict(box(integrator="bdpt")), **options))
     stopped = fresh_cluster.add()
     fresh_cluster.wait(1)
-    images = djpt.cluster.render_passes(fresh_cluster.client, box(integrator="bdpt"), **options)
+    images = djpt.apps.cluster.render_passes(fresh_cluster.client, box(integrator="bdpt"), **options)
     next(images)
     other = fresh_cluster.add()
     fresh_cluster.wait(2)
@@ -168,7 +170,7 @@ def test_what_a_stopped_worker_has_found_is_found_again(
     expected = last(djpt.render_passes(djpt.load_dict(box()), **options))
     stopped = fresh_cluster.add()
     fresh_cluster.wait(1)
-    images = djpt.cluster.render_passes(fresh_cluster.client, box(), **options)
+    images = djpt.apps.cluster.render_passes(fresh_cluster.client, box(), **options)
     next(images)
     time.sleep(3)  # the rounds ahead of their turn are done
     os.kill(stopped.pid, signal.SIGSTOP)
@@ -199,7 +201,7 @@ def test_which_workers_are_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_workers_it_says_so(fresh_cluster: Cluster) -> None:
     with pytest.warns(RuntimeWarning, match="there are no workers at tcp://"):
-        images = djpt.cluster.render_passes(
+        images = djpt.apps.cluster.render_passes(
             fresh_cluster.client, box(), spp=4, on_wait=lambda text: (tasks.warn(text), fresh_cluster.add())[0]
         )
         assert last(images).spp == 4
@@ -216,7 +218,7 @@ def test_a_scheduler_that_says_nothing_is_told(cluster: Cluster, monkeypatch: py
 
     monkeypatch.setattr(tasks, "SILENCE", 0.5)
     monkeypatch.setattr(cluster.client, "scheduler_info", late)
-    images = djpt.cluster.render_passes(cluster.client, box(), spp=8, round_spp=4, on_wait=told.append)
+    images = djpt.apps.cluster.render_passes(cluster.client, box(), spp=8, round_spp=4, on_wait=told.append)
     assert last(images).spp == 8
     (text,) = told
     assert "doesn't answer" in text
@@ -225,7 +227,7 @@ def test_a_scheduler_that_says_nothing_is_told(cluster: Cluster, monkeypatch: py
 def test_a_scheduler_that_is_gone_is_told() -> None:
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=True) as own:
         client = distributed.Client(own, timeout=2)
-        images = djpt.cluster.render_passes(client, box(), spp=400000, round_spp=4)
+        images = djpt.apps.cluster.render_passes(client, box(), spp=400000, round_spp=4)
         next(images)
         own.close()
         with pytest.raises(RenderError, match="scheduler of the cluster is gone"):
@@ -285,7 +287,7 @@ def test_files_travel(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.Monk
     expected = last(djpt.render_passes(djpt.load_dict(scene), spp=4))
     bundle = Bundle.of(scene)
     assert {name: stored.endswith(".png") for name, (stored, _) in bundle.files.items()} == {"paint.png": True}
-    images = djpt.cluster.render_passes(cluster.client, scene, spp=4)
+    images = djpt.apps.cluster.render_passes(cluster.client, scene, spp=4)
     (tmp_path / "paint.png").unlink()
     assert np.array_equal(last(images).image().numpy(), expected.image().numpy())
 
@@ -305,7 +307,9 @@ def brightness(image: Any, view: int) -> Any:
 def test_gradients_are_sums_over_views(cluster: Cluster) -> None:
     key = "red.reflectance.value"
     value = np.array([[0.5], [0.1], [0.2]], np.float32)
-    loss, found = djpt.cluster.gradient(cluster.client, two_views(), {key: value}, brightness, [0, 1], spp=4, seed=9)
+    loss, found = djpt.apps.cluster.gradient(
+        cluster.client, two_views(), {key: value}, brightness, [0, 1], spp=4, seed=9
+    )
     scene = djpt.load_dict(two_views())
     params = djpt.traverse(scene)
     expected, total = np.zeros((3, 1)), 0.0
@@ -320,7 +324,7 @@ def test_gradients_are_sums_over_views(cluster: Cluster) -> None:
     assert np.isclose(loss, total, rtol=1e-6)
     assert np.allclose(found[key].reshape(3, 1), expected, rtol=1e-6)
     # The parameter is the scene's again.
-    unchanged = last(djpt.cluster.render_passes(cluster.client, two_views(), spp=4))
+    unchanged = last(djpt.apps.cluster.render_passes(cluster.client, two_views(), spp=4))
     assert np.array_equal(
         unchanged.image().numpy(), last(djpt.render_passes(djpt.load_dict(two_views()), spp=4)).image().numpy()
     )
@@ -329,19 +333,19 @@ def test_gradients_are_sums_over_views(cluster: Cluster) -> None:
 def test_errors_name_the_cause(cluster: Cluster) -> None:
     client = cluster.client
     with pytest.raises(BackendError, match=r"must be a distributed\.Client"):
-        djpt.cluster.render_passes("tcp://somewhere", box())
+        djpt.apps.cluster.render_passes("tcp://somewhere", box())
     with pytest.raises(RenderError, match="there is no sensor 3"):
-        djpt.cluster.render_passes(client, box(), sensor=3)
+        djpt.apps.cluster.render_passes(client, box(), sensor=3)
     with pytest.raises(RenderError, match="'seed'"):
-        djpt.cluster.render_passes(client, box(), seed=-1)
+        djpt.apps.cluster.render_passes(client, box(), seed=-1)
     with pytest.raises(SceneError, match="can't travel"):
-        djpt.cluster.render_passes(client, {**box(), "extra": lambda: None})
+        djpt.apps.cluster.render_passes(client, {**box(), "extra": lambda: None})
     with pytest.raises(DjptError, match=r"on a worker: .*no\.such"):
-        djpt.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [0])
+        djpt.apps.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [0])
     with pytest.raises(ParameterError, match="found none"):
-        djpt.cluster.gradient(client, box(), {}, brightness, [0])
+        djpt.apps.cluster.gradient(client, box(), {}, brightness, [0])
     with pytest.raises(RenderError, match="'views'"):
-        djpt.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [])
+        djpt.apps.cluster.gradient(client, box(), {"no.such": np.zeros(3)}, brightness, [])
 
 
 def test_the_command_line(cluster: Cluster, tmp_path: Path) -> None:

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.console import ExitCode
-from djpt.cli.main import COMMANDS, main
-from djpt.display.progress import short
+from djpt.apps.cli.console import ExitCode
+from djpt.apps.cli.main import COMMANDS, main
 from djpt.errors import BackendError, DjptError, FileError, RenderError
 from djpt.images.image import read_pixels
+from djpt.rendering.progress import short
 from tests.kit.commands import run
 
 SMALL = ["cornell_box", "--width", "16", "--spp", "4"]
@@ -292,7 +292,7 @@ def test_errors_have_exit_codes(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("djpt.description.overrides.described", fail)
+    monkeypatch.setattr("djpt.scenes.overrides.described", fail)
     monkeypatch.setattr(sys, "argv", ["djpt", "render", "cornell_box"])
     assert main() == code
     err = capsys.readouterr().err
@@ -348,7 +348,7 @@ def test_doctor_reports(monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, _ = run("doctor")
     assert code == ExitCode.DONE
     assert "LLVM" in out
-    monkeypatch.setattr("djpt.cli.doctor.main", lambda: 3)
+    monkeypatch.setattr("djpt.apps.cli.doctor.main", lambda: 3)
     assert run("doctor")[0] == ExitCode.UNUSABLE
 
 

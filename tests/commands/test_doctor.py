@@ -9,11 +9,11 @@ import pytest
 from rich.console import Console
 
 import djpt
-from djpt.cli import doctor
-from djpt.cli.doctor import Finding, Report, examine, print_report
+from djpt.apps.cli import doctor
+from djpt.apps.cli.doctor import Finding, Report, examine, print_report
 from tests.kit.processes import old_llvm, run_python
 
-DOCTOR = "import sys; from djpt.cli.doctor import main; sys.exit(main())"
+DOCTOR = "import sys; from djpt.apps.cli.doctor import main; sys.exit(main())"
 
 
 def test_this_machine() -> None:
@@ -28,7 +28,7 @@ def test_this_machine() -> None:
 
 WIDTH = """
 import re
-from djpt.types import Float
+from djpt.jit.types import Float
 import drjit as dr
 with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
     dr.eval(dr.arange(Float, 8) + 1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.console import ExitCode
+from djpt.apps.cli.console import ExitCode
 from djpt.description.registry import registered
 from djpt.errors import SceneError
 from djpt.images.image import read_pixels

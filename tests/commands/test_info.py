@@ -8,9 +8,9 @@ import numpy as np
 from click.testing import CliRunner
 
 import djpt
-from djpt.cli.console import ExitCode
-from djpt.cli.info import describe
-from djpt.cli.main import app
+from djpt.apps.cli.console import ExitCode
+from djpt.apps.cli.info import describe
+from djpt.apps.cli.main import app
 from tests.kit.triangle_soups import sphere
 
 

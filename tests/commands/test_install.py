@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from djpt.errors import BackendError
-from djpt.llvm import installer
+from djpt.jit.llvm import installer
 from tests.kit.processes import ROOT, old_llvm, run_python
 
 ROOT_FOLDERS = ("integrators", "materials", "scenes", "validation")
@@ -72,7 +72,7 @@ def test_wheel_and_source_archive(tmp_path: Path) -> None:
 ENTRIES = [
     ("-m", "djpt", "render", "cornell_box", "-o", "{folder}/out.exr", "--spp", "1"),
     ("-m", "djpt", "doctor"),
-    ("-c", "import sys; from djpt.cli.main import main; sys.argv[1:] = ['doctor']; sys.exit(main())"),
+    ("-c", "import sys; from djpt.apps.cli.main import main; sys.argv[1:] = ['doctor']; sys.exit(main())"),
 ]
 
 
@@ -103,7 +103,7 @@ def test_commands_that_need_no_llvm(tmp_path: Path) -> None:
 
 
 def test_nothing_is_installed_if_llvm_is_there() -> None:
-    done = run_python("-m", "djpt.llvm", "--if-needed")
+    done = run_python("-m", "djpt.jit.llvm", "--if-needed")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("djpt: the CPU backend works, with ")
     assert done.stdout.count("\n") == 1
@@ -111,7 +111,7 @@ def test_nothing_is_installed_if_llvm_is_there() -> None:
 
 @pytest.mark.parametrize("version", [14, 15, 16])
 def test_a_users_own_choice_is_not_overruled(tmp_path: Path, version: int) -> None:
-    done = run_python("-m", "djpt.llvm", "--if-needed", library=old_llvm(tmp_path, version))
+    done = run_python("-m", "djpt.jit.llvm", "--if-needed", library=old_llvm(tmp_path, version))
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.startswith("djpt: DRJIT_LIBLLVM_PATH is set to a library that the CPU backend")
 

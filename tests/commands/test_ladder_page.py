@@ -17,12 +17,19 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.console import ExitCode
+from djpt.apps.cli.console import ExitCode
 from djpt.description.registry import registered
 from djpt.images.image import read_pixels
-from djpt.validation.ladder.measure import Budget, Ladder, Reference, error_floor, measure, shared_error
-from djpt.validation.ladder.page import html
-from djpt.validation.ladder.steps import ELSEWHERE, STEPS
+from djpt.validation.integrator_comparison.measure import (
+    Budget,
+    Ladder,
+    Reference,
+    error_floor,
+    measure,
+    shared_error,
+)
+from djpt.validation.integrator_comparison.page import html
+from djpt.validation.integrator_comparison.steps import ELSEWHERE, STEPS
 from tests.kit.commands import run
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -134,7 +141,7 @@ FEW = ("path_naive, cosine", "whitted", "path", "ptracer")
 def count(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """The number of steps that are measured."""
     steps = STEPS if request.param is None else tuple(step for step in STEPS if step.title in request.param)
-    monkeypatch.setattr("djpt.validation.ladder.measure.STEPS", steps)
+    monkeypatch.setattr("djpt.validation.integrator_comparison.measure.STEPS", steps)
     return len(steps)
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from djpt.images.sheets import Tile, captioned_rows, captioned_sheet
-from djpt.validation.ladder.curves import LINE, Curve, chart, plain, spread
-from djpt.validation.ladder.page import decimals
-from djpt.validation.ladder.pictures import ERROR_COLORS, error_map
-from djpt.validation.ladder.pyramid import pyramid
-from djpt.validation.ladder.strips import bounces, samples
+from djpt.validation.integrator_comparison.curves import LINE, Curve, chart, plain, spread
+from djpt.validation.integrator_comparison.page import decimals
+from djpt.validation.integrator_comparison.pictures import ERROR_COLORS, error_map
+from djpt.validation.integrator_comparison.pyramid import pyramid
+from djpt.validation.integrator_comparison.strips import bounces, samples
 
 # ---------------------------------------------------------------- the page
 

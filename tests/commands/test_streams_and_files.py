@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.console import ExitCode
+from djpt.apps.cli.console import ExitCode
 from djpt.images.image import read_pixels
 from tests.kit.commands import run
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.main import COMMANDS, main
-from djpt.cli.terminal import VisibleText, beneath, show_all, visible
+from djpt.apps.cli.main import COMMANDS, main
+from djpt.core.terminal import VisibleText, beneath, show_all, visible
 
 EVIL = "e\x1b]0;owned\x07\x1b[5mvil\x9b2J\u202e\u2066\x7f\rgone\u2028\udcff"
 """A window's title, blinking, a cleared screen, overrides of direction, the start of a line, and a broken byte."""
@@ -221,11 +221,11 @@ def test_the_doctor(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_tracebacks_of_exceptions_that_nobody_expected() -> None:
     code = f"""import sys
-import djpt.cli.scenes
-from djpt.cli.main import run
+import djpt.apps.cli.scenes
+from djpt.apps.cli.main import run
 def fail():
     raise RuntimeError({EVIL!r})
-djpt.cli.scenes.command.callback = fail
+djpt.apps.cli.scenes.command.callback = fail
 sys.argv = ["djpt", "scenes"]
 run()
 """
@@ -236,7 +236,7 @@ run()
 
 
 def test_what_is_printed_while_a_bar_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    from djpt.display.progress import progress_bar
+    from djpt.rendering.progress import progress_bar
 
     terminal = Terminal()
     monkeypatch.setenv("TERM", "xterm-256color")

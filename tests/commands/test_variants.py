@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import djpt
-from djpt.backends import VARIANTS, set_variant, variant, variants
 from djpt.errors import BackendError
+from djpt.jit.backends import VARIANTS, set_variant, variant, variants
 from tests.kit.processes import compile_library, old_llvm, run_python
 
 USE = "import djpt; print(djpt.Float(1, 2) + 1)"
@@ -35,7 +35,7 @@ def test_import_needs_no_llvm(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "use", [USE, "from djpt.types import Float", "import djpt; djpt.set_variant('llvm_ad_rgb'); djpt.types"]
+    "use", [USE, "from djpt.jit.types import Float", "import djpt; djpt.set_variant('llvm_ad_rgb'); djpt.types"]
 )
 def test_no_llvm(tmp_path: Path, use: str) -> None:
     readable(
@@ -129,7 +129,7 @@ def test_a_child_process_searches_for_itself(tmp_path: Path) -> None:
     """What djpt writes into the environment isn't mistaken for the user's wish."""
     code = """
 import subprocess, sys, djpt
-child = "from djpt.llvm import prepare; print(prepare().from_user)"
+child = "from djpt.jit.llvm import prepare; print(prepare().from_user)"
 print(subprocess.run([sys.executable, "-c", child], capture_output=True, text=True).stdout)
 """
     assert run_python("-c", code).stdout.strip() == "False"
@@ -139,7 +139,7 @@ print(subprocess.run([sys.executable, "-c", child], capture_output=True, text=Tr
 def test_missing_libatomic_is_explained() -> None:
     """Dr.Jit 1.5.0 hides the reason behind a NameError of its own."""
     code = """
-import importlib, djpt, djpt.backends
+import importlib, djpt, djpt.jit.backends
 real = importlib.import_module
 def failing(name, package=None):
     if name != "drjit":

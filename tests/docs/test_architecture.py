@@ -71,16 +71,23 @@ def test_circles_are_found() -> None:
 
 
 def test_the_renderer_needs_no_names_for_scripts() -> None:
-    """Only public modules at the top, the package of names `ad`, and the check of names may import `djpt.scripting`."""
+    """Only public modules at the top, the package of names `ad`, and the check of names may import `djpt.mitsuba`."""
     known = files()
     users = {
         name
         for name, path in known.items()
-        if not name.startswith(("djpt.scripting", "djpt.ad.", "djpt.validation.names"))
-        and any(module.startswith("djpt.scripting") for module in imported(path, known))
+        if not name.startswith(("djpt.mitsuba", "djpt.ad.", "djpt.validation.names"))
+        and any(module.startswith("djpt.mitsuba") for module in imported(path, known))
     }
     tops = {"djpt", *(f"djpt.{path.stem}" for path in (ROOT / "djpt").glob("*.py"))}
-    needed = ("djpt.scene", "djpt.records", "djpt.types", "djpt.rendering", "djpt.parameters", "djpt.transforms")
+    needed = (
+        "djpt.scene.scene",
+        "djpt.core.records",
+        "djpt.types",
+        "djpt.rendering",
+        "djpt.description.parameters",
+        "djpt.core.transforms",
+    )
     assert users <= tops - set(needed), users - tops
 
 

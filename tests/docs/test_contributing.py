@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f
+from djpt.core.transforms import ScalarTransform4f
 from tests.kit.processes import ROOT
 
 ALBEDO = 0.4

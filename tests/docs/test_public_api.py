@@ -33,7 +33,20 @@ def type_checking_imports() -> dict[str, str]:
     return names
 
 
-HOME = {name: module for name, module in type_checking_imports().items() if module != "djpt"} | djpt._HOME
+MODULES = {
+    "ad",
+    "errors",
+    "integrators",
+    "materials",
+    "optimization",
+    "scenes",
+    "types",
+    "util",
+    "validation",
+    "warp",
+    "xml",
+}
+HOME = {name: module for name, module in type_checking_imports().items() if name not in MODULES} | djpt._HOME
 """The module of each public name, modules left out."""
 
 
@@ -102,7 +115,7 @@ print(djpt.materials.Principled.__name__, shapes.mesh.Mesh is djpt.Mesh, "Sphere
 def test_a_missing_scene_file_is_found_without_drjit() -> None:
     code = """
 import sys
-from djpt.description.overrides import described
+from djpt.scenes.overrides import described
 from djpt.errors import FileError
 try:
     described("nothing.xml")
@@ -118,7 +131,7 @@ def test_a_misspelt_plugin_of_a_scene_file_is_found_without_drjit(tmp_path: Path
     file.write_text('<scene version="3.0.0"><shape type="obj"/><integrator type="pathh"/></scene>')
     code = f"""
 import sys
-from djpt.description.overrides import described
+from djpt.scenes.overrides import described
 from djpt.errors import SceneError
 try:
     described({str(file)!r})

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.main import app
+from djpt.apps.cli.main import app
 from tests.kit.markdown import snippets
 from tests.kit.processes import ROOT, run_python
 

@@ -14,7 +14,7 @@ import pytest
 from drjit.opt import Adam
 
 import djpt
-from djpt.types import Color3f, TensorXf, UInt32
+from djpt.jit.types import Color3f, TensorXf, UInt32
 from tests.kit.processes import run_python
 from tests.kit.renders import box, pixels
 

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from djpt.core.records import Ray3f
 from djpt.geometry.accelerators.base import Accelerator, Approach
 from djpt.geometry.accelerators.brute_force import BruteForce, closest_in_double
 from djpt.geometry.accelerators.bvh import Bvh
 from djpt.geometry.accelerators.grid import UniformGrid
 from djpt.geometry.accelerators.kdtree import KdTree
-from djpt.records import Ray3f
-from djpt.types import Float, Point3f, UInt32, Vector3f
+from djpt.jit.types import Float, Point3f, UInt32, Vector3f
 from tests.kit.arrays import floats, rows
 from tests.kit.processes import ROOT, run_python
 from tests.kit.triangle_soups import SOUPS, sphere

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.build import BinaryTree, Method, build, half_area
+from djpt.geometry.bvh.build.levels import BinaryTree, Method, build, half_area
+from djpt.geometry.bvh.build.wide import WideTree, child_leaf, collapse
 from djpt.geometry.bvh.refit import REBUILD, grown, refit
 from djpt.geometry.bvh.statistics import sah_cost
-from djpt.geometry.bvh.wide import WideTree, child_leaf, collapse
 from tests.kit.processes import ROOT
 from tests.kit.triangle_soups import SOUPS, exponential, giants_among_dwarfs, sphere
 
@@ -153,7 +153,7 @@ def test_better_methods_make_cheaper_trees() -> None:
 def test_samples_hardly_cost_quality(monkeypatch: pytest.MonkeyPatch) -> None:
     corners = sphere(40000)
     sampled = sah_cost(tree_of(corners))
-    monkeypatch.setattr("djpt.geometry.bvh.splits.SAMPLES", 1 << 20)
+    monkeypatch.setattr("djpt.geometry.bvh.build.splits.SAMPLES", 1 << 20)
     assert sampled < 1.01 * sah_cost(tree_of(corners))
 
 
@@ -298,8 +298,8 @@ def test_growth_says_when_to_build_again() -> None:
 
 MILLION = """
 import time, djpt
-from djpt.geometry.bvh.build import build
-from djpt.geometry.bvh.wide import collapse
+from djpt.geometry.bvh.build.levels import build
+from djpt.geometry.bvh.build.wide import collapse
 from tests.kit.triangle_soups import sphere
 
 def kilobytes(what):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
 from tests.kit.axes import unit
 from tests.kit.chi_squared import uniform
 

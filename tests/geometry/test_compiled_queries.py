@@ -11,16 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 import djpt
+from djpt.core.records import Ray3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
 from djpt.geometry import engines
 from djpt.geometry.accelerators.brute_force import BruteForce
-from djpt.geometry.compiled import engine
-from djpt.geometry.compiled.tree import CompiledTree
+from djpt.geometry.bvh.calls import engine
+from djpt.geometry.bvh.calls.tree import CompiledTree
 from djpt.geometry.engines import chosen, ray_queries
-from djpt.llvm.calls import CallError
-from djpt.records import Ray3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Point3f, UInt32, Vector3f
+from djpt.jit.llvm.calls import CallError
+from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
 from tests.kit.axes import unit
 from tests.kit.triangle_soups import SOUPS, sphere
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.geometry.engines import ray_queries
-from djpt.geometry.mesh_set import MeshSet
-from djpt.geometry.pieces.cutting import cubic_at
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point3f, Vector3f
+from djpt.jit.types import Float, Point3f, Vector3f
+from djpt.shapes.curve_segments import cubic_at
+from djpt.shapes.meshes.mesh_set import MeshSet
 from djpt.validation import agreement
 from tests.kit.kernels import Watched
 from tests.kit.mesh_scenes import ball_file

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Point3f, Vector3f
+from djpt.jit.types import Float, Point2f, Point3f, Vector3f
 from djpt.validation import agreement
 from tests.kit.chi_squared import uniform
 from tests.kit.renders import Edit, box, ours, theirs
@@ -173,7 +173,7 @@ def test_light_around_a_tube() -> None:
     si = scene.ray_intersect(djpt.Ray3f(Point3f(0, 0, 5), Vector3f(0, 0, -1), maxt=Float(np.inf)))
     si.n, si.sh_frame = -si.n, djpt.Frame3f.from_normal(-si.n)
     # A light that long is sampled badly by area: integrate over directions instead.
-    from djpt.warp import square_to_cosine_hemisphere
+    from djpt.core.warp import square_to_cosine_hemisphere
 
     d = si.to_world(square_to_cosine_hemisphere(Point2f(*uniform(2**16))))
     hit = scene.ray_intersect(si.spawn_ray(d))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.geometry.engines import ray_queries
+from djpt.jit.types import Float, Point3f, TensorXf, Vector3f
 from djpt.shapes.ellipsoid_cloud import rotations
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point3f, TensorXf, Vector3f
 from tests.kit.axes import unit
 from tests.kit.kernels import Watched
 

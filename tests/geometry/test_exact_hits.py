@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.geometry.axes import ProjectedRay
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.geometry.recentre import recentre
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from djpt.shapes.axes import ProjectedRay
 from tests.kit.axes import unit
 from tests.kit.double_precision import GRID, ORACLES, closest
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import Ray3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
-from djpt.geometry.axes import AxisPool
-from djpt.records import Ray3f
+from djpt.jit.types import Point3f, Vector3f
 from djpt.shapes import Instance, ShapeGroup
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Point3f, Vector3f
+from djpt.shapes.axes import AxisPool
 from djpt.validation import agreement
 from tests.kit.arrays import in_numpy, rows
 from tests.kit.axes import unit

@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, FileError, SceneError
-from djpt.llvm.host import HostFunctions
+from djpt.jit.llvm.host import HostFunctions
 from djpt.shapes.mesh_file import MeshFile
 from djpt.shapes.meshes import normals, obj_compiled
 from djpt.shapes.meshes.data import MeshData
@@ -24,7 +25,6 @@ from djpt.shapes.meshes.obj import read_carefully, read_obj
 from djpt.shapes.meshes.obj_compiled import read_compiled
 from djpt.shapes.meshes.ply import read_ply
 from djpt.shapes.meshes.serialized import read_serialized
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, properties, write_binary_ply, write_obj, write_ply, write_serialized
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import Ray3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
-from djpt.records import Ray3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Point3f, Vector3f
+from djpt.jit.types import Bool, Float, Point3f, Vector3f
 from tests.kit.axes import unit
 from tests.kit.mesh_scenes import ball, ball_file, gallery
 
@@ -156,7 +156,7 @@ def test_hits_from_afar_lie_on_the_ray(folder: Path) -> None:
 @pytest.mark.parametrize("kind", SCENES)
 def test_many_rays_at_once(folder: Path, kind: str, count: int) -> None:
     """From 2^18 rays on lanes take ray after ray; a thousand have a lane each, and so has one."""
-    from djpt.geometry.bvh import search
+    from djpt.geometry.bvh.steps import search
 
     assert count >= 2 * search.BATCH
     scene = SCENES[kind](folder)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 from tests.kit.renders import box, ours, pixels, theirs

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
 from djpt.geometry.mesh_part import MeshPart
-from djpt.geometry.mesh_set import MeshSet
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, UInt32
+from djpt.jit.types import Float, Point2f, UInt32
+from djpt.shapes.meshes.mesh_set import MeshSet
 from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 

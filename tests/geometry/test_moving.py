@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError
 from djpt.geometry.engines import ray_queries
-from djpt.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
 from tests.kit.axes import unit
 from tests.kit.kernels import kernels

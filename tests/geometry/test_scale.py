@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
-from djpt.working_frame.twin import twin
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.scene.normalization.normalized_scene import twin
 from tests.kit.placed_scenes import PLACED, Place, closed_room, huge_sphere, path
 
 DIRECTION = np.array([0.6, -0.64, 0.48])

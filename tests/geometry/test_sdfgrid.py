@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import FileError, ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point3f, Vector3f
+from djpt.jit.types import Float, Point3f, Vector3f
 from djpt.validation import agreement
 from tests.kit.renders import box, ours, theirs
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Point3f, Vector3f
+from djpt.jit.types import Bool, Float, Point3f, Vector3f
 from tests.kit.axes import unit
 
 RAYS = 20000

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f, as_transform
+from djpt.core.transforms.lanes import Transform4f
 from djpt.errors import AmbiguityError, SceneError
-from djpt.transforms import ScalarTransform4f, as_transform
-from djpt.transforms.lanes import Transform4f
-from djpt.types import Float, Matrix4f, Point3f, Vector3f
+from djpt.jit.types import Float, Matrix4f, Point3f, Vector3f
 
 T = ScalarTransform4f
 UNIT = [2 / 7, 3 / 7, 6 / 7]

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import Ray3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
-from djpt.geometry.axes import AxisPool
-from djpt.records import Ray3f
-from djpt.records.media import MediumInteraction3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Point3f, TensorXf, Vector3f
-from djpt.working_frame.carrying import Carrier
-from djpt.working_frame.contract import Rooted
-from djpt.working_frame.frame import WorkingFrame
+from djpt.description.frame_change import Rooted
+from djpt.jit.types import Float, Point2f, Point3f, TensorXf, Vector3f
+from djpt.scene.normalization.frame import WorkingFrame
+from djpt.scene.normalization.plugin_copies import Carrier
+from djpt.shapes.axes import AxisPool
 from tests.kit.emitters import SETS, entry
 from tests.kit.meshes import tetrahedron_file, write_serialized
 from tests.kit.plugins import SHEARED

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.schedules import passes
+from djpt.rendering.schedules import passes
 from tests.integrators.test_bdpt import MATERIALS
 from tests.kit.emitters import entry
 from tests.kit.image_gradients import ALBEDO, RADIANCE, Experiment
@@ -65,7 +65,7 @@ def test_roulette_does_not_matter_to_reverse_and_forward(kind: str) -> None:
 @slow
 def test_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Passes over samples and bands leave the gradient as it is."""
-    from djpt.gradients import splatted
+    from djpt.rendering.gradients import splatted
 
     for kind in ("bdpt", "ptracer"):
         whole = Experiment(box(16, "gaussian", of(kind)), [ALBEDO]).reverse()[ALBEDO]

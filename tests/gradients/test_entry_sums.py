@@ -11,9 +11,9 @@ import pytest
 
 import djpt
 from djpt.dispatch.tables import Buffer
-from djpt.gradients import entry_sums, leaves
-from djpt.gradients.entry_sums import CalledSums, ScatteredSums, proved, usable
-from djpt.types import Bool, Float, TensorXf, UInt32
+from djpt.jit.types import Bool, Float, TensorXf, UInt32
+from djpt.rendering.gradients import entry_sums, leaves
+from djpt.rendering.gradients.entry_sums import CalledSums, ScatteredSums, proved, usable
 from tests.kit.textured_room import FLOOR, bitmap, room, texels
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.distributions import Hierarchical2D
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, TensorXf
+from djpt.jit.types import Float, TensorXf
 from tests.kit.lit_floor import floor_scene
 
 ROWS, COLUMNS, SIZE = 6, 9, 20

@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 import djpt
-from djpt.gradients import leaves as replay
 from djpt.integrators import Integrator
+from djpt.rendering.gradients import leaves as replay
 from tests.kit.image_gradients import ALBEDO, RADIANCE, SEED, SPP, Experiment
 from tests.kit.renders import box, lights, pixels, theirs, two_sided
 
@@ -119,7 +119,7 @@ def test_crop_and_border(integrator: dict[str, Any]) -> None:
 @pytest.mark.parametrize("rfilter", [pytest.param("box", marks=pytest.mark.slow), "gaussian"])
 def test_many_passes(rfilter: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Passes over samples and bands leave the gradient as it is."""
-    from djpt.schedules import passes
+    from djpt.rendering.schedules import passes
 
     names = [ALBEDO, RADIANCE]
     whole = Experiment(box(16, rfilter, PRB), names).reverse()

@@ -8,8 +8,8 @@ import drjit as dr
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.integrators import Integrator
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.image_gradients import ALBEDO, RADIANCE, Experiment
 from tests.kit.renders import box, spheres
 

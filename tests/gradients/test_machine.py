@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.gradients import machine_replay
-from djpt.schedules import passes
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.rendering.gradients import machine_replay
+from djpt.rendering.schedules import passes
 from tests.kit.mesh_scenes import gallery, uv_texture
 from tests.kit.renders import pixels
 

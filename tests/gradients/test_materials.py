@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
-from djpt.types import Float, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_sphere
+from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.warp import square_to_uniform_sphere
+from djpt.jit.types import Float, Point2f, UInt32, Vector3f
 from tests.kit.chi_squared import uniform
 from tests.kit.material_ball import ball
 from tests.kit.materials import NAMES, bsdf, cases, first_of_each, in_kernel, interaction

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.gradients import noted_hits, replay
+from djpt.rendering.gradients import hit_cache as noted_hits
+from djpt.rendering.gradients import replay
 from tests.kit.mesh_scenes import gallery
 from tests.kit.placed_scenes import instances
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.types import Float, TensorXf
+from djpt.jit.types import Float, TensorXf
 from tests.kit.emitters import RECTANGLE
 from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene

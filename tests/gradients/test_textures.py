@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import TensorXf
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import TensorXf
 from tests.kit.textured_room import FLOOR, WALL, bitmap, room, texels
 
 pytestmark = pytest.mark.cuda

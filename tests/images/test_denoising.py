@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.main import app
-from djpt.denoising.filtering import Guides, denoise_pixels
-from djpt.denoising.guides import render_guides
+from djpt.apps.cli.main import app
+from djpt.rendering.denoising.filtering import Guides, denoise_pixels
+from djpt.rendering.denoising.guides import render_guides
 
 needs_wheel = pytest.mark.skipif(importlib.util.find_spec("mitsuba_oidn") is None, reason="needs mitsuba-oidn")
 METHODS = [pytest.param("oidn", marks=needs_wheel), "nlm"]

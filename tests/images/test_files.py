@@ -18,7 +18,7 @@ from djpt.images import srgb
 from djpt.images.formats import FORMATS
 from djpt.images.image import Image, read, read_metadata, read_pixels, write
 from djpt.images.srgb import from_srgb, to_srgb8
-from djpt.util import convert_to_bitmap, write_bitmap
+from djpt.mitsuba.util import convert_to_bitmap, write_bitmap
 
 
 def radiance(height: int = 5, width: int = 7, channels: int = 3, seed: int = 0) -> np.ndarray:
@@ -271,7 +271,7 @@ def test_mitsubas_verbs(tmp_path: Path) -> None:
 
 
 def test_tensors_go_in_and_come_out(tmp_path: Path) -> None:
-    from djpt.types import TensorXf
+    from djpt.jit.types import TensorXf
 
     tensor = TensorXf(radiance())
     write(tmp_path / "a.exr", tensor)

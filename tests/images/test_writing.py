@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from djpt.core.files import writing
 from djpt.errors import FileError
-from djpt.files import writing
 from djpt.images.formats import FORMATS
 from djpt.images.image import check_writable, read_pixels, write
 
@@ -114,7 +114,7 @@ def test_a_working_directory_that_was_removed(tmp_path: Path, monkeypatch: pytes
 KILLED = """
 import sys, time
 from pathlib import Path
-from djpt.files import writing
+from djpt.core.files import writing
 with writing(Path(sys.argv[1])) as temporary:
     temporary.write_bytes(b"half")
     print("begun", flush=True)

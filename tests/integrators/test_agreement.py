@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation import mitsuba_renderer
 from djpt.validation.statistics import Batches, TestResult, block_test, mean_test
 

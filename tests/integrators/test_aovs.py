@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.renders import box, ours, pixels, spheres, theirs
 
 PATH = {"type": "path", "max_depth": 3}

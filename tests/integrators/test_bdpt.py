@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
 from djpt.integrators import bdpt
-from djpt.integrators.strategies import strategies
-from djpt.transforms import ScalarTransform4f as T
+from djpt.integrators.bidirectional.strategies import strategies
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.devices import instances
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.convergence import assert_equal_means, images
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, foggy_room, lit_ball
 

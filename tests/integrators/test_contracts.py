@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import BSDFContext, Ray3f, SurfaceInteraction3f
 from djpt.films.splats import Splats
 from djpt.integrators import PassIntegrator, PathState, SplattingIntegrator, UnidirectionalPath, Vertex
-from djpt.integrators.passes import LightPath, Walks
-from djpt.records import BSDFContext, Ray3f, SurfaceInteraction3f
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.integrators.paths.passes import LightPath, Walks
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from tests.kit.materials import bsdf, cases, in_kernel, interaction
 from tests.kit.mesh_scenes import ball_file
 from tests.kit.renders import box
@@ -197,7 +197,7 @@ class Emitted(PassIntegrator):
 
 
 def test_passes_carry_their_state(monkeypatch: pytest.MonkeyPatch) -> None:
-    from djpt.schedules import progressive
+    from djpt.rendering.schedules import progressive
 
     djpt.register_integrator("emitted", Emitted)
     scene, integrator = djpt.load_dict(box(8, "box")), djpt.load_dict({"type": "emitted"})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import area
 from djpt.validation.closed_forms.glass import ABOVE, BELOW, dielectric, pane
 from tests.kit.closed_forms import (

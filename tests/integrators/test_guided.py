@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import BSDFContext, Ray3f
+from djpt.core.warp.octahedron import direction_at, place_of
 from djpt.errors import RenderError, SceneError
 from djpt.integrators.guiding.cells import HALVINGS, SIDES, Cells, Leaves
 from djpt.integrators.guiding.guide import SQUARES, Guide
-from djpt.records import BSDFContext, Ray3f
+from djpt.jit.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.rendering.image import make_job
+from djpt.rendering.schedules.learning import JobLessons
 from djpt.samplers import SampleIndex
-from djpt.schedules.learning import JobLessons
-from djpt.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp.octahedron import direction_at, place_of
 from tests.kit.chi_squared import SPHERE, p_value, uniform
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.lit_floor import floor_scene

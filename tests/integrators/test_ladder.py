@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box, ours, theirs
 

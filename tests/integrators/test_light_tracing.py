@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.frame import Frame3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
-from djpt.frame import Frame3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f
+from djpt.jit.types import Float, Point2f
 from tests.kit.emitters import NAMES, entry, first_of_each, plugin_of
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box

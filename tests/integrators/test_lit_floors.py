@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ALBEDO, area, camera
 from djpt.validation.closed_forms.floors import parallel_rectangle
 from tests.kit.closed_forms import (

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
-from djpt.integrators.mutations import FINEST, step
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import PCG32, Float, UInt32
+from djpt.integrators.markov.mutations import FINEST, step
+from djpt.jit.types import PCG32, Float, UInt32
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
 from tests.kit.emitters import entry
 from tests.kit.lit_floor import floor_scene

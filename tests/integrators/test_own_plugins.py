@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import BSDFContext, BSDFFlags, BSDFSample3f, has_flag
+from djpt.core.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 from djpt.description.plugin import ParamFlags
 from djpt.emitters import Emitter
 from djpt.errors import SceneError
 from djpt.integrators import Integrator
+from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.materials import BSDF
-from djpt.records import BSDFContext, BSDFFlags, BSDFSample3f, has_flag
 from djpt.rfilters.base import ReconstructionFilter
 from djpt.samplers import SampleIndex
-from djpt.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.validation import agreement
-from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
 from tests.kit.renders import box, lights, ours, pixels, spheres, theirs
 
 PATH = {"type": "path", "max_depth": 5}
@@ -149,7 +149,7 @@ class Sunlight(Emitter):
         self.irradiance: Any = Float(props.float("irradiance", 1.0, low=0.0))
 
     def flags(self) -> int:
-        from djpt.records import EmitterFlags
+        from djpt.core.records import EmitterFlags
 
         return int(EmitterFlags.DeltaDirection)
 

@@ -9,12 +9,22 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from djpt.core.process import memory
 from djpt.errors import RenderError
-from djpt.photons import Photon, PhotonMap, PhotonStore, directions, photon
-from djpt.photons.map import ALONG_Y, ALONG_Z, FACING, FEWEST, FLATNESS, LENGTH, MOST_ACROSS, MOST_ALONG, WIDTH
-from djpt.photons.photon import FOUND, WEIGHTS, WORDS, bytes_of
-from djpt.process import memory
-from djpt.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
+from djpt.integrators.photons import Photon, PhotonMap, PhotonStore, directions, photon
+from djpt.integrators.photons.map import (
+    ALONG_Y,
+    ALONG_Z,
+    FACING,
+    FEWEST,
+    FLATNESS,
+    LENGTH,
+    MOST_ACROSS,
+    MOST_ALONG,
+    WIDTH,
+)
+from djpt.integrators.photons.photon import FOUND, WEIGHTS, WORDS, bytes_of
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
 
 RADIUS, PATHS, UNIT = 0.05, 1000, 0.5
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.process import memory
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
-from djpt.photons import photon
-from djpt.process import memory
-from djpt.transforms import ScalarTransform4f as T
+from djpt.integrators.photons import photon
 from tests.integrators.test_bdpt import MATERIALS
 from tests.kit.emitters import NAMES, entry, plugin_of
 from tests.kit.lit_floor import floor_scene

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation import agreement
 from tests.kit.renders import Edit, box, lights, ours, spheres, theirs, two_sided
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.denoising.guides import GuideIntegrator
 from djpt.description.properties import Properties
+from djpt.rendering.denoising.guides import GuideIntegrator
 from tests.kit.kernels import kernels
 from tests.kit.mesh_scenes import gallery
 from tests.kit.renders import box, pixels, spheres

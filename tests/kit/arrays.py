@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from djpt.types import Float
+from djpt.jit.types import Float
 
 __all__ = ["floats", "in_numpy", "rows"]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ALBEDO, camera
 from djpt.validation.statistics import Batches, mean_test, pixel_test
 

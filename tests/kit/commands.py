@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from click.testing import CliRunner
 
-from djpt.cli.main import app
+from djpt.apps.cli.main import app
 
 __all__ = ["run"]
 

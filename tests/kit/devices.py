@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from djpt.backends import load_backend
 from djpt.errors import BackendError
+from djpt.jit.backends import load_backend
 
 __all__ = ["GRADIENTS", "IMAGES", "QUERIES", "computed", "gpu_problem"]
 
@@ -108,7 +108,7 @@ def images(folder: Path) -> dict[str, np.ndarray]:
 
 def instances(folder: Path) -> dict[str, Any]:
     """The gallery with copies of a ball."""
-    from djpt.transforms import ScalarTransform4f as T
+    from djpt.core.transforms import ScalarTransform4f as T
     from tests.kit.mesh_scenes import ball_file, diffuse, gallery
 
     ball = {"type": "ply", "filename": ball_file(folder), "bsdf": diffuse(0.6, 0.3, 0.5)}

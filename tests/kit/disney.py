@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.frame import Frame3f
-from djpt.records import BSDFContext, SurfaceInteraction3f, TransportMode
-from djpt.types import Float, Point2f, Point3f, Vector3f
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, SurfaceInteraction3f, TransportMode
+from djpt.jit.types import Float, Point2f, Point3f, Vector3f
 from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import TensorXf
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import TensorXf
 from tests.kit.axes import unit
 from tests.kit.meshes import tetrahedron_file
 from tests.kit.parameter_sets import slow_but_first

@@ -9,8 +9,8 @@ from typing import Any
 import drjit as dr
 
 import djpt
+from djpt.core.warp import square_to_cosine_hemisphere
 from djpt.description.properties import Properties
-from djpt.warp import square_to_cosine_hemisphere
 
 __all__ = ["FAULTS", "Faulty"]
 

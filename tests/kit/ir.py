@@ -1,4 +1,4 @@
-"""Functions of `djpt.llvm.ir`, compiled and called with numbers of NumPy."""
+"""Functions of `djpt.jit.llvm.ir`, compiled and called with numbers of NumPy."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.llvm.compiler import compiled
-from djpt.llvm.ir import F32, F64, I1, I8, I32, I64, PTR, Function, Module, Type, Value, vector
+from djpt.jit.llvm.compiler import compiled
+from djpt.jit.llvm.ir import F32, F64, I1, I8, I32, I64, PTR, Function, Module, Type, Value, vector
 
 __all__ = ["TYPES", "callable_from", "evaluate", "integer_function"]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 
-from djpt.backends import load_backend
-from djpt.llvm.lanes import force_lanes
+from djpt.jit.backends import load_backend
+from djpt.jit.llvm.lanes import force_lanes
 
 __all__ = ["VARIABLE", "lanes_from_environment"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 
 __all__ = ["floor_scene"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.materials import NAMES, UNKNOWN_TO_MITSUBA, plugin_of
 
 __all__ = ["SHARED", "ball"]

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.frame import Frame3f
+from djpt.core.records import SurfaceInteraction3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Attached, Group
-from djpt.frame import Frame3f
-from djpt.records import SurfaceInteraction3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.jit.types import Float, Normal3f, Point2f, Point3f, TensorXf, UInt32, Vector3f
 from tests.kit.measured import anisotropic, rough_metal
 from tests.kit.parameter_sets import slow_but_first
 

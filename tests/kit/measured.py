@@ -13,9 +13,9 @@ import numpy as np
 import djpt
 from djpt.description.tensor_files import write_tensors
 from djpt.distributions.marginal_2d import MarginalContinuous2D2
+from djpt.jit.types import Float, Point2f, Vector3f
 from djpt.materials.fresnel import reflect
 from djpt.materials.microfacet import MicrofacetDistribution
-from djpt.types import Float, Point2f, Vector3f
 
 __all__ = ["ALPHA", "TINT", "anisotropic", "rough_metal"]
 

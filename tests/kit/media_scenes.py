@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 
 __all__ = ["GLASS", "NULL", "colour", "fog", "foggy_room", "lit_ball"]
 

@@ -9,9 +9,9 @@ import drjit as dr
 import numpy as np
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Color3f
 from djpt.textures import Texture
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Color3f
 from tests.kit.axes import unit
 from tests.kit.meshes import bumpy_sheet, write_binary_ply
 

@@ -7,9 +7,9 @@ from typing import Any
 import drjit as dr
 
 import djpt
-from djpt.frame import Frame3f
-from djpt.records import DirectionSample3f, SurfaceInteraction3f
-from djpt.types import Float, Point2f, Point3f, Vector3f
+from djpt.core.frame import Frame3f
+from djpt.core.records import DirectionSample3f, SurfaceInteraction3f
+from djpt.jit.types import Float, Point2f, Point3f, Vector3f
 
 __all__ = ["lit", "local_frame", "looked_at", "reference"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 
 __all__ = ["PLACED", "Place", "closed_room", "huge_sphere", "path"]
 

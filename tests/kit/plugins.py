@@ -11,9 +11,9 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
 from tests.kit.axes import unit
 from tests.kit.meshes import tetrahedron_file
 

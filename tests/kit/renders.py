@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 
 __all__ = ["Edit", "box", "grey_room", "lights", "ours", "pixels", "spheres", "theirs", "two_sided"]
 

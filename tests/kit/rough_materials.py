@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.frame import Frame3f
+from djpt.core.records import SurfaceInteraction3f
+from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Attached, Group
-from djpt.frame import Frame3f
-from djpt.records import SurfaceInteraction3f
-from djpt.types import Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_sphere
+from djpt.jit.types import Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
 from tests.kit.arrays import in_numpy, rows
 
 __all__ = [

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import TensorXf
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import TensorXf
 
 __all__ = ["FLOOR", "TURNED", "WALL", "bitmap", "close", "room", "texels"]
 

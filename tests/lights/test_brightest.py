@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
 
 TEXELS = np.full((4, 8, 3), 0.5, np.float32)
 LIGHTS: dict[str, Any] = {

@@ -12,8 +12,8 @@ from scipy.stats import chi2, kstest
 
 import djpt
 from djpt.emitters.bounds import LightBounds
-from djpt.emitters.choice import CHOICES, make_choice
-from djpt.emitters.choice.tree import TreeChoice
+from djpt.emitters.light_samplers import CHOICES, make_choice
+from djpt.emitters.light_samplers.tree import TreeChoice
 
 
 @dataclass

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.emitters.choice import CHOICES
-from djpt.gradients.derivatives import gradient_seed
-from djpt.scene import Scene
+from djpt.emitters.light_samplers import CHOICES
+from djpt.rendering.gradients.derivatives import gradient_seed
+from djpt.scene.scene import Scene
 from djpt.validation import agreement
 from djpt.validation.statistics import Batches, block_test, mean_test
 from tests.kit.emitters import NAMES, entry

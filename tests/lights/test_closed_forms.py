@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.types import Point2f, Point3f
+from djpt.jit.types import Point2f, Point3f
 from tests.kit.chi_squared import uniform
 from tests.kit.one_light import lit, reference
 

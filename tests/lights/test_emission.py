@@ -14,9 +14,9 @@ import pytest
 from scipy.stats import chi2
 
 import djpt
-from djpt.frame import Frame3f
-from djpt.records import DirectionSample3f, EmissionSample, EmitterFlags, has_flag
-from djpt.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.core.frame import Frame3f
+from djpt.core.records import DirectionSample3f, EmissionSample, EmitterFlags, has_flag
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, entry
 from tests.lights.test_sampling import BALL, room

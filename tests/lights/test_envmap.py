@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.distributions import Hierarchical2D
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Point2f, TensorXf, Vector3f
+from djpt.jit.types import Point2f, TensorXf, Vector3f
 from djpt.validation import agreement
 from tests.kit.axes import unit
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform

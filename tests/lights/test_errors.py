@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Point3f
+from djpt.jit.types import Float, Point2f, Point3f
 from tests.kit.emitters import SPOT, entry
 from tests.kit.kernels import kernels
 from tests.kit.lit_floor import floor_scene

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError, SceneError
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.renders import ours, theirs
 
 pytestmark = pytest.mark.narrow

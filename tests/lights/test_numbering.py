@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.shapes.numbering import in_buckets
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.meshes import tetrahedron_file
 
 POINT = {"type": "point", "position": [1, 1, 3], "intensity": 20.0}

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.frame import Frame3f
+from djpt.core.records import EmitterFlags, has_flag
 from djpt.description import registry
-from djpt.frame import Frame3f
-from djpt.records import EmitterFlags, has_flag
-from djpt.types import Float, Point2f, Point3f, TensorXf, UInt32
+from djpt.jit.types import Float, Point2f, Point3f, TensorXf, UInt32
 from tests.kit.arrays import in_numpy, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.emitters import NAMES, RAYS_UNLIKE_MITSUBA, SETS, UNLIKE_MITSUBA, entry, plugin_of

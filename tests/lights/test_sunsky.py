@@ -12,10 +12,10 @@ import pytest
 
 import djpt
 import djpt.emitters
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.emitters.sky.position import TimeAndPlace
 from djpt.emitters.sky.tables import table
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Color3f, Float, Point2f, Vector3f
+from djpt.jit.types import Color3f, Float, Point2f, Vector3f
 from djpt.validation import agreement
 from tests.kit.chi_squared import uniform
 from tests.kit.kernels import Watched

@@ -11,12 +11,12 @@ import pytest
 from scipy.stats import chi2
 
 import djpt
+from djpt.core.frame import Frame3f
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
 from djpt.errors import ParameterError, SceneError
-from djpt.frame import Frame3f
+from djpt.jit.types import Float, Point2f, TensorXf
 from djpt.textures.bitmap import Bitmap
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, TensorXf
 from tests.kit.bitmaps import TEXELS, TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, Domain, p_value, uniform
 from tests.kit.emitters import RECTANGLE, UNLIKE_MITSUBA, entry

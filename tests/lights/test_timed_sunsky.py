@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Vector3f
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Float, Point2f, Vector3f
 from djpt.validation import agreement
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.kernels import Watched

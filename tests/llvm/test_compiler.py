@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from djpt.llvm import compiler
-from djpt.llvm.compiler import CompilationError, Llvm, cache_folder, compiled, llvm
-from djpt.llvm.ir import I64, Module
+from djpt.jit.llvm import compiler
+from djpt.jit.llvm.compiler import CompilationError, Llvm, cache_folder, compiled, llvm
+from djpt.jit.llvm.ir import I64, Module
 from tests.kit.processes import ROOT
 
 
@@ -92,7 +92,7 @@ def test_the_next_process_loads_the_file(folder: Path, compilations: list[str]) 
 
 SCRIPT = """
 import ctypes, sys
-from djpt.llvm.compiler import Llvm, compiled
+from djpt.jit.llvm.compiler import Llvm, compiled
 if sys.argv[2] == "loads":
     Llvm.object_file = None
 address = compiled(open(sys.argv[1]).read(), ("add",))["add"]

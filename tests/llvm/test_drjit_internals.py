@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.llvm import calls, drjit_internals, lanes, masks
-from djpt.llvm.drjit_internals import FUNCTIONS, function, missing
+from djpt.jit.llvm import calls, drjit_internals, lanes, masks
+from djpt.jit.llvm.drjit_internals import FUNCTIONS, function, missing
 
 pytestmark = pytest.mark.skipif(dr.backend_v(djpt.Float) != dr.JitBackend.LLVM, reason="functions of the LLVM backend")
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from djpt.errors import DjptError
-from djpt.llvm import arithmetic as ar
-from djpt.llvm.compiler import CompilationError
-from djpt.llvm.ir import F32, F64, I1, I8, I32, I64, PTR, Function, Module, Type, Value, vector
+from djpt.jit.llvm import arithmetic as ar
+from djpt.jit.llvm.compiler import CompilationError
+from djpt.jit.llvm.ir import F32, F64, I1, I8, I32, I64, PTR, Function, Module, Type, Value, vector
 from tests.kit.ir import callable_from, evaluate, integer_function
 
 FLOATS, INTEGERS = ("f4", "f8"), ("u4", "u8")

@@ -12,11 +12,11 @@ import pytest
 
 import djpt
 from djpt.errors import FileError, RenderError
-from djpt.long_renders import adaptive as adaptive_sums
-from djpt.long_renders.adaptive import AdaptiveAccumulation, TileSums
-from djpt.long_renders.allocation import LEAST, is_survey, shares, surveys
-from djpt.long_renders.tiles import Tiles
-from djpt.scene import Scene
+from djpt.rendering.progressive import adaptive as adaptive_sums
+from djpt.rendering.progressive.adaptive import AdaptiveAccumulation, TileSums
+from djpt.rendering.progressive.allocation import LEAST, is_survey, shares, surveys
+from djpt.rendering.progressive.tiles import Tiles
+from djpt.scene.scene import Scene
 from tests.long_renders.test_passes import SAMPLERS, box, last
 
 RED_GREEN_BLUE = np.array([0.212671, 0.715160, 0.072169])

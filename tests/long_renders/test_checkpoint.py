@@ -12,7 +12,7 @@ import pytest
 
 import djpt
 from djpt.errors import DjptError, FileError
-from djpt.long_renders.accumulation import Accumulation
+from djpt.rendering.progressive.accumulation import Accumulation
 from tests.long_renders.test_passes import box, last
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.process.interruption import interruptible
 from djpt.errors import RenderError
-from djpt.long_renders import streaks
-from djpt.long_renders.rounds import round_seed
-from djpt.process.interruption import interruptible
-from djpt.scene import Scene
+from djpt.rendering.progressive import multi_pixel_lanes as streaks
+from djpt.rendering.progressive.rounds import round_seed
+from djpt.scene.scene import Scene
 
 SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
 
@@ -338,7 +338,7 @@ def test_a_target_is_met(name: str, adaptive: bool) -> None:
 
     Without lamps in the picture, at whose edges few pixels would have nearly all of the error.
     """
-    from djpt.description.overrides import described, override
+    from djpt.scenes.overrides import described, override
 
     _, description = described(name, {})
     description["integrator"]["hide_emitters"] = True

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from djpt.cli.console import ExitCode
-from djpt.cli.passes import seconds_of, share_of, status
+from djpt.apps.cli.console import ExitCode
+from djpt.apps.cli.passes import seconds_of, share_of, status
 from djpt.errors import RenderError
 from djpt.images.image import read_metadata, read_pixels
-from djpt.long_renders.accumulation import Accumulation
+from djpt.rendering.progressive.accumulation import Accumulation
 from tests.kit.commands import run
 from tests.long_renders.test_passes import box, last
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Float
 from tests.kit.renders import ours, pixels
 from tests.kit.smooth_materials import wide
 

@@ -8,8 +8,8 @@ import drjit as dr
 import pytest
 
 import djpt
-from djpt.records import BSDFContext
-from djpt.types import Float, Point2f, Vector3f
+from djpt.core.records import BSDFContext
+from djpt.jit.types import Float, Point2f, Vector3f
 
 ANGLE = 0.6
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, SurfaceInteraction3f
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.core.warp import square_to_uniform_sphere
 from djpt.dispatch.ensemble import Detached, Ensemble
 from djpt.errors import SceneError
-from djpt.frame import Frame3f
+from djpt.jit.types import Float, Point2f, TensorXf, UInt32, Vector3f
 from djpt.materials.bumpmap import sees_tangent
-from djpt.records import BSDFContext, SurfaceInteraction3f
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, TensorXf, UInt32, Vector3f
-from djpt.warp import square_to_uniform_sphere
 from tests.kit.arrays import floats
 from tests.kit.axes import unit
 from tests.kit.renders import ours, theirs

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.frame import Frame3f
-from djpt.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
-from djpt.types import Float, Normal3f, Point2f, Point3f, Vector3f
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.warp import square_to_uniform_sphere
+from djpt.jit.types import Float, Normal3f, Point2f, Point3f, Vector3f
 from djpt.validation import agreement
 from djpt.validation.bridge import to_mitsuba
-from djpt.warp import square_to_uniform_sphere
 from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.renders import box, ours, pixels
 

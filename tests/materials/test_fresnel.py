@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from djpt.jit.types import Color3f, Float, Float64, Vector3f
 from djpt.materials.fresnel import (
     fresnel,
     fresnel_conductor,
@@ -18,7 +19,6 @@ from djpt.materials.fresnel import (
     refract,
     schlick,
 )
-from djpt.types import Color3f, Float, Float64, Vector3f
 
 COSINES = np.cos(np.radians(np.linspace(0, 90, 181)))
 GLASS = 1.5

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.records import BSDFContext
-from djpt.types import Float, Point2f
+from djpt.core.records import BSDFContext
+from djpt.jit.types import Float, Point2f
 from tests.kit.materials import interaction
 
 COUNT = 4096

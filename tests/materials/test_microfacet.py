@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.warp import square_to_uniform_sphere
+from djpt.jit.types import Float, Point2f, Vector3f
 from djpt.materials.microfacet import MicrofacetDistribution
-from djpt.types import Float, Point2f, Vector3f
-from djpt.warp import square_to_uniform_sphere
 
 mi = pytest.importorskip("mitsuba")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import BSDFFlags
+from djpt.jit.types import Float
 from djpt.materials.fresnel import fresnel, fresnel_schlick
-from djpt.records import BSDFFlags
-from djpt.types import Float
 from tests.kit.smooth_materials import ANGLES, sampled, weights
 
 # ---------------------------------------------------------------- mirror

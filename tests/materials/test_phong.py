@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.frame import Frame3f
-from djpt.records import BSDFContext, SurfaceInteraction3f
-from djpt.types import Float, Normal3f, Point2f, Vector3f
-from djpt.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFContext, SurfaceInteraction3f
+from djpt.core.warp import square_to_cosine_hemisphere, square_to_uniform_sphere
+from djpt.jit.types import Float, Normal3f, Point2f, Vector3f
 from tests.kit.renders import box, ours, pixels
 
 KINDS = ("phong", "blinn")

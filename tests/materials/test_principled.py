@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import BSDFContext
 from djpt.dispatch.ensemble import structure
-from djpt.records import BSDFContext
-from djpt.types import Point2f, Vector3f
+from djpt.jit.types import Point2f, Vector3f
 from djpt.validation import agreement
 from tests.kit.chi_squared import uniform
 from tests.kit.disney import (

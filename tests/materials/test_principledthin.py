@@ -9,7 +9,7 @@ import pytest
 
 import djpt
 from djpt.dispatch.ensemble import structure
-from djpt.types import Vector3f
+from djpt.jit.types import Vector3f
 from djpt.validation import agreement
 from tests.kit.disney import (
     COLOR,

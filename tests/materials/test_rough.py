@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
-from djpt.types import Color3f, Float, Point2f, Vector3f
+from djpt.core.records import BSDFContext, BSDFFlags, TransportMode, has_flag
+from djpt.jit.types import Color3f, Float, Point2f, Vector3f
 from tests.kit.arrays import floats, rows
 from tests.kit.chi_squared import SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.kernels import kernels

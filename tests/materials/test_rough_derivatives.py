@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.records import BSDFContext, BSDFFlags, has_flag
-from djpt.types import Float, Point2f, Vector3f
+from djpt.core.records import BSDFContext, BSDFFlags, has_flag
+from djpt.jit.types import Float, Point2f, Vector3f
 from tests.kit.renders import box, pixels
 from tests.kit.rough_materials import (
     CASES,

@@ -12,10 +12,10 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from djpt.records import BSDFContext, BSDFFlags, TransportMode, has_flag
-from djpt.types import Float, Point2f, UInt32, Vector3f
+from djpt.core.records import BSDFContext, BSDFFlags, TransportMode, has_flag
+from djpt.core.warp import square_to_uniform_sphere
+from djpt.jit.types import Float, Point2f, UInt32, Vector3f
 from djpt.validation.statistics import sidak
-from djpt.warp import square_to_uniform_sphere
 from tests.kit.arrays import floats, in_numpy
 from tests.kit.chi_squared import Partition, probability_of_counts, uniform
 from tests.kit.materials import NAMES, PLUGINS, SETS, bsdf, cases, in_kernel, interaction, opaque_wi, plugin_of

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records import BSDFContext, BSDFFlags, TransportMode
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.jit.types import Float, Point2f, Vector3f
 from djpt.materials.ior import IOR
 from djpt.materials.metals import METALS
-from djpt.records import BSDFContext, BSDFFlags, TransportMode
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, Vector3f
 from djpt.validation import agreement
 from tests.kit.renders import box, ours, theirs
 from tests.kit.smooth_materials import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.types import UInt32
+from djpt.jit.types import UInt32
 from djpt.validation import agreement
 from tests.kit.kernels import kernels
 from tests.kit.renders import box, ours, pixels, theirs

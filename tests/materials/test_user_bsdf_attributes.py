@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.types import Color3f, Float, UInt32
+from djpt.jit.types import Color3f, Float, UInt32
 from tests.kit.swatches import albedos, swatches
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, lit_ball
 from tests.kit.renders import ours
 

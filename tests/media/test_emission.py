@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, lit_ball
 from tests.kit.renders import ours
 

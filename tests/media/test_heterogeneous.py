@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.media_scenes import NULL, colour, fog, lit_ball
 from tests.kit.renders import ours
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.schedules.choice import choose
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.rendering.schedules.choice import choose
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, foggy_room, lit_ball
 from tests.kit.mesh_scenes import ball_file
 from tests.kit.renders import ours, pixels

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.media_scenes import NULL, fog
 
 LOW, HIGH = np.array([-1, -1, 0.2]), np.array([1, 1, 2.2])

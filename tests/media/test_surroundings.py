@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.materials import PLUGINS, UNKNOWN_TO_MITSUBA, bsdf, sets_of
 from tests.kit.media_scenes import NULL, colour, fog, lit_ball
 from tests.kit.mesh_scenes import ball_file

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.media_scenes import GLASS, NULL, colour, fog, foggy_room, lit_ball
 from tests.kit.renders import box, ours, pixels, theirs
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.apps.optimization import optimize
+from djpt.apps.optimization.bounds import usual_bounds
 from djpt.errors import ParameterError
-from djpt.optimization import optimize
-from djpt.optimization.bounds import usual_bounds
 from tests.kit.renders import box
 
 ALBEDO, LIGHT = "floor.bsdf.reflectance.value", "sky.radiance.value"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.apps.optimization import GaussNewton, optimize
+from djpt.apps.optimization.curvature import Curvatures
+from djpt.apps.optimization.gauss_newton import majorant
+from djpt.apps.optimization.losses import LOSSES, RESIDUALS
+from djpt.apps.optimization.priors import PRIORS, curvature_of
 from djpt.errors import FileError, ParameterError, RenderError
-from djpt.optimization import GaussNewton, optimize
-from djpt.optimization.curvature import Curvatures
-from djpt.optimization.gauss_newton import majorant
-from djpt.optimization.losses import LOSSES, RESIDUALS
-from djpt.optimization.priors import PRIORS, curvature_of
 from tests.optimization.test_optimize import KEY, TRUTH, floor, grey, pictures, texture
 
 RNG = np.random.default_rng(1)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.optimization import Progressed, optimize
-from djpt.optimization.live import LiveSearch, curve, shown_live, sparkline
+from djpt.apps.optimization import Progressed, optimize
+from djpt.apps.optimization.live import LiveSearch, curve, shown_live, sparkline
 from tests.optimization.test_optimize import KEY, floor, grey, pictures
 
 
@@ -40,7 +40,7 @@ def test_a_notebook_shows_loss_parameters_and_pictures(monkeypatch: pytest.Monke
 
 
 def test_textures_are_shown_as_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    from djpt.optimization.live import markup
+    from djpt.apps.optimization.live import markup
 
     done = Progressed(0, 0.1, {"a<b": djpt.TensorXf(np.full((8, 8, 3), 0.5, np.float32))}, 0.0)
     page = markup(done, [0.1])

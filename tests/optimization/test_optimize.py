@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.apps.optimization import confidence, optimize
+from djpt.apps.optimization.loop import refines
+from djpt.apps.optimization.losses import LOSSES
+from djpt.apps.optimization.priors import smoothness, total_variation
+from djpt.apps.optimization.search import order
+from djpt.apps.optimization.variables import Variable, coarse, magnified
 from djpt.errors import FileError, ParameterError, RenderError
-from djpt.optimization import confidence, optimize
-from djpt.optimization.loop import refines
-from djpt.optimization.losses import LOSSES
-from djpt.optimization.priors import smoothness, total_variation
-from djpt.optimization.search import order
-from djpt.optimization.variables import Variable, coarse, magnified
 
 KEY = "paint.reflectance.value"
 TRUTH = np.array([0.7, 0.3, 0.1])
@@ -214,7 +214,7 @@ def test_standard_errors_are_those_of_repeated_searches() -> None:
     ends = []
     params = djpt.traverse(scene)
     hessian = np.linalg.inv((stated.combinations.T * stated.curvatures) @ stated.combinations)
-    from djpt.optimization.confidence import gradient
+    from djpt.apps.optimization.confidence import gradient
 
     for seed in range(24):
         views = dict(enumerate(np.array(target, np.float32) for target in targets))

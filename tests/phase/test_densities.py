@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.chi2 import ChiSquareTest, PhaseFunctionAdapter, SphericalDomain
-from djpt.types import Float, Point2f, Vector3f
-from djpt.warp import square_to_uniform_sphere
+from djpt.core.warp import square_to_uniform_sphere
+from djpt.jit.types import Float, Point2f, Vector3f
+from djpt.mitsuba.chi2 import ChiSquareTest, PhaseFunctionAdapter, SphericalDomain
 from tests.kit.arrays import floats, in_numpy
 from tests.kit.phases import FLAKES, PHASES, described, directions, interaction
 

@@ -12,8 +12,8 @@ import djpt
 from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Attached, Detached, Ensemble
 from djpt.dispatch.family import Family
+from djpt.jit.types import Float, Point2f, UInt32, Vector3f
 from djpt.phase.pointer import PhaseFunctionPtr
-from djpt.types import Float, Point2f, UInt32, Vector3f
 from tests.kit.arrays import floats, in_numpy
 from tests.kit.kernels import kernels
 from tests.kit.phases import described, directions, interaction

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt import warp
+from djpt.core import warp
 from djpt.description import registry
-from djpt.types import Color3f, Float, Point2f
+from djpt.jit.types import Color3f, Float, Point2f
 from tests.kit.chi_squared import PLANE, SIGNIFICANCE, SPHERE, p_value, uniform
 from tests.kit.one_light import lit, local_frame
 from tests.kit.plugins import examples

@@ -10,7 +10,7 @@ import pytest
 
 from djpt.distributions import Hierarchical2D, grids
 from djpt.distributions.grid_functions import PARAMETERS, add_grid_functions
-from djpt.llvm.host import HostFunctions
+from djpt.jit.llvm.host import HostFunctions
 
 
 def both(monkeypatch: pytest.MonkeyPatch, build: Callable[[], Any]) -> list[Any]:

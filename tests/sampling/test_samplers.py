@@ -11,9 +11,9 @@ from scipy import stats
 
 import djpt
 from djpt.description import registry
+from djpt.jit.types import PCG32, UInt32, UInt64
 from djpt.samplers import SampleIndex
 from djpt.samplers.independent import MULTIPLIER, IndependentStream
-from djpt.types import PCG32, UInt32, UInt64
 from tests.kit.arrays import in_numpy
 from tests.kit.lit_floor import floor_scene
 from tests.kit.renders import box, ours, pixels, theirs

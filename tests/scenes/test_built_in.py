@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f
 from djpt.scenes import SCENES, cornell_box, cornell_box_boxfilter, cornell_box_spheres, furnace
-from djpt.transforms import ScalarTransform4f
 
 
 def assert_same(ours: Any, theirs: Any, where: str) -> None:

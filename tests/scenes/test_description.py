@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
+from djpt.jit.types import Color3f, Float, Point3f, UInt32
 from djpt.textures import ConstantTexture, Texture
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Color3f, Float, Point3f, UInt32
 
 
 def scene(**nodes: Any) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
-from djpt.description.limits import MAX_DEPTH
+from djpt.core.limits import MAX_DEPTH
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float
+from djpt.jit.types import Float
 
 
 def scene(**nodes: Any) -> dict[str, Any]:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description.registry import names
 from djpt.errors import ParameterError
-from djpt.gradients.leaves import attached_parameters, shape_parameters, unused_values
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
+from djpt.rendering.gradients.leaves import attached_parameters, shape_parameters, unused_values
 from tests.fuzz.seeds import seed_files
 
 DIFFUSE = {"type": "diffuse"}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from tests.kit.meshes import tetrahedron_file
 from tests.kit.renders import ours, theirs
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import djpt
-from djpt.description.overrides import described
 from djpt.errors import FileError, SceneError, near_miss, nearest
+from djpt.scenes.overrides import described
 
 MANY = [letter * 3 for letter in string.ascii_lowercase]
 

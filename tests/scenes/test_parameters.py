@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.core.transforms import Transform
+from djpt.description.parameters import SceneParameters
 from djpt.description.plugin import ParamFlags
 from djpt.errors import ParameterError
-from djpt.parameters import SceneParameters
-from djpt.transforms import ScalarTransform4f as T
-from djpt.transforms import Transform
-from djpt.types import Array3f, Color3f, Float, TensorXf, UInt32
+from djpt.jit.types import Array3f, Color3f, Float, TensorXf, UInt32
 
 RED = "red.reflectance.value"
 BOX = "large-box.vertex_positions"

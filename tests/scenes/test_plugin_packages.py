@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description import registry
 from djpt.description.mitsuba_plugins import LACKING, MITSUBA
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.processes import run_python
 
 DISTANCE = 2.0
@@ -31,7 +31,7 @@ import math
 import drjit as dr
 
 from djpt import BSDF, BSDFFlags, BSDFSample3f, register_bsdf
-from djpt.warp import square_to_cosine_hemisphere
+from djpt.core.warp import square_to_cosine_hemisphere
 
 
 class Chalk(BSDF):
@@ -214,7 +214,7 @@ print(*sys.modules)
         registering = {f"{name}.{path.stem}" for path in files if "\nregister_" in path.read_text()}
         assert registering <= imported
         assert registering
-    assert "djpt.scene" in imported
+    assert "djpt.scene.scene" in imported
 
 
 @pytest.mark.parametrize("name", registry.PACKAGES)

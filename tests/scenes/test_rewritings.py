@@ -13,8 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.scenes import SCENES
-from djpt.transforms import ScalarTransform4f as T
 from djpt.validation.statistics import Batches, mean_test
 
 pytestmark = pytest.mark.narrow

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.limits import MAX_FILES, MAX_NAME, MAX_NODES, MAX_PARTS
+from djpt.core.limits import MAX_FILES, MAX_NAME, MAX_NODES, MAX_PARTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="has no pipes and devices among its files")
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.description.xml.upgrade import upgrade_name
-from djpt.transforms import ScalarTransform4f as T
-from djpt.xml import read_file, read_string
+from djpt.mitsuba.xml import read_file, read_string
 from tests.kit.processes import ROOT
 from tests.kit.renders import ours
 

@@ -14,7 +14,7 @@ import djpt
 from djpt.description.xml.parameters import LONGEST
 from djpt.description.xml.reader import MAX_FILES, MAX_INCLUDES
 from djpt.description.xml.source import MAX_NESTING
-from djpt.xml import read_file, read_string
+from djpt.mitsuba.xml import read_file, read_string
 from tests.kit.processes import ROOT
 
 

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.mitsuba.xml import dict_to_xml, read_file, read_string
 from djpt.scenes import SCENES
-from djpt.transforms import ScalarTransform4f as T
-from djpt.xml import dict_to_xml, read_file, read_string
 from tests.kit.axes import unit
 
 

@@ -8,12 +8,12 @@ import pytest
 
 import djpt
 from djpt.geometry.engines import chosen, ray_queries
-from djpt.llvm.lanes import lane_count
-from djpt.schedules import flat
-from djpt.schedules.called_sums import CalledSums, proved, reader, usable
-from djpt.schedules.job import Job
-from djpt.schedules.tap_function import CHANNELS, Taps, pieces, tap_function
-from djpt.types import Bool, Float, Point2f, UInt32
+from djpt.jit.llvm.lanes import lane_count
+from djpt.jit.types import Bool, Float, Point2f, UInt32
+from djpt.rendering.schedules import flat
+from djpt.rendering.schedules.called_sums import CalledSums, proved, reader, usable
+from djpt.rendering.schedules.film_accumulation import CHANNELS, Taps, pieces, tap_function
+from djpt.rendering.schedules.job import Job
 
 by_calls = pytest.mark.skipif(chosen() != "call", reason="kernels can't call functions here")
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, ParameterError, RenderError, SceneError
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.renders import box
 
 PATH = {"type": "path", "max_depth": 3}

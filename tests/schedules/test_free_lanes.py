@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.kernels import mapped, numbers_of
-from djpt.llvm.masks import can_unmask
-from djpt.schedules import free_lanes
-from djpt.schedules.free_lanes import Memory, run_free
-from djpt.types import PCG32, Bool, Float, Point2f, UInt32
+from djpt.jit.kernels import mapped, numbers_of
+from djpt.jit.llvm.masks import can_unmask
+from djpt.jit.types import PCG32, Bool, Float, Point2f, UInt32
+from djpt.rendering.schedules import unmasked_loop as free_lanes
+from djpt.rendering.schedules.unmasked_loop import Memory, run_free
 from tests.kit.renders import box, pixels
 
 unmasking = pytest.mark.skipif(not can_unmask(), reason="masks can't be changed here")

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.files import unfinished
+from djpt.core.files import unfinished
+from djpt.core.process.interruption import ending_at_once, interruptible
 from djpt.images.image import read_pixels
-from djpt.process.interruption import ending_at_once, interruptible
-from djpt.scene import Scene
-from djpt.schedules import passes
+from djpt.rendering.schedules import passes
+from djpt.scene.scene import Scene
 
 SPP = 12
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -198,9 +198,9 @@ def test_listening_ends() -> None:
 COMMAND = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs in the background
-import djpt.cli.render
-from djpt.cli.main import run
-shown = djpt.cli.render.progress_bar
+import djpt.apps.cli.render
+from djpt.apps.cli.main import run
+shown = djpt.apps.cli.render.progress_bar
 import contextlib
 @contextlib.contextmanager
 def told(title, unit, quiet):
@@ -210,7 +210,7 @@ def told(title, unit, quiet):
         if len(calls) == 2:
             print("begun", flush=True)
     yield progress
-djpt.cli.render.progress_bar = told
+djpt.apps.cli.render.progress_bar = told
 sys.argv = ["djpt", "render", "cornell_box", "--width", "32", "--spp", "1000000", "-o", *sys.argv[1:]]
 run()
 """

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import djpt
-from djpt.schedules import passes
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
+from djpt.rendering.schedules import passes
 from djpt.validation import agreement
 from tests.kit.axes import unit
 from tests.kit.kernels import Watched

@@ -6,8 +6,8 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from djpt.dispatch.lookup import MAX_CHAIN, WORD, Members, Numbers, Rows
-from djpt.types import Float, UInt32, Vector3f
+from djpt.core.lookup import MAX_CHAIN, WORD, Members, Numbers, Rows
+from djpt.jit.types import Float, UInt32, Vector3f
 
 SETS: dict[str, set[int]] = {
     "none": set(),

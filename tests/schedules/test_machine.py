@@ -162,7 +162,7 @@ def test_passes_and_threads(folder: Path, rfilter: str) -> None:
 
 def test_bands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bands of rows that are no multiple of a tile."""
-    from djpt.schedules import passes
+    from djpt.rendering.schedules import passes
 
     scene = djpt.load_dict(gallery(folder, (37, 21), "gaussian"))
     whole = pixels(djpt.render(scene, spp=6, schedule="machine"))

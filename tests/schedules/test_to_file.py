@@ -12,8 +12,8 @@ import pytest
 import djpt
 from djpt.errors import FileError, RenderError
 from djpt.images.image import read_pixels
-from djpt.scene import Scene
-from djpt.schedules import passes
+from djpt.rendering.schedules import passes
+from djpt.scene.scene import Scene
 from tests.kit.mesh_scenes import ball_file
 
 PATH = {"type": "path", "max_depth": 3}
@@ -63,7 +63,7 @@ def test_layers_and_images_that_are_made_as_a_whole(
     image = djpt.render(scene, spp=3)
     monkeypatch.setattr(passes, "SUMMED_PIXELS", 100)
     monkeypatch.setattr(passes, "STORED_PIXELS", (75, 100))
-    monkeypatch.setattr("djpt.long_renders.to_file.SUMMED_PIXELS", 100)
+    monkeypatch.setattr("djpt.rendering.progressive.to_file.SUMMED_PIXELS", 100)
     djpt.render_to_file(scene, tmp_path / "a.exr", spp=3)
     np.testing.assert_array_equal(read_pixels(tmp_path / "a.exr"), image.numpy())
 
@@ -151,7 +151,7 @@ def test_mistakes_leave_nothing(
 def test_an_image_in_memory_that_does_not_fit_names_the_way_out(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("djpt.process.memory.free_memory", lambda: 2**30)
+    monkeypatch.setattr("djpt.core.process.memory.free_memory", lambda: 2**30)
     scene = box(width=9000, height=9000)
     with pytest.raises(RenderError, match=r"9000 x 9000 .* takes about .*write it row by row \(djpt.render_to_file\)"):
         djpt.render(scene, spp=1)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.scripting.array_names import ARRAYS
-from djpt.scripting.names import EXPORTS
+from djpt.mitsuba.array_names import ARRAYS
+from djpt.mitsuba.names import EXPORTS
 
 
 @pytest.mark.parametrize("name", sorted(ARRAYS))
@@ -37,7 +37,7 @@ def test_none_is_missing(mi: Any) -> None:
 
     missing = [name for name in dir(mi) if is_array_type(name) and not hasattr(djpt, name)]
     assert missing == []
-    assert set(ARRAYS) == set(EXPORTS["djpt.scripting.arrays"].split()) < set(djpt.__all__)
+    assert set(ARRAYS) == set(EXPORTS["djpt.mitsuba.arrays"].split()) < set(djpt.__all__)
 
 
 @pytest.mark.parametrize("name", ["Vector5f", "ScalarPoint3x", "Normal2f"])

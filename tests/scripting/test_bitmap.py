@@ -12,9 +12,9 @@ import pytest
 
 import djpt
 from djpt.errors import FileError, SceneError
-from djpt.scripting.bitmap import Bitmap
-from djpt.scripting.resampler import FilterBoundaryCondition
-from djpt.scripting.structs import Flags, Struct, Type
+from djpt.images.bitmap import Bitmap
+from djpt.images.resampler import FilterBoundaryCondition
+from djpt.images.structs import Flags, Struct, Type
 
 FORMATS = ("Y", "YA", "RGB", "RGBA", "RGBAW", "XYZ", "XYZA")
 COUNTS = ("width", "height", "pixel_count", "channel_count", "has_alpha", "bytes_per_pixel", "buffer_size")

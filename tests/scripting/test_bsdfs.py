@@ -11,7 +11,7 @@ import pytest
 import djpt
 from djpt import BSDFContext, BSDFFlags, TransportMode
 from djpt.errors import DjptError
-from djpt.types import Color3f, Vector3f
+from djpt.jit.types import Color3f, Vector3f
 from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.materials import interaction
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.chi2 import (
+from djpt.errors import ArgumentError, DjptError
+from djpt.mitsuba.chi2 import (
     ChiSquareTest,
     LineDomain,
     MicrofacetAdapter,
@@ -18,7 +19,6 @@ from djpt.chi2 import (
     SpectrumAdapter,
     SphericalDomain,
 )
-from djpt.errors import ArgumentError, DjptError
 
 FEW: dict[str, Any] = {"sample_count": 100_000, "res": 31, "ires": 8}
 

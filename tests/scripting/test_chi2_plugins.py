@@ -13,9 +13,9 @@ import drjit as dr
 import pytest
 
 import djpt
-from djpt.chi2 import BSDFAdapter, ChiSquareTest, EmitterAdapter, SphericalDomain
-from djpt.frame import Frame3f
-from djpt.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.core.frame import Frame3f
+from djpt.core.records import BSDFFlags, SurfaceInteraction3f, has_flag
+from djpt.mitsuba.chi2 import BSDFAdapter, ChiSquareTest, EmitterAdapter, SphericalDomain
 from tests.kit import emitters, materials
 from tests.kit.parameter_sets import slow_but_first
 

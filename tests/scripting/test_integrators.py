@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
-from djpt.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, TensorXf, UInt32, Vector3f
 
 RED = "red.reflectance.value"
 SIZE = 16
@@ -78,7 +78,7 @@ djpt.register_integrator("replayed", lambda props: Replayed(props))
 djpt.register_integrator("attached_by_drjit", lambda props: Attached(props))
 
 needs_differentials = pytest.mark.skipif(
-    find_spec("djpt.scripting.records") is None, reason="the record of ray differentials isn't there"
+    find_spec("djpt.mitsuba.records") is None, reason="the record of ray differentials isn't there"
 )
 OWN = ("replayed", "attached_by_drjit")
 

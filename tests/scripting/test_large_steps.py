@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.errors import ArgumentError, DjptError
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
 
 pytest.importorskip("scipy")
 

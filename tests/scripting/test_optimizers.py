@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.types import Color3f, Float
+from djpt.jit.types import Color3f, Float
 
 KEYS = ["floor.bsdf.reflectance.value", "light.radiance.value"]
 

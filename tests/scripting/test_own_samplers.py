@@ -10,9 +10,9 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
-from djpt.gradients import derivatives
-from djpt.schedules import wavefront
-from djpt.types import Color3f
+from djpt.jit.types import Color3f
+from djpt.rendering.gradients import derivatives
+from djpt.rendering.schedules import wavefront
 
 RED = "red.reflectance.value"
 SIZE = 12

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.types import Bool
+from djpt.jit.types import Bool
 
 COUNT, SIZE = 10, 12
 NAMES = ("cloud.opacities", "cloud.sh_coeffs", "cloud.data")

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.errors import ArgumentError, RenderError
-from djpt.types import Color3f, Point2f, TensorXf, UInt32
+from djpt.jit.types import Color3f, Point2f, TensorXf, UInt32
 
 WIDTH, HEIGHT = 6, 4
 KEY = "floor.bsdf.reflectance.value"

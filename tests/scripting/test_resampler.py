@@ -11,8 +11,8 @@ import pytest
 
 import djpt
 from djpt.errors import SceneError
-from djpt.scripting.resampler import FilterBoundaryCondition, Resampler
-from djpt.types import Float
+from djpt.images.resampler import FilterBoundaryCondition, Resampler
+from djpt.jit.types import Float
 
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
 

@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import DjptError
-from djpt.types import Float, Point2f, UInt32
+from djpt.jit.types import Float, Point2f, UInt32
 from tests.kit.arrays import in_numpy
 
 SAMPLERS: list[dict[str, Any]] = [

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.axes import unit
 from tests.scripting.kit import numbers, same
 

@@ -8,7 +8,7 @@ import pytest
 
 import djpt
 from djpt.errors import DjptError
-from djpt.scripting import constants
+from djpt.mitsuba import constants
 
 TIMES = [0, 0.5, 1, 999, 1000, 2010, 65_000, 4e6, 2e8, 1e9, 1e11]
 SIZES = [0, 1, 1023, 1024, 5000, 2**20, 2**30 - 1, 3 * 2**40, 2**60]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from djpt.errors import SceneError
-from djpt.scripting.conversion import StructConverter
-from djpt.scripting.structs import ByteOrder, Field, Flags, Struct, Type
+from djpt.images.conversion import StructConverter
+from djpt.images.structs import ByteOrder, Field, Flags, Struct, Type
 
 
 @pytest.fixture

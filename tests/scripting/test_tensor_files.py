@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import ArgumentError, FileError
-from djpt.types import Float, TensorXf, backend
+from djpt.jit.types import Float, TensorXf, backend
 
 TENSORS = {
     "grid": np.arange(24, dtype=np.float32).reshape(2, 3, 4),

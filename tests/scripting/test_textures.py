@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
-from djpt.types import Point2f, Vector3f
+from djpt.jit.types import Point2f, Vector3f
 from tests.kit.arrays import in_numpy, rows
 from tests.kit.materials import interaction
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.records.media import MediumInteraction3f
 from djpt.errors import RenderError
-from djpt.records.media import MediumInteraction3f
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.validation.bridge import to_mitsuba
 from tests.kit.media_scenes import NULL, fog, foggy_room, lit_ball
 

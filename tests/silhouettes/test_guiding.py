@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
-from djpt.types import Color3f, Float, Point3f, UInt32
+from djpt.jit.types import Color3f, Float, Point3f, UInt32
 
 
 def sampler(lanes: int, seed: int = 1) -> Any:

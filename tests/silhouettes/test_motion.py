@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
-from djpt.types import Float
+from djpt.jit.types import Float
 
 FLOATS = np.random.default_rng(0).normal(size=12).astype(np.float32)
 DIRECTION = [0.1, 0.05, -1]

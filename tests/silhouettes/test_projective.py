@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import DjptError, RenderError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Bool, Float, Point2f, Point3f, TensorXf, UInt32
+from djpt.jit.types import Bool, Float, Point2f, Point3f, TensorXf, UInt32
 
 SIZE = 16
 STEP = 0.1

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import RenderError
-from djpt.gradients.unproven import CASES
-from djpt.silhouettes.intersecting import between, is_convex, may_intersect
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, TensorXf
+from djpt.jit.types import Float, TensorXf
+from djpt.rendering.gradients.unproven import CASES
+from djpt.scene.intersecting_shapes import between, is_convex, may_intersect
 from tests.silhouettes.test_projective import SCENES, globe, octahedron
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from PIL import Image as Pictures
 import djpt
 from djpt.errors import SceneError
 from djpt.images.srgb import from_srgb
-from djpt.types import TensorXf
+from djpt.jit.types import TensorXf
 
 
 def numbers(*shape: int) -> np.ndarray:

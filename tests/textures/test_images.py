@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.transforms import ScalarTransform4f as T
 from tests.kit.kernels import kernels
 from tests.kit.renders import ours, theirs
 from tests.kit.textured_room import FLOOR, TURNED, WALL, bitmap, close, room, texels

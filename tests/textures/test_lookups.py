@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.dispatch.ensemble import Detached, Ensemble
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f, UInt32
+from djpt.jit.types import Float, Point2f, UInt32
 from djpt.validation import to_mitsuba
 from tests.kit.renders import ours, theirs
 from tests.kit.textured_room import TURNED, bitmap, close, room, texels

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float
+from djpt.jit.types import Float
 from tests.kit.axes import unit
 from tests.kit.mesh_scenes import ball
 from tests.kit.renders import ours, theirs

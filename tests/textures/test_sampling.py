@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import chi2
 
 import djpt
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.distributions import DiscreteDistribution2D
+from djpt.jit.types import Float, Point2f
 from djpt.textures.bitmap import Bitmap
-from djpt.transforms import ScalarTransform4f as T
-from djpt.types import Float, Point2f
 from tests.kit.bitmaps import TURNED, bitmap
 from tests.kit.chi_squared import SIGNIFICANCE, uniform
 from tests.kit.one_light import reference

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image as Picture
 
 import djpt
-from djpt.description.overrides import override
 from djpt.description.registry import registered
 from djpt.errors import FileError, SceneError
+from djpt.scenes.overrides import override
 from djpt.validation import ComparisonError, assert_matches, compare, compare_renderers, to_mitsuba
 from djpt.validation.bridge import mitsuba_renderer, render_in_mitsuba
 from djpt.validation.report import difference_picture
@@ -193,7 +193,7 @@ def mi_cornell_box() -> dict[str, Any]:
 
 
 def test_values_are_converted() -> None:
-    from djpt.types import Color3f, Float
+    from djpt.jit.types import Color3f, Float
 
     if mi.variant() is None:
         mi.set_variant("llvm_ad_rgb")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.overrides import override
+from djpt.scenes.overrides import override
 from djpt.validation import compare_renderers
 from djpt.validation.compare import djpt_renderer
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.cli.gradcheck import SIDE as SIDE_OF_HELP
-from djpt.description.overrides import override, reduced
+from djpt.apps.cli.gradcheck import SIDE as SIDE_OF_HELP
 from djpt.errors import ParameterError
+from djpt.scenes.overrides import override, reduced
 from djpt.validation.gradcheck import check_gradient
 from djpt.validation.gradcheck.check import SIDE
 from djpt.validation.gradcheck.verdicts import Sample, compared, paired

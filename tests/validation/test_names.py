@@ -14,8 +14,8 @@ from typing import Any, overload
 import pytest
 
 import djpt
-from djpt.scripting.exclusions import REASONS
-from djpt.scripting.forms import forms
+from djpt.core.forms import forms
+from djpt.mitsuba.exclusions import REASONS
 from djpt.validation.names import Finding, Verdict, counts, findings, read_names, render_page
 from djpt.validation.names.__main__ import PAGE
 from djpt.validation.names.compare import MISSING, look_up
@@ -154,7 +154,7 @@ def page(found: list[Finding]) -> str:
 
 RENDERED = """
 import djpt, sys
-import djpt.types, mitsuba
+import djpt.jit.types, mitsuba
 from djpt.validation.names import findings, render_page
 mitsuba.set_variant("llvm_ad_rgb")
 sys.stdout.write(render_page(findings(mitsuba, djpt)))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 
 import djpt
-from djpt.description.overrides import override
+from djpt.scenes.overrides import override
 from djpt.validation.closed_forms import CASES, validate
 from djpt.validation.gradcheck import check_gradient
 from tests.kit.planting import planted
@@ -66,14 +66,14 @@ FAULTS = (
     ),
     Fault(
         "one bounce too many",
-        "djpt.integrators.unidirectional:UnidirectionalPath.proceeds",
+        "djpt.integrators.paths.unidirectional:UnidirectionalPath.proceeds",
         "state.depth + 1 <",
         "state.depth <",
         "shining sphere",
     ),
     Fault(
         "shadows left out",
-        "djpt.scene:Scene.light_through",
+        "djpt.scene.scene:Scene.light_through",
         "self.geometry.blocked(ray, shines if lit is None else shines | lit)",
         "Bool(False)",
         "half a sky",
@@ -87,14 +87,14 @@ FAULTS = (
     ),
     Fault(
         "light picked with a wrong probability",
-        "djpt.emitters.choice.uniform:UniformChoice.choose",
+        "djpt.emitters.light_samplers.uniform:UniformChoice.choose",
         "Float(self.count)",
         "Float(self.count - 1)",
         "two lights",
     ),
     Fault(
         "probability of lights left out of the pdf",
-        "djpt.emitters.choice.sampling:LightSampling.sample",
+        "djpt.emitters.light_samplers.sampling:LightSampling.sample",
         "ds.pdf * probability, ds.weight * inverse, weight * inverse",
         "ds.pdf * probability, ds.weight * inverse, weight",
         "two lights",
@@ -195,25 +195,25 @@ def test_nothing_is_caught_without_a_fault(fault: Fault) -> None:
 DERIVATIVES = (
     (
         "gradient sign",
-        "djpt.gradients.modes:Reverse.differentiate",
+        "djpt.rendering.gradients.modes:Reverse.differentiate",
         "dr.dot(outgoing, adjoint)",
         "-dr.dot(outgoing, adjoint)",
     ),
     (
         "gradient doubled",
-        "djpt.gradients.modes:Reverse.differentiate",
+        "djpt.rendering.gradients.modes:Reverse.differentiate",
         "dr.dot(outgoing, adjoint)",
         "2 * dr.dot(outgoing, adjoint)",
     ),
     (
         "light still to come not reduced",
-        "djpt.gradients.modes:Mode.outgoing",
+        "djpt.rendering.gradients.modes:Mode.outgoing",
         "walk.radiance - passed",
         "walk.radiance",
     ),
     (
         "direct light not differentiated",
-        "djpt.gradients.modes:Mode.outgoing",
+        "djpt.rendering.gradients.modes:Mode.outgoing",
         "here = v.emitted + arrived",
         "here = v.emitted + dr.detach(arrived)",
     ),

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.overrides import override
 from djpt.errors import FileError, SceneError
 from djpt.images.image import read_metadata
+from djpt.scenes.overrides import override
 from djpt.validation import (
     ComparisonError,
     assert_matches,
@@ -21,7 +21,7 @@ from djpt.validation import (
     read_reference,
     store_reference,
 )
-from djpt.validation.sides import as_renderer
+from djpt.validation.comparands import as_renderer
 from tests.kit.commands import run
 
 pytest.importorskip("scipy")

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 import djpt
-from djpt.description.overrides import described
-from djpt.viewer.server import Server
-from djpt.viewer.session import Session
+from djpt.apps.viewer.server import Server
+from djpt.apps.viewer.session import Session
+from djpt.scenes.overrides import described
 from tests.kit.browser import CHROMIUM, Page, browsing
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")

@@ -14,8 +14,8 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from djpt.apps.viewer.server import Server
 from djpt.errors import RenderError
-from djpt.viewer.server import Server
 
 
 def asked(server: Server, path: str, host: str | None, **headers: str) -> int:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import djpt
-from djpt.description.overrides import described, override
+from djpt.apps.viewer.controls import controls
+from djpt.apps.viewer.picture import Picture
+from djpt.apps.viewer.session import Session, packed
+from djpt.apps.viewer.stage import Stage
 from djpt.errors import DjptError
-from djpt.long_renders.rounds import Rounds, round_seed
 from djpt.rendering.arguments import find_integrator
-from djpt.viewer.controls import controls
-from djpt.viewer.picture import Picture
-from djpt.viewer.session import Session, packed
-from djpt.viewer.stage import Stage
+from djpt.rendering.progressive.rounds import Rounds, round_seed
+from djpt.scenes.overrides import described, override
 
 
 class Pages:

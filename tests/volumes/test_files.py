@@ -12,7 +12,7 @@ import pytest
 
 import djpt
 from djpt.errors import ArgumentError, FileError, SceneError
-from djpt.types import Point3f, TensorXf
+from djpt.jit.types import Point3f, TensorXf
 
 NUMBERS = np.random.default_rng(3).random((2, 3, 4, 3), dtype=np.float32)
 

@@ -10,7 +10,7 @@ import pytest
 
 import djpt
 from djpt.errors import RenderError
-from djpt.types import Color3f, Float, Point3f, TensorXf
+from djpt.jit.types import Color3f, Float, Point3f, TensorXf
 from tests.kit.arrays import floats, in_numpy, rows
 from tests.kit.same_calls import same
 

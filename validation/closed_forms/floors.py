@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ALBEDO, ClosedForm, area, camera, floor
 
 __all__ = ["FLOORS", "parallel_rectangle"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from djpt.transforms import ScalarTransform4f as T
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ClosedForm, camera
 
 __all__ = ["MATTER"]

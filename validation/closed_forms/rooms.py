@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from djpt.core.transforms import ScalarTransform4f as T
 from djpt.scenes import furnace
-from djpt.transforms import ScalarTransform4f as T
 from djpt.validation.closed_forms.base import ClosedForm, area, camera
 
 __all__ = ["ROOMS"]

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.description.loader import load_dict
-from djpt.description.overrides import override
+from djpt.description.parameters import traverse
 from djpt.errors import ParameterError
-from djpt.parameters import traverse
 from djpt.rendering.render import render
+from djpt.scenes.overrides import override
 from djpt.validation.bridge import mitsuba_scene
 from djpt.validation.metrics import ComparisonError
 

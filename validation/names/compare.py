@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import FunctionType, ModuleType
 from typing import Any
 
-from djpt.scripting.exclusions import reason
+from djpt.mitsuba.exclusions import reason
 from djpt.validation.names.signatures import refused_call, signatures
 from djpt.validation.names.walk import PublicName, public_names
 

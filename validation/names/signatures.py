@@ -44,7 +44,7 @@ def signatures(function: Any, *, bound: bool) -> list[Signature]:
 
 
 def declared_overloads(function: Any) -> list[Signature]:
-    """The forms that a function declares: by `djpt.scripting.forms`, or by ``typing.overload`` (Python 3.11 on)."""
+    """The forms that a function declares: by `djpt.core.forms`, or by ``typing.overload`` (Python 3.11 on)."""
     forms: list[Signature] | None = getattr(function, "__signatures__", None)
     if forms is not None:
         return forms

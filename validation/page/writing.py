@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from djpt.core.files import as_path, check_target, writing
 from djpt.errors import BackendError, FileError
-from djpt.files import as_path, check_target, writing
 from djpt.validation.measures import MEASURES
 from djpt.validation.page.histograms import histogram, normal_counts
 from djpt.validation.page.packing import bytes_of, halves_of

@@ -97,7 +97,7 @@ def _text(name: str, value: Any) -> str:
     # Here: only Python callers have other values, and NumPy takes long to import.
     import numpy as np
 
-    from djpt.description.numeric import as_array, describe
+    from djpt.core.numeric import as_array, describe
 
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"

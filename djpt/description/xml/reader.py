@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from djpt.core.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.files import FileResolver, file_resolver
-from djpt.description.limits import MAX_FILES, MAX_INCLUDES, MAX_NODES
 from djpt.description.xml import source
 from djpt.description.xml.nodes import Node, Reference
 from djpt.description.xml.objects import OBJECTS, check_type, check_types, is_object

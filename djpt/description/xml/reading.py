@@ -10,13 +10,13 @@ import os
 from pathlib import Path
 from typing import Any
 
+from djpt.core.files import as_path, require_regular
 from djpt.description.document import Document
 from djpt.description.files import file_resolver
 from djpt.description.xml.naming import Naming
 from djpt.description.xml.nodes import Node
 from djpt.description.xml.reader import Reader
 from djpt.errors import FileError, SceneError
-from djpt.files import as_path, require_regular
 
 __all__ = ["read_file", "read_string"]
 
@@ -58,7 +58,7 @@ def read_string(
 
 def _describe(value: object) -> str:
     """Describe a value that isn't a file."""
-    from djpt.description.numeric import describe
+    from djpt.core.numeric import describe
 
     return describe(value)
 

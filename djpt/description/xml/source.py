@@ -14,8 +14,8 @@ from xml.etree.ElementTree import ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import DefusedXMLParser
 
+from djpt.core.files import read_bytes
 from djpt.errors import SceneError
-from djpt.files import read_bytes
 
 __all__ = ["MAX_NESTING", "Element", "parse", "parse_file"]
 

@@ -48,7 +48,7 @@ def upgrade_node(node: Node) -> None:
     found = {entry.name: entry for entry in node.entries if entry.name in _UV}
     if not found or not all(isinstance(entry.value, (int, float)) for entry in found.values()):
         return  # the loader reports what is wrong with other values
-    from djpt.transforms import ScalarTransform4f  # here: NumPy takes long to import
+    from djpt.core.transforms import ScalarTransform4f  # here: NumPy takes long to import
 
     offset = [found[name].value if name in found else 0.0 for name in ("uoffset", "voffset")]
     scale = [found[name].value if name in found else 1.0 for name in ("uscale", "vscale")]

@@ -8,10 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from djpt.description.limits import LARGEST
+from djpt.core.files import read_bytes
+from djpt.core.limits import LARGEST
 from djpt.description.xml.source import Element
 from djpt.errors import FileError, near_miss
-from djpt.files import read_bytes
 
 __all__ = ["VALUES", "check_attributes", "number", "numbers", "spectrum_file", "vector"]
 

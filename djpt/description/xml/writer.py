@@ -12,14 +12,14 @@ from xml.sax.saxutils import quoteattr
 import drjit as dr
 import numpy as np
 
+from djpt.core.files import as_path, check_target, writing
+from djpt.core.numeric import as_array, as_number, describe
+from djpt.core.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 from djpt.description.loader import Loader
-from djpt.description.numeric import as_array, as_number, describe
 from djpt.description.plugin import Plugin
 from djpt.description.registry import home_of, kind_of, unknown
 from djpt.description.xml.objects import OBJECTS
 from djpt.errors import SceneError
-from djpt.files import as_path, check_target, writing
-from djpt.transforms import ScalarTransform3f, ScalarTransform4f, matrix_of
 
 __all__ = ["to_xml", "write_dict"]
 

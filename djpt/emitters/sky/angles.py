@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import drjit as dr
 
-from djpt.kernels import minimum
-from djpt.types import Float, Vector3f
+from djpt.jit.kernels import minimum
+from djpt.jit.types import Float, Vector3f
 
 __all__ = ["angle", "cosine", "squared_chord", "squared_sine"]
 

@@ -10,9 +10,19 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.frame import Frame3f
+from djpt.core.numeric import as_number, non_negative
+from djpt.core.records import (
+    DirectionSample3f,
+    EmissionSample,
+    EmitterFlags,
+    Interaction3f,
+    Observer,
+    Ray3f,
+    SurfaceInteraction3f,
+)
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.allowed import bounds as within
-from djpt.description.frozen import recording
-from djpt.description.numeric import as_number, non_negative
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.emitters.bounds import LightBounds
@@ -22,19 +32,9 @@ from djpt.emitters.sky.disc import WAVELENGTHS, SunDisc
 from djpt.emitters.sky.instant import LUMINANCE, Instant
 from djpt.emitters.sky.position import FARTHEST
 from djpt.errors import ParameterError
-from djpt.frame import Frame3f
-from djpt.kernels import as_float, as_vector
-from djpt.records import (
-    DirectionSample3f,
-    EmissionSample,
-    EmitterFlags,
-    Interaction3f,
-    Observer,
-    Ray3f,
-    SurfaceInteraction3f,
-)
-from djpt.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
+from djpt.jit.frozen import recording
+from djpt.jit.kernels import as_float, as_vector
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
 
 __all__ = ["Daylight"]
 

@@ -10,8 +10,8 @@ import drjit as dr
 
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.emitters.sky.tables import table
-from djpt.kernels import maximum
-from djpt.types import Float, Point2f, UInt32, Vector3f
+from djpt.jit.kernels import maximum
+from djpt.jit.types import Float, Point2f, UInt32, Vector3f
 
 __all__ = ["FITTED", "SkyDirections"]
 

@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
+from djpt.core.frame import Frame3f
+from djpt.core.warp import square_to_uniform_disk_concentric
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.tables import entry_at
 from djpt.emitters.sky.angles import squared_chord, squared_sine
 from djpt.emitters.sky.tables import Grid, table
-from djpt.frame import Frame3f
-from djpt.kernels import as_float, minimum
-from djpt.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
-from djpt.warp import square_to_uniform_disk_concentric
+from djpt.jit.kernels import as_float, minimum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32, Vector3f
 
 __all__ = ["WAVELENGTHS", "SunDisc", "irradiances"]
 

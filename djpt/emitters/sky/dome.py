@@ -12,8 +12,8 @@ from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback
 from djpt.dispatch.tables import entry_at
 from djpt.emitters.sky.angles import angle, cosine
 from djpt.emitters.sky.tables import Grid, bezier_weights, table
-from djpt.kernels import maximum, minimum
-from djpt.types import Bool, Color3f, Float, UInt32
+from djpt.jit.kernels import maximum, minimum
+from djpt.jit.types import Bool, Color3f, Float, UInt32
 
 __all__ = ["SkyDome", "atmosphere"]
 

@@ -10,8 +10,8 @@ from djpt.emitters.sky.angles import squared_chord
 from djpt.emitters.sky.directions import SkyDirections
 from djpt.emitters.sky.disc import SunDisc
 from djpt.emitters.sky.dome import SkyDome
-from djpt.kernels import maximum
-from djpt.types import Bool, Color3f, Float, Point2f, Vector3f
+from djpt.jit.kernels import maximum
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Vector3f
 
 __all__ = ["LUMINANCE", "Instant"]
 

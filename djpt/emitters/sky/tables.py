@@ -12,8 +12,8 @@ import drjit as dr
 import numpy as np
 
 from djpt.dispatch.tables import entry_at
-from djpt.kernels import maximum, minimum, own_floats
-from djpt.types import Float, UInt32
+from djpt.jit.kernels import maximum, minimum, own_floats
+from djpt.jit.types import Float, UInt32
 
 __all__ = ["Grid", "bezier_weights", "entries_between", "table"]
 

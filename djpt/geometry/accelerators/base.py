@@ -13,12 +13,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.approach import enter
-from djpt.geometry.bvh.traversal import reciprocal
+from djpt.core.records import Ray3f
+from djpt.geometry.bvh.steps.approach import enter
+from djpt.geometry.bvh.steps.traversal import reciprocal
 from djpt.geometry.triangle import RayPlane, intersect_triangle
-from djpt.kernels import aligned, as_float, as_vector, maximum, minimum, wide
-from djpt.records import Ray3f
-from djpt.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
+from djpt.jit.kernels import aligned, as_float, as_vector, maximum, minimum, wide
+from djpt.jit.types import ArrayXu, Bool, Float, Point3f, UInt32, Vector3f
 
 __all__ = ["NO_FACE", "Accelerator", "Approach", "Found", "Statistics", "TriangleTable"]
 

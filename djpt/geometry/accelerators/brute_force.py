@@ -8,10 +8,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import Ray3f
 from djpt.geometry.accelerators.base import NO_FACE, Approach, Found, Statistics, TriangleTable
-from djpt.kernels import while_loop
-from djpt.records import Ray3f
-from djpt.types import Bool, Float, UInt32
+from djpt.jit.kernels import while_loop
+from djpt.jit.types import Bool, Float, UInt32
 
 __all__ = ["BruteForce", "closest_in_double"]
 

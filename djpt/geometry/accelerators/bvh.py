@@ -8,16 +8,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.records import Ray3f
 from djpt.geometry.accelerators.base import Statistics
-from djpt.geometry.bvh.build import Method, build
+from djpt.geometry.bvh.build.levels import Method, build
+from djpt.geometry.bvh.build.wide import collapse
 from djpt.geometry.bvh.leaves import TriangleLeaves
-from djpt.geometry.bvh.records import LEAF, Records, pack
-from djpt.geometry.bvh.search import search
 from djpt.geometry.bvh.statistics import sah_cost
-from djpt.geometry.bvh.wide import collapse
+from djpt.geometry.bvh.steps.records import LEAF, Records, pack
+from djpt.geometry.bvh.steps.search import search
 from djpt.geometry.query import NONE
-from djpt.records import Ray3f
-from djpt.types import Bool, Float, UInt32
+from djpt.jit.types import Bool, Float, UInt32
 
 __all__ = ["Bvh"]
 

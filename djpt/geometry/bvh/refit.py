@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.geometry.bvh.build.wide import NO_CHILD, WideTree, child_leaf
 from djpt.geometry.bvh.statistics import sah_cost
-from djpt.geometry.bvh.wide import NO_CHILD, WideTree, child_leaf
 
 __all__ = ["REBUILD", "grown", "refit"]
 

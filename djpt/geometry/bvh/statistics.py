@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from djpt.geometry.bvh.build.wide import NO_CHILD, WideTree
 from djpt.geometry.bvh.tree import BinaryTree, half_area
-from djpt.geometry.bvh.wide import NO_CHILD, WideTree
 
 __all__ = ["sah_cost"]
 

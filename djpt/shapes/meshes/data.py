@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.core.transforms import ScalarTransform4f
 from djpt.shapes.meshes.normals import CHUNK, length, weighted_normals
-from djpt.transforms import ScalarTransform4f
 
 __all__ = ["MeshData", "unit"]
 

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.numeric import as_integer, describe
+from djpt.core.numeric import as_integer, describe
 from djpt.description.properties import Properties
 from djpt.errors import SceneError
 from djpt.shapes.meshes.data import MeshData

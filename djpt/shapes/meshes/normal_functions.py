@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from djpt.llvm.arithmetic import sqrt
-from djpt.llvm.ir import F32, F64, I32, I64, PTR, Function, Module, Value
+from djpt.jit.llvm.arithmetic import sqrt
+from djpt.jit.llvm.ir import F32, F64, I32, I64, PTR, Function, Module, Value
 
 __all__ = ["PARAMETERS", "add_normal_functions"]
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.llvm.host import HostFunctions, Run
+from djpt.jit.llvm.host import HostFunctions, Run
 from djpt.shapes.meshes.normal_functions import PARAMETERS, add_normal_functions
 
 __all__ = ["CHUNK", "FUNCTIONS", "face_areas", "length", "weighted_normals"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.llvm.host import HostFunctions
+from djpt.jit.llvm.host import HostFunctions
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.obj_functions import CORNERS, FACES, LINES, TRIANGLES, WIDTHS, add_obj_functions
 from djpt.shapes.meshes.obj_text import EXACT_POWERS, UNKNOWN

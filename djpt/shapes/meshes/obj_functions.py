@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from djpt.llvm.arithmetic import select
-from djpt.llvm.ir import I32, I64, PTR, Function, Module, Value
+from djpt.jit.llvm.arithmetic import select
+from djpt.jit.llvm.ir import I32, I64, PTR, Function, Module, Value
 from djpt.shapes.meshes.obj_text import BLANK, HASH, NEWLINE, Text, add_text_functions, any_of, fail_if
 
 __all__ = ["CORNERS", "FACES", "LINES", "TRIANGLES", "WIDTHS", "add_obj_functions"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from djpt.llvm.arithmetic import minimum, select
-from djpt.llvm.ir import F32, F64, I8, I32, I64, PTR, Function, Module, Value
+from djpt.jit.llvm.arithmetic import minimum, select
+from djpt.jit.llvm.ir import F32, F64, I8, I32, I64, PTR, Function, Module, Value
 
 __all__ = ["BLANK", "EXACT_POWERS", "HASH", "NEWLINE", "UNKNOWN", "Text", "add_text_functions", "any_of", "fail_if"]
 

@@ -8,7 +8,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.files import as_path, writing
+from djpt.core.files import as_path, writing
 from djpt.shapes.meshes.data import MeshData
 
 __all__ = ["write_ply"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.description.limits import MAX_NAME
+from djpt.core.limits import MAX_NAME
 from djpt.errors import SceneError
 from djpt.shapes.meshes.cleaning import check_indices
 from djpt.shapes.meshes.data import MeshData

@@ -1,7 +1,0 @@
-"""Mitsuba's place of `PRBIntegrator`."""
-
-from __future__ import annotations
-
-from djpt.scripting.path_replay import PRBIntegrator
-
-__all__ = ["PRBIntegrator"]

@@ -1,7 +1,0 @@
-"""Mitsuba's place of `BasicPRBIntegrator`."""
-
-from __future__ import annotations
-
-from djpt.scripting.path_replay import BasicPRBIntegrator
-
-__all__ = ["BasicPRBIntegrator"]

@@ -1,7 +1,0 @@
-"""Mitsuba's place of what smooths the steps of optimised meshes: `djpt.scripting.large_steps`."""
-
-from __future__ import annotations
-
-from djpt.scripting.large_steps import LargeSteps, SolveCholesky, mesh_laplacian
-
-__all__ = ["LargeSteps", "SolveCholesky", "mesh_laplacian"]

@@ -1,8 +1,0 @@
-"""Mitsuba's place of what feeds an optimisation with some of its pixels at a time."""
-
-from __future__ import annotations
-
-from djpt.ad.loaders import ray_loader as ray_loader
-from djpt.ad.loaders.ray_loader import FlatSensor, RayDataLoader
-
-__all__ = ["FlatSensor", "RayDataLoader", "ray_loader"]

@@ -1,0 +1,1 @@
+"""What people start: the command line, the viewer, clusters, animations, optimisation, notebooks."""

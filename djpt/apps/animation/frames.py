@@ -1,0 +1,155 @@
+"""`render_frames`: the frames of an animation as files; a later run goes on with those that are missing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from djpt.core.files import as_path, writing
+from djpt.description.parameters import SceneParameters, traverse
+from djpt.errors import FileError, ParameterError
+from djpt.images.image import check_writable, write
+from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.progressive.fingerprint import difference, fingerprint
+from djpt.rendering.progressive.rounds import round_seed
+from djpt.rendering.render import render
+from djpt.scene.arguments import find_sensor
+from djpt.scene.scene import Scene
+
+__all__ = ["JOB", "Moving", "render_frames"]
+
+JOB = "animation.json"
+"""The file, beside the frames, that says of which animation they are."""
+
+
+class Moving(Protocol):
+    """The value of a parameter at each frame."""
+
+    def at(self, frame: float) -> Any:
+        """The parameter's value at a frame."""
+
+
+def render_frames(
+    scene: Scene,
+    motion: Mapping[str, Moving],
+    count: int,
+    folder: str | os.PathLike[str],
+    *,
+    suffix: str = ".png",
+    sensor: Any = 0,
+    integrator: Any = None,
+    spp: int = 0,
+    seed: int = 0,
+    convert: Callable[[Any], Any] | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> Iterator[Path]:
+    """Render the frames of an animation, and give the file of each as soon as it is there.
+
+    Frame number n is the file ``n`` with leading zeros. Frames that are there already are given as they are: a run
+    that was ended goes on where it was, and its files have the bits of an undisturbed one, since each frame depends on
+    its own number alone. The scene's parameters have their old values in the end.
+
+    Args:
+        scene: What `load_dict` returned.
+        motion: Parameters of `traverse(scene)` by name, and their tracks, such as `djpt.apps.animation.tracks.Track`.
+        count: The number of frames.
+        folder: Where the files go; made if it is missing. It holds the frames of one animation.
+        suffix: The format: ``.png``, ``.exr`` and all others that `djpt.write` knows.
+        sensor: As for `render`.
+        integrator: As for `render`.
+        spp: As for `render`.
+        seed: Of the animation; each frame has a seed of its own, see `djpt.rendering.progressive.rounds.round_seed`.
+        convert: Applied to each image before it is written, such as tone mapping.
+        facts: What else tells these frames from others in the same folder, such as the tone curve, by name.
+
+    Raises:
+        ParameterError: A parameter doesn't exist, or can't have a value of its track.
+        RenderError: Arguments are out of range.
+        FileError: The folder has the frames of another animation, or can't be written.
+    """
+    camera, estimator = find_sensor(scene, sensor), find_integrator(scene, integrator)
+    count, spp, seed = check_count("count", count), check_count("spp", spp), check_seed("seed", seed)
+    folder = as_path(folder)
+    digits = max(4, len(str(count - 1)))
+    files = [folder / f"{number:0{digits}}{suffix}" for number in range(count)]
+    params = traverse(scene)
+    values = [{key: track.at(number) for key, track in motion.items()} for number in range(count)]
+    before = {key: params[key] for key in motion}  # a wrong name is an error now
+    nodes = fingerprint(scene, camera, estimator)
+    claim(folder, {"scene": nodes, "motion": digest(values), "spp": spp, "seed": seed, "facts": dict(facts or {})})
+    if files:
+        check_writable(files[0])
+    return remaining(
+        files,
+        values,
+        params,
+        before,
+        lambda number: render(scene, sensor=camera, integrator=estimator, spp=spp, seed=round_seed(seed, number)),
+        convert or (lambda image: image),
+    )
+
+
+def remaining(
+    files: list[Path],
+    values: list[dict[str, Any]],
+    params: SceneParameters,
+    before: dict[str, Any],
+    image: Callable[[int], Any],
+    convert: Callable[[Any], Any],
+) -> Iterator[Path]:
+    """Render the frames whose files are missing."""
+    try:
+        for number, file in enumerate(files):
+            if not file.exists():
+                params.update(values[number])
+                write(file, convert(image(number)))
+            yield file
+    finally:
+        params.update(before)
+
+
+# ---- one animation for a folder ----------------------------------------------------------------
+
+
+def claim(folder: Path, job: dict[str, Any]) -> None:
+    """Note in a folder which animation its frames are of; raise `FileError` if they are of another one."""
+    note = folder / JOB
+    if note.exists():
+        try:
+            found = json.loads(note.read_text(encoding="utf-8"))
+            same_nodes = difference(found["scene"], job["scene"])
+            differing = [f"the scene ({same_nodes})"] if same_nodes else []
+            differing += [name for name in ("motion", "spp", "seed", "facts") if found[name] != job[name]]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FileError(f"'{note}' can't be read: {error}; remove it together with its frames") from None
+        if differing:
+            raise FileError(
+                f"'{folder}' has frames of another animation, which differs in {', '.join(differing)}: choose "
+                "another folder, or remove them"
+            )
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"can't create the folder '{folder}': {error.strerror}") from None
+    with writing(note) as temporary:
+        temporary.write_text(json.dumps(job, indent=1) + "\n", encoding="utf-8")
+
+
+def digest(values: list[dict[str, Any]]) -> str:
+    """A hash of the parameters of all frames."""
+    state = hashlib.blake2b(digest_size=8)
+    for frame in values:
+        for key, value in frame.items():
+            try:
+                numbers = np.asarray(getattr(value, "matrix", value), np.float64)
+            except (TypeError, ValueError):
+                raise ParameterError(f"{key}: numbers and transforms can move, found {value!r}") from None
+            state.update(key.encode() + numbers.tobytes())
+    return state.hexdigest()

@@ -1,0 +1,125 @@
+"""Shared parts of the commands that render animations: options, and the rendering of frames and movies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from djpt.apps.cli import options
+from djpt.apps.cli.console import parameters, require_positive, say
+from djpt.errors import RenderError
+from djpt.rendering.progress import progress_bar
+
+if TYPE_CHECKING:
+    from djpt.apps.animation.frames import Moving
+    from djpt.scene.scene import Scene
+    from djpt.sensors import Sensor
+
+__all__ = ["animate", "of_frames"]
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+
+
+def of_frames(command: Decorated) -> Decorated:
+    """The options of commands that render animations."""
+    for option in reversed(
+        (
+            options.scene,
+            click.option(
+                "--output", "-o", type=click.Path(path_type=Path), required=True, help="Folder of the frames."
+            ),
+            click.option("--frames", type=int, default=60, help="Number of frames."),
+            click.option(
+                "--format", "suffix", default="png", help="Format of the frames: png, jpg, exr, hdr, pfm or npy."
+            ),
+            click.option(
+                "--movie", type=click.Path(path_type=Path), help="Also write the frames as a movie, mp4 or gif."
+            ),
+            click.option("--fps", type=float, default=30.0, help="Frames per second of the movie."),
+            click.option("--spp", type=int, help="Samples per pixel. Default: the scene's."),
+            options.seed,
+            options.width,
+            options.height,
+            options.rfilter,
+            options.integrator,
+            click.option("--sensor", type=click.IntRange(min=0), default=0, help="Index of the sensor, from 0."),
+            click.option(
+                "--tonemap", default="srgb", help="Tone curve of png and jpg: srgb (clipped), reinhard, aces or agx."
+            ),
+            options.exposure,
+            options.define,
+            options.quiet,
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def animate(
+    moving: Callable[[Scene, Sensor], Mapping[str, Moving]],
+    *,
+    scene: str,
+    output: Path,
+    frames: int,
+    suffix: str,
+    movie: Path | None,
+    fps: float,
+    spp: int | None,
+    seed: int,
+    width: int | None,
+    height: int | None,
+    rfilter: str | None,
+    integrator: str | None,
+    sensor: int,
+    tonemap: str,
+    exposure: str,
+    define: tuple[str, ...],
+    quiet: bool,
+) -> None:
+    """Render the frames that are missing, then the movie; `moving` says what moves in a scene seen by a sensor."""
+    from djpt.scenes.overrides import described, override
+
+    require_positive(spp=spp, frames=frames, width=width, height=height)
+    description = described(scene, parameters(define))[1]
+    import djpt
+    from djpt.apps.animation.frames import render_frames
+    from djpt.apps.animation.movie import MOVIES, check_movie, write_movie
+    from djpt.apps.cli.tone import Tone
+    from djpt.scene.arguments import find_sensor
+
+    if output.suffix.lower() in MOVIES and not output.is_dir():
+        raise RenderError(f"-o takes a folder for the frames; the movie: --movie {output}")
+    if movie is not None:
+        check_movie(movie)
+    toned = tonemap != "srgb" or exposure != "0"
+    if toned and exposure == "auto":
+        raise RenderError("the exposure of an animation is the same for all frames: give a number of stops")
+    tone = Tone(Path(f"0.{suffix}"), tonemap, exposure, None) if toned else None
+    description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
+    loaded = djpt.load_dict(description)
+    start = time.perf_counter()
+    files = []
+    with progress_bar("rendering", "frames", quiet) as progress:
+        for file in render_frames(
+            loaded,
+            moving(loaded, find_sensor(loaded, sensor)),
+            frames,
+            output,
+            suffix=f".{suffix}",
+            sensor=sensor,
+            spp=spp or 0,
+            seed=seed,
+            convert=None if tone is None else tone.apply,
+            facts={} if tone is None else tone.facts,
+        ):
+            files.append(file)
+            progress(len(files), frames)
+    if movie is not None:
+        write_movie(movie, files, fps)
+    if not quiet:
+        seconds = time.perf_counter() - start
+        say(f"{output}: {frames} frames, {seconds:.1f} s" + (f"; {movie}" if movie is not None else ""))

@@ -1,0 +1,87 @@
+"""The command ``djpt info``: what a scene consists of, and how well its triangles can be searched."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from djpt.apps.cli import options
+from djpt.apps.cli.console import Command, parameters
+from djpt.core.terminal import visible
+
+if TYPE_CHECKING:
+    from djpt.geometry.triangles import Triangles
+    from djpt.scene.scene import Scene
+    from djpt.shapes.base import Shape
+
+__all__ = ["command", "describe"]
+
+
+def describe(scene: Scene) -> str:
+    """Describe a scene in a few lines: shapes, primitives, nodes, depth, SAH cost, memory, build time.
+
+    The SAH cost is the number of nodes and primitives that a random line through the scene meets on
+    average; see docs/theory/acceleration.md.
+    """
+    from djpt.shapes.shapegroup import ShapeGroup
+
+    rows = [("shapes", counted(scene.shapes()))]
+    groups = [shape for shape in scene.shapes() if isinstance(shape, ShapeGroup)]
+    rows += [(f"in {visible(group.id())}", counted(group.shapes)) for group in groups]
+    rows.append(("emitters", counted(scene.emitters())))
+    triangles = scene.geometry.triangles
+    analytic = len(scene.geometry.analytic_shapes)
+    rows.append(("unrolled", f"{analytic} analytic shape{'s' * (analytic != 1)}, tested by every ray"))
+    if triangles is None:
+        rows.append(("triangles", "none"))
+    else:
+        rows += of_triangles(triangles, scene.shapes())
+    width = max(len(name) for name, _ in rows) + 2
+    return "\n".join(f"{name:<{width}}{text}" for name, text in rows)
+
+
+def of_triangles(triangles: Triangles, shapes: Sequence[Shape]) -> list[tuple[str, str]]:
+    """Describe the BVH: (name, text) for each of its numbers."""
+    nodes, depth, cost = triangles.forest.statistics()
+    stored, seen = triangles.meshes.face_count, sum(faces_of(shape) for shape in shapes)
+    instanced = "" if stored == seen else f", {seen} with instances"
+    return [
+        ("triangles", f"{stored}{instanced}"),
+        ("nodes", f"{nodes}, depth {depth}"),
+        ("SAH cost", f"{cost:.2f}"),
+        ("memory", f"{triangles.tree.bytes / 2**20:.1f} MiB"),
+        ("built in", f"{triangles.build_seconds:.3f} s"),
+    ]
+
+
+def faces_of(shape: Shape) -> int:
+    """The number of a shape's triangles, those of instances included."""
+    from djpt.shapes.instance import Instance
+    from djpt.shapes.mesh import Mesh
+
+    if isinstance(shape, Instance):
+        return sum(faces_of(inner) for inner in shape.group.shapes)
+    return len(shape.indices) if isinstance(shape, Mesh) else 0
+
+
+def counted(plugins: Sequence[object]) -> str:
+    """Count the plugins of each class: ``2 Cube, 6 Rectangle``."""
+    kinds = Counter(type(plugin).__name__ for plugin in plugins)
+    return ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds)) or "none"
+
+
+@click.command("info", cls=Command, epilog=options.SCENE)
+@options.scene
+@options.define
+def command(scene: str, define: tuple[str, ...]) -> None:
+    """Print the contents of SCENE.
+
+    This includes statistics of the tree over its triangles.
+    """
+    import djpt
+    from djpt.scenes.overrides import described
+
+    print(describe(djpt.load_dict(described(scene, parameters(define))[1])))

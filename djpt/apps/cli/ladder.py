@@ -1,0 +1,76 @@
+"""The command ``djpt ladder``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from djpt.apps.cli import options
+from djpt.apps.cli.console import Command, parameters, require_positive, say
+from djpt.core.files import check_target, writing
+from djpt.errors import RenderError
+from djpt.rendering.progress import progress_bar
+
+__all__ = ["command"]
+
+
+@click.command("ladder", cls=Command, epilog=options.SCENE)
+@options.scene
+@options.output("HTML page to write.", "ladder.html")
+@click.option(
+    "--time", "seconds", type=float, default=10.0, help="Time for the largest image of an algorithm, in seconds."
+)
+@click.option("--spp", type=int, help="Samples per pixel of the largest image, instead of --time.")
+@click.option("--reference", default="own", help="own (djpt's path, other seeds) or mitsuba.")
+@click.option("--reference-spp", type=int, help="Samples per pixel of the reference.")
+@options.size
+@options.seed
+@options.define
+@options.quiet
+def command(
+    scene: str,
+    output: Path,
+    seconds: float,
+    spp: int | None,
+    reference: str,
+    reference_spp: int | None,
+    size: int | None,
+    seed: int,
+    define: tuple[str, ...],
+    quiet: bool,
+) -> None:
+    """Write a page that compares the errors of all algorithms.
+
+    Each algorithm renders SCENE at several sample counts.
+    """
+    from djpt.scenes.overrides import described
+    from djpt.validation.integrator_comparison.measure import measure
+    from djpt.validation.integrator_comparison.page import html
+
+    require_positive(spp=spp, reference_spp=reference_spp, size=size)
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise RenderError(f"the page is written as html, found '{output}'")
+    check_target(output)
+    name, description = described(scene, parameters(define))
+    with progress_bar("measuring", "algorithms", quiet) as progress:
+        found = measure(
+            description,
+            seconds,
+            spp,
+            reference,
+            reference_spp=reference_spp,
+            width=size,
+            seed=seed,
+            name=name,
+            progress=progress,
+        )
+    with writing(output) as temporary:
+        temporary.write_text(html(found), encoding="utf-8", errors="replace")
+    if not quiet:
+        for rung in found.measured:
+            last, floor = rung.last, ", at its floor" if rung.at_floor else ""
+            say(f"{rung.step.title:<20} {last.spp:>7} spp {last.seconds:7.2f} s  RMSE {last.rmse:.4g}{floor}")
+        for no in found.refused:
+            say(f"{no.step.title:<20} refused: {no.reason}")
+        say(f"page: {output}")

@@ -1,0 +1,10 @@
+"""Many machines: renders and gradients as tasks of `dask.distributed`, with the same bits as on one.
+
+client = distributed.Client("tcp://scheduler:8786")
+for found in djpt.apps.cluster.render_passes(client, description, spp=4096): ...
+"""
+
+from djpt.apps.cluster.gradients import gradient
+from djpt.apps.cluster.rendering import render_passes
+
+__all__ = ["gradient", "render_passes"]

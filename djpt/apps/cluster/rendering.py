@@ -1,0 +1,98 @@
+"""`render_passes` on many machines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from djpt.apps.cluster.bundle import Bundle
+from djpt.apps.cluster.tasks import InOrder, require_client, warn
+from djpt.apps.cluster.work import rendered
+from djpt.core.numeric import whole
+from djpt.errors import RenderError
+from djpt.rendering.progressive.accumulation import Accumulation
+from djpt.rendering.progressive.even import EvenAccumulation
+from djpt.rendering.progressive.passes import EvenImage, begun, planned, rounds
+from djpt.rendering.progressive.rounds import round_seed
+
+__all__ = ["render_passes"]
+
+
+def render_passes(
+    client: Any,
+    description: Mapping[str, Any],
+    *,
+    sensor: int = 0,
+    seed: int = 0,
+    spp: int = 0,
+    round_spp: int = 0,
+    target_error: float | None = None,
+    time_budget: float | None = None,
+    resume_from: Accumulation | None = None,
+    schedule: str = "auto",
+    on_wait: Callable[[str], None] = warn,
+) -> Iterator[Accumulation]:
+    """Render in rounds on the workers of a cluster, and give what exists after each, as `djpt.render_passes` does.
+
+    Rounds are tasks, added up in the order of their numbers: the image has the bits of `djpt.render_passes` on one
+    machine, with any number of workers that have its processor's vector width. A worker that dies, stops, hangs or
+    comes late changes nothing but the time. The scene travels once to each worker, with the files that it names.
+
+    Args:
+        client: A `distributed.Client`.
+        description: The scene's dict, or what `djpt.scenes.overrides.described` makes of a file. It is loaded
+            here as well. Edits by `djpt.traverse` don't travel.
+        sensor: The number of the scene's sensor.
+        seed: As for `djpt.render_passes`, and so are the arguments that follow.
+        spp: Samples per pixel.
+        round_spp: Samples per pixel of a round. Rounds are what workers share: as many as there are workers at least.
+        target_error: Stop at this relative RMSE.
+        time_budget: Stop after so many seconds.
+        resume_from: What to go on with.
+        schedule: How lanes are filled.
+        on_wait: Called with a message if there are no workers for five seconds, or the scheduler doesn't answer for
+            ten; the render goes on when they do. Default: a `RuntimeWarning`.
+
+    Raises:
+        BackendError: `distributed` is missing, or a worker has another version of djpt or Dr.Jit.
+        RenderError: Arguments are out of range, a task ends its workers again and again, or the scheduler is gone.
+        SceneError: The scene is wrong, or holds what can't travel.
+    """
+    require_client(client)
+    bundle = Bundle.of(description)
+    scene = bundle.loaded()
+    number = whole(sensor)
+    if number is None:
+        raise RenderError(f"'sensor' must be the number of a sensor of the scene, found {sensor!r}")
+    plan = planned(scene, number, None, seed, spp, round_spp, target_error, time_budget, False, resume_from, schedule)
+    image = SharedImage(scene, plan.sensor, plan.integrator, plan.seed, plan.goal, schedule, None, None)
+    first = begun(image, resume_from)
+
+    def arguments(number_of_round: int) -> tuple[Any, ...]:
+        return number, image.count(number_of_round), schedule, round_seed(plan.seed, number_of_round)
+
+    found = InOrder(client, bundle, rendered, arguments, on_wait)
+    image.results = found.results(first.whole.rounds, plan.goal.rounds)
+    return closing(rounds(first, plan.goal, image), image.results)
+
+
+class SharedImage(EvenImage):
+    """An image whose rounds come from workers, in their order."""
+
+    results: Iterator[Any]
+
+    def begin(self, found: EvenAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
+        seed, count = round_seed(self.seed, number), self.count(number)
+        return lambda found: found.with_round(seed, count, next(self.results))
+
+    def overlaps(self, number: int) -> bool:
+        # Workers are ahead anyway.
+        return False
+
+
+def closing(images: Iterator[Accumulation], results: Any) -> Iterator[Accumulation]:
+    """The images; the tasks that nobody needs any more are cancelled in the end."""
+    try:
+        yield from images
+    finally:
+        results.close()

@@ -1,0 +1,280 @@
+"""Tasks whose results are taken in order, while workers come, go and stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from djpt.apps.cluster.bundle import Bundle
+from djpt.apps.cluster.patience import Question, within
+from djpt.apps.cluster.work import Answer, software
+from djpt.errors import BackendError, DjptError, RenderError
+
+__all__ = ["InOrder", "require_client", "warn"]
+
+AHEAD = 2
+"""Tasks for each worker that are begun before their turn."""
+
+ATTEMPTS = 10
+"""How often a task is given to workers that die before it is taken for deadly."""
+
+LOOK_SECONDS = 1.0
+"""The time between two looks at the workers while nothing comes."""
+
+PATIENCE = 5.0
+"""Seconds without a worker, or without a scheduler, after which that is told."""
+
+SILENCE = 10.0
+"""Seconds without a sign of life after which a worker counts as stopped. Workers give one every few seconds."""
+
+
+GONE = "the scheduler of the cluster is gone"
+
+
+class Attempt(NamedTuple):
+    """A task that has been given to workers."""
+
+    future: Any
+    allowed: frozenset[str] | None
+    """The addresses of the workers that may run it; None: any."""
+
+
+class InOrder:
+    """Runs numbered tasks on the workers of a client, and gives their results in the order of the numbers.
+
+    A task that is lost with its worker is run again, by the scheduler, or from here if it has given up. What a worker
+    has that gives no sign of life, since it is stopped or hangs, is given to the others as well; the first result
+    counts, as all are the same. There are as many results ahead of their turn as `AHEAD` allows, so that memory doesn't
+    grow with the number of tasks.
+
+    Args:
+        client: a `distributed.Client`.
+        bundle: the scene.
+        work: called on workers with (bundle, *arguments).
+        arguments: those of the task with a number.
+        on_wait: told once why nothing comes, if there are no workers or the scheduler doesn't answer.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        bundle: Bundle,
+        work: Callable[..., Answer],
+        arguments: Callable[[int], tuple[Any, ...]],
+        on_wait: Callable[[str], None],
+    ) -> None:
+        self._client, self._bundle, self._work, self._arguments = client, bundle, work, arguments
+        self._on_wait = on_wait
+        self._name = f"djpt-{bundle.key[:8]}-{uuid.uuid4().hex[:8]}"
+        # Part of a task, and not scattered: what only workers hold is gone with them.
+        self._scenes: dict[frozenset[str] | None, Any] = {}
+        self._attempts: dict[int, list[Attempt]] = {}
+        self._submissions = 0
+        self._watch = Watch()
+        self._silent = False
+        """Whether the scheduler doesn't answer."""
+        self._came = threading.Event()
+        """Set when a task has ended."""
+        self._software = software()
+
+    def results(self, first: int, end: int | None) -> Iterator[Any]:
+        """The results of the tasks from `first` up to `end`, or without end. Closing the iterator cancels the rest."""
+        number = first
+        try:
+            while end is None or number < end:
+                last = number + AHEAD * max(1, len(self._look()))
+                for ahead in range(number, last if end is None else min(last, end)):
+                    if ahead not in self._attempts:
+                        self._submit(ahead)
+                yield self._result(number)
+                number += 1
+        except DjptError:
+            raise
+        except RuntimeError as error:  # distributed's, of a client that has been closed meanwhile
+            if self._client.status == "running":
+                raise
+            raise RenderError(GONE) from error
+        finally:
+            # Without waiting for the scheduler, which may be gone.
+            for future in (*self._scenes.values(), *(attempt.future for attempt in self._all())):
+                future.release()
+            self._attempts.clear()
+            self._scenes.clear()
+
+    def _all(self) -> Iterator[Attempt]:
+        """All attempts whose results haven't been taken."""
+        for attempts in self._attempts.values():
+            yield from attempts
+
+    def _look(self) -> frozenset[str]:
+        """The workers there are, which the watch sees, or if the scheduler says nothing has seen."""
+        self._require_scheduler()
+        try:
+            found = within(SILENCE, lambda: self._client.scheduler_info(n_workers=-1))
+        except TimeoutError:
+            if not self._silent:
+                self._silent = True
+                self._on_wait(f"the scheduler at {self._client.scheduler.address} doesn't answer: waiting for it")
+        else:
+            self._silent = False
+            self._watch.look(found["workers"])
+        return self._watch.live | self._watch.stopped
+
+    # ---- giving ------------------------------------------------------------------------------
+
+    def _submit(self, number: int) -> None:
+        """Give a task to any worker, or if some are stopped to the others."""
+        allowed = self._watch.live if self._watch.stopped else None
+        self._submissions += 1
+        options = {} if allowed is None else {"workers": sorted(allowed)}
+        if allowed not in self._scenes:
+            # Of their own: a worker that gets the scene from a stopped one would wait for ever.
+            name = f"{self._name}-scene-{len(self._scenes)}"
+            self._scenes[allowed] = self._client.submit(identity, self._bundle, key=name, **options)
+        future = self._client.submit(
+            self._work,
+            self._scenes[allowed],
+            *self._arguments(number),
+            key=f"{self._name}-{number}-{self._submissions}",
+            priority=-number,  # earlier tasks first: their results are waited for
+            pure=False,
+            **options,
+        )
+        future.add_done_callback(lambda _: self._came.set())
+        self._attempts.setdefault(number, []).append(Attempt(future, allowed))
+
+    def _give_again(self) -> None:
+        """Give the tasks that stopped workers may have to the others."""
+        if not self._watch.live:
+            return
+        for number, attempts in list(self._attempts.items()):
+            if not any(attempt.future.done() or self._watch.trusts(attempt.allowed) for attempt in attempts):
+                self._submit(number)
+
+    # ---- taking ------------------------------------------------------------------------------
+
+    def _result(self, number: int) -> Any:
+        from distributed import KilledWorker
+        from distributed.client import FutureCancelledError
+
+        killed = 0
+        while True:
+            attempt = self._ended(number)
+            question: Question[Answer] = Question(attempt.future.result)
+            if not self._fetched(question, attempt):
+                self._retry(number, attempt)
+                continue
+            try:
+                answer = question.answer()
+            except (KilledWorker, FutureCancelledError) as error:
+                self._require_scheduler()
+                killed += 1
+                if killed == ATTEMPTS:
+                    raise RenderError(f"a task has ended {ATTEMPTS} workers, the last time with: {error}") from None
+                self._retry(number, attempt)
+                continue
+            except DjptError as error:
+                raise type(error)(f"on a worker: {error}") from None
+            if answer.software != self._software:
+                raise BackendError(f"a worker has {answer.software}, here is {self._software}: results would differ")
+            for ended in self._attempts.pop(number):
+                ended.future.release()
+            return answer.value
+
+    def _fetched(self, question: Question[Answer], attempt: Attempt) -> bool:
+        """Wait for a result to arrive; whether it does: a worker that has stopped keeps what it has found."""
+        while not question.ended(LOOK_SECONDS):
+            self._look()
+            if self._watch.live and not self._watch.trusts(attempt.allowed):
+                return False
+        return True
+
+    def _retry(self, number: int, attempt: Attempt) -> None:
+        """Do without an attempt that has failed."""
+        self._attempts[number].remove(attempt)
+        attempt.future.release()
+        if not self._attempts[number]:
+            self._submit(number)
+
+    def _ended(self, number: int) -> Attempt:
+        """An attempt at a task that has ended, well or not; waits for one."""
+        start, told = time.monotonic(), False
+        while True:
+            self._came.clear()
+            for attempt in self._attempts[number]:
+                if attempt.future.done():
+                    return attempt
+            if self._came.wait(LOOK_SECONDS):
+                continue
+            self._look()
+            self._give_again()
+            if not self._watch.live and not told and time.monotonic() - start >= PATIENCE:
+                told = True
+                address = self._client.scheduler.address
+                missing = "all workers have stopped" if self._watch.stopped else "there are no workers"
+                self._on_wait(f"{missing} at {address}: waiting for some ('djpt worker {address}' starts one)")
+
+    def _require_scheduler(self) -> None:
+        """Raise `RenderError` if the scheduler has been gone for a while."""
+        deadline = time.monotonic() + PATIENCE
+        while self._client.status != "running":
+            if self._client.status == "closed" or time.monotonic() >= deadline:
+                raise RenderError(GONE)
+            time.sleep(0.1)
+
+
+class Watch:
+    """Which workers live and which have stopped, by the times of their last signs of life.
+
+    These are the scheduler's: only whether they change counts here, as clocks of machines differ.
+    """
+
+    def __init__(self) -> None:
+        self.live: frozenset[str] = frozenset()
+        """The addresses of workers that give signs of life."""
+        self.stopped: frozenset[str] = frozenset()
+        """Those of workers that the scheduler has, but that give none."""
+        self._signs: dict[str, tuple[float, float]] = {}
+        """By address the last sign of life, and when it was seen first."""
+
+    def look(self, workers: dict[str, Any]) -> None:
+        """Take note of what the scheduler knows of its workers."""
+        now = time.monotonic()
+        signs = {address: float(worker["last_seen"]) for address, worker in workers.items()}
+        old = self._signs
+        self._signs = {
+            address: old[address] if address in old and old[address][0] == sign else (sign, now)
+            for address, sign in signs.items()
+        }
+        self.stopped = frozenset(address for address, (_, since) in self._signs.items() if now - since > SILENCE)
+        self.live = frozenset(signs) - self.stopped
+
+    def trusts(self, allowed: frozenset[str] | None) -> bool:
+        """Whether a task that only some workers may run is with one that lives; None: any worker may."""
+        if allowed is None:
+            return not self.stopped
+        return bool(allowed & self.live) and not allowed & self.stopped
+
+
+def warn(message: str) -> None:
+    """Give a warning of Python's, from whoever called djpt."""
+    warnings.warn(message, RuntimeWarning, stacklevel=2)
+
+
+def identity(bundle: Bundle) -> Bundle:
+    """The bundle itself, as a result that lives on workers and can be computed again."""
+    return bundle
+
+
+def require_client(client: Any) -> None:
+    """Raise `BackendError` unless `client` is a `distributed.Client`."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BackendError("clusters need the package 'distributed': pip install 'dask[distributed]'") from None
+    if not isinstance(client, Client):
+        raise BackendError(f"'client' must be a distributed.Client, found {type(client).__name__}")

@@ -1,0 +1,7 @@
+"""Parameters of scenes from pictures: `optimize`, a thin layer over `drjit.opt`, and how sure its results are."""
+
+from djpt.apps.optimization.confidence import Confidence, confidence
+from djpt.apps.optimization.gauss_newton import GaussNewton
+from djpt.apps.optimization.loop import Optimization, Progressed, optimize
+
+__all__ = ["Confidence", "GaussNewton", "Optimization", "Progressed", "confidence", "optimize"]

@@ -1,0 +1,154 @@
+"""A search while it runs: its loss, its parameters, and its images beside their targets."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import html
+import math
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from djpt.rendering.progress import running_notebook
+
+__all__ = ["LiveSearch", "curve", "markup", "shown_live", "sparkline"]
+
+INTERVAL = 0.5
+"""The least time between two pictures, in seconds."""
+
+BARS = "▁▂▃▄▅▆▇█"
+WIDTH, HEIGHT = 320, 80
+"""The size of the curve of losses, in pixels."""
+
+FEW = 8
+"""Parameters of at most so many numbers are shown in figures."""
+
+
+class Iteration(Protocol):
+    """The display of an iteration: see `Progressed`."""
+
+    @property
+    def iteration(self) -> int: ...
+    @property
+    def loss(self) -> float: ...
+    @property
+    def values(self) -> Mapping[str, Any]: ...
+    @property
+    def images(self) -> Mapping[int, Any]: ...
+    @property
+    def targets(self) -> Mapping[int, Any]: ...
+
+
+@contextlib.contextmanager
+def shown_live(live: bool, losses: Sequence[float]) -> Iterator[LiveSearch | None]:
+    """Give what is to be called after each iteration of a search that is to be seen; None for others."""
+    shows = LiveSearch(losses) if live else None
+    try:
+        yield shows
+    finally:
+        if shows is not None:
+            shows.end()
+
+
+class LiveSearch:
+    """A callback that shows a search after each iteration: a picture below the cell of a notebook, or a terminal line.
+
+    Elsewhere nothing is shown.
+
+    Args:
+        losses: those of the iterations before.
+    """
+
+    def __init__(self, losses: Sequence[float] = ()) -> None:
+        self._losses, self._shown = list(losses), 0.0
+        self._handle: Any = None
+        self._done: Iteration | None = None
+
+    def __call__(self, done: Iteration) -> None:
+        """Take note of an iteration, and show it if the last one was shown long enough."""
+        self._losses.append(done.loss)
+        self._done = done
+        if time.perf_counter() - self._shown < INTERVAL:
+            return
+        if running_notebook():
+            self._handle = displayed(markup(done, self._losses), self._handle)
+        elif sys.stderr is not None and sys.stderr.isatty():
+            print(self._line(done), end="", file=sys.stderr, flush=True)
+        self._shown = time.perf_counter()
+
+    def end(self) -> None:
+        """Show the last iteration, and leave the line of the terminal."""
+        if self._done is not None and running_notebook():
+            displayed(markup(self._done, self._losses), self._handle)
+        elif self._done is not None and sys.stderr is not None and sys.stderr.isatty():
+            print(self._line(self._done), file=sys.stderr)
+
+    def _line(self, done: Iteration) -> str:
+        return f"\r{done.iteration + 1} {sparkline(self._losses)} loss {done.loss:.3g}\033[K"
+
+
+def displayed(text: str, handle: Any) -> Any:
+    """Show HTML in the place of `handle`, or in a new one below the cell; returns the place."""
+    from IPython.display import HTML, display
+
+    if handle is None:
+        return display(HTML(text), display_id=True)
+    handle.update(HTML(text))
+    return handle
+
+
+def markup(done: Iteration, losses: Sequence[float]) -> str:
+    """A search as HTML that needs nothing else: the curve, the parameters, a row of pictures for each view."""
+    rows = []
+    for key, value in done.values.items():
+        numbers = np.array(value, np.float64).ravel()
+        said = ", ".join(f"{x:.4g}" for x in numbers)
+        if numbers.size > FEW:
+            said = f"{numbers.size} numbers from {numbers.min():.3g} to {numbers.max():.3g}"
+        rows.append(f"<tr><td>{html.escape(key)}</td><td>{said}</td></tr>")
+    for key, value in done.values.items():
+        texels = np.array(value, np.float32)
+        if texels.ndim == 3 and texels.shape[2] in (1, 3) and texels.size > FEW:
+            rows.append(f"<tr><td>{html.escape(key)}</td><td>{picture(texels)}</td></tr>")
+    views = [f"{picture(image)}{picture(done.targets[view])}" for view, image in done.images.items()]
+    caption = f"iteration {done.iteration + 1}, loss {done.loss:.4g}; images and their targets"
+    pictures = "<br>".join(views)
+    return f"<figure>{curve(losses)}<table>{''.join(rows)}</table>{pictures}<figcaption>{caption}</figcaption></figure>"
+
+
+def picture(pixels: Any) -> str:
+    """Linear pixels (H, W, C) as an image within HTML."""
+    from djpt.images.image import Image
+
+    values = np.array(pixels, np.float32)
+    data = base64.b64encode(Image(values if values.shape[2] <= 4 else values[..., :3])._repr_png_()).decode()
+    return f'<img src="data:image/png;base64,{data}" style="image-rendering:pixelated;min-width:96px;margin:2px">'
+
+
+def heights(losses: Sequence[float]) -> list[float]:
+    """The logarithms of losses between 0, the least of all, and 1, the greatest."""
+    positive = [loss for loss in losses if loss > 0 and math.isfinite(loss)]
+    if not positive:
+        return [0.0] * len(losses)
+    low, high = math.log(min(positive)), math.log(max(positive))
+    clipped = [min(max(loss, min(positive)), max(positive)) if loss == loss else max(positive) for loss in losses]
+    return [(math.log(loss) - low) / max(high - low, 1e-6) for loss in clipped]
+
+
+def curve(losses: Sequence[float]) -> str:
+    """The losses over the iterations as an SVG, on a logarithmic scale."""
+    last = max(len(losses) - 1, 1)
+    points = [
+        f"{4 + (WIDTH - 8) * i / last:.1f},{4 + (HEIGHT - 8) * (1 - y):.1f}" for i, y in enumerate(heights(losses))
+    ]
+    line = f'<polyline points="{" ".join(points)}" fill="none" stroke="currentColor"/>'
+    return f'<svg width="{WIDTH}" height="{HEIGHT}">{line}</svg><br>'
+
+
+def sparkline(losses: Sequence[float], width: int = 24) -> str:
+    """The last losses as bars of a line of text, on a logarithmic scale."""
+    return "".join(BARS[round(y * (len(BARS) - 1))] for y in heights(losses[-width:]))

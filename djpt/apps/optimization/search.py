@@ -1,0 +1,171 @@
+"""A search under way: the views of an iteration, their derivatives, and a step of the optimiser."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from djpt.apps.optimization.curvature import Curvatures
+from djpt.apps.optimization.gauss_newton import GaussNewton, majorant
+from djpt.apps.optimization.losses import Loss
+from djpt.apps.optimization.priors import Prior
+from djpt.apps.optimization.variables import Variable
+from djpt.description.parameters import SceneParameters
+from djpt.rendering.progressive.rounds import round_seed
+from djpt.rendering.render import render
+from djpt.scene.scene import Scene
+
+__all__ = ["Search", "order"]
+
+Doubles = npt.NDArray[np.float64]
+
+GROWN = 1.5
+"""Gradients that change so much faster than the curvature allows say that it has to be measured anew."""
+
+MEASURING = 2**31
+"""The numbers of the seeds of measurements begin here, beyond those of all iterations."""
+
+
+@dataclass
+class Search:
+    """An optimisation under way."""
+
+    scene: Scene
+    params: SceneParameters
+    variables: Mapping[str, Variable]
+    optimizer: Any
+    pictures: Mapping[int, npt.NDArray[np.float32]]
+    """The targets by view."""
+    count: int
+    """Views of an iteration."""
+    loss: Loss
+    priors: Sequence[tuple[str, Prior, float]]
+    demodulate: bool
+    seed: int
+    residual: Loss | None = None
+    """The residuals whose squares the loss averages; for Gauss-Newton only."""
+    bends: Sequence[Callable[[Doubles], Doubles]] = ()
+    """The curvatures of the priors; for Gauss-Newton only."""
+    images: dict[int, Any] = field(default_factory=dict)
+    """The images of the last iteration, by view."""
+
+    def __post_init__(self) -> None:
+        self._spp = 0
+        self.curvatures: Curvatures | None = None
+        if isinstance(self.optimizer, GaussNewton):
+            self.curvatures = Curvatures(list(self.pictures), self._measured)
+
+    def descend(self, iteration: int, rates: Mapping[str, float], spp: int) -> float:
+        """Take a step; returns the loss before it."""
+        self.optimizer.set_learning_rate(rates)
+        self._spp, views, total = spp, order(list(self.pictures), iteration, self.count, self.seed), 0.0
+        self.images = {}
+        measured = self._precondition(views)
+        for view in views:
+            # Anew for each view: a derivative frees what led to it.
+            self.params.update({name: self._parameter(name) for name in self.variables})
+            number = round_seed(self.seed, 4096 * (iteration + 1) + view)
+            image = render(self.scene, self.params, sensor=view, spp=spp, seed=number)
+            self.images[view] = dr.detach(image)
+            total += differentiated(self.loss(*compared(image, self.pictures[view], self.demodulate)) / self.count)
+        for name, prior, weight in self.priors:
+            total += differentiated(weight * prior(self._parameter(name)))
+        # Gradients of different views can't be compared.
+        whole = self.count == len(self.pictures)
+        grown = self.curvatures is not None and whole and not measured and self.optimizer.growth() > GROWN
+        if grown:
+            self._forget()
+            self._precondition(views)
+        self.optimizer.step()
+        if grown:
+            # The step leads back from where the curvature was so large.
+            self._forget()
+        for name, v in self.variables.items():
+            self.optimizer[name] = v.projected(self.optimizer[name])
+        return total
+
+    def refine(self) -> None:
+        """Give coarse textures more texels."""
+        for name, v in self.variables.items():
+            if v.is_coarse(self.optimizer[name]):
+                self.optimizer[name] = v.refined(self.optimizer[name])
+        self._forget()
+
+    def values(self) -> dict[str, Any]:
+        """The parameters as they are now."""
+        return {name: dr.detach(self._parameter(name)) for name in self.variables}
+
+    def _parameter(self, name: str) -> Any:
+        return self.variables[name].parameter(self.optimizer[name])
+
+    # ---- curvature -----------------------------------------------------------------------
+
+    def _precondition(self, views: Sequence[int]) -> bool:
+        """Give Gauss-Newton the curvature of the loss of some views; whether any was measured for it."""
+        if self.curvatures is None:
+            return False
+        found, measured = self.curvatures.of(views)
+        for (name, _, weight), bend in zip(self.priors, self.bends, strict=True):
+            found[name] = found[name] + weight * self._pulled_back(name, bend)
+        self.optimizer.precondition(found)
+        return measured
+
+    def _forget(self) -> None:
+        """Measure all curvatures anew before they are used."""
+        if self.curvatures is not None:
+            self.curvatures.forget()
+
+    def _measured(self, view: int, number: int) -> dict[str, Doubles]:
+        """A bound on the curvature of the loss of a view: the measurement of this number."""
+        variables, calls = dict(self.optimizer.items()), itertools.count()
+
+        def residual(x: Mapping[str, Any]) -> Any:
+            self.params.update({name: v.parameter(x[name]) for name, v in self.variables.items()})
+            seed = round_seed(self.seed, MEASURING + 1024 * number + next(calls))
+            image = render(self.scene, self.params, sensor=view, spp=self._spp, seed=seed)
+            return self.residual(*compared(image, self.pictures[view], self.demodulate))  # type: ignore[misc]
+
+        return majorant(variables, residual, {name: v.scale for name, v in self.variables.items()})
+
+    def _pulled_back(self, name: str, bend: Callable[[Doubles], Doubles]) -> Doubles:
+        """The curvature of a prior of a parameter p, as a function of its variable: J^T diag(c) J 1."""
+        v, x = self.variables[name], dr.detach(self.optimizer[name])
+        ahead, back = type(x)(x), type(x)(x)
+        dr.enable_grad(ahead, back)
+        dr.set_grad(ahead, type(x)(np.ones(np.shape(np.array(x)), np.float32)))
+        slopes = dr.detach(dr.forward_to(v.parameter(ahead)))
+        p = v.parameter(back)
+        curvature = type(p)(bend(np.array(dr.detach(p), np.float64)).astype(np.float32))
+        dr.backward(dr.sum(p * slopes * curvature, axis=None))
+        return np.array(dr.grad(back), np.float64)
+
+
+def order(views: Sequence[int], iteration: int, count: int, seed: int) -> list[int]:
+    """The views of an iteration: each comes once before any comes again."""
+    chosen = []
+    for place in range(iteration * count, (iteration + 1) * count):
+        turn, within = divmod(place, len(views))
+        chosen.append(views[int(np.random.default_rng([seed, turn]).permutation(len(views))[within])])
+    return chosen
+
+
+def compared(image: Any, target: npt.NDArray[np.float32], demodulate: bool) -> tuple[Any, Any]:
+    """Image and target as the loss gets them."""
+    wanted = type(image)(target)
+    if not demodulate:
+        return image, wanted
+    brightness = np.maximum(target.mean(axis=2, keepdims=True), 1e-2) * np.ones_like(target)
+    inverse = type(image)((1 / brightness).astype(np.float32))
+    return image * inverse, wanted * inverse
+
+
+def differentiated(value: Any) -> float:
+    """A number on Dr.Jit's side, whose derivatives are added to those of the variables."""
+    dr.backward(value)
+    return float(np.array(dr.detach(value)).ravel()[0])

@@ -1,0 +1,289 @@
+"""A render that begins anew whenever what is looked at changes."""
+
+from __future__ import annotations
+
+import json
+import queue
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from djpt.apps.viewer.messages import in_one_line, number, whole_number
+from djpt.apps.viewer.picture import Picture
+from djpt.apps.viewer.stage import LAYERS, Stage
+from djpt.apps.viewer.watch import Watch
+from djpt.description.named_files import files_of
+from djpt.errors import RenderError
+from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
+from djpt.rendering.progressive.rounds import Rounds, round_seed
+
+__all__ = ["Session", "packed"]
+
+SHORT, LONG = 0.02, 0.06
+"""Seconds of a round's kernel below which the next round has more samples, and above which it has fewer.
+
+The page is answered between rounds; and each round costs time beside its kernel.
+"""
+
+FRAME_SECONDS = 0.25
+"""The time between two frames of a picture that gets better; the first ones come at once.
+
+Browsers take time to show a frame, which rounds that run meanwhile take from them.
+"""
+
+LOOK_SECONDS = 0.5
+"""The time between two looks at the files of the scene."""
+
+RETRY_SECONDS = 2.0
+"""The time after which a scene that couldn't be loaded is tried again, though no known file of it has changed."""
+
+RETRY_SHARE = 10
+"""How much longer than an attempt took the time to the next one is at least."""
+
+MESSAGES = 1000
+"""The messages that are taken between two rounds at most."""
+
+LARGEST_HALF = float(np.finfo(np.float16).max)
+
+TONE = {
+    "aces_in": ACES_IN.tolist(),
+    "aces_out": ACES_OUT.tolist(),
+    "agx_in": AGX_IN.tolist(),
+    "agx_out": AGX_OUT.tolist(),
+    "agx_curve": list(AGX_CURVE),
+    "agx_stops": list(AGX_STOPS),
+}
+"""The constants of the tone curves, for the page that computes them."""
+
+
+Inbox: TypeAlias = "queue.SimpleQueue[dict[str, Any]] | queue.Queue[dict[str, Any]]"
+"""The messages of pages, in their order."""
+
+
+class Session:
+    """What a page shows: a scene, rendered in rounds, until `spp` samples per pixel.
+
+    Args:
+        describe: reads the scene; called again when one of its files changes.
+        sensor: the number of the camera.
+        spp: samples per pixel at which a picture is done.
+        seed: of the picture.
+        publish: takes a frame for the pages: see `packed`.
+        tell: takes a message for the pages.
+
+    Raises:
+        DjptError: The scene can't be loaded or rendered.
+    """
+
+    def __init__(
+        self,
+        describe: Callable[[], Mapping[str, Any]],
+        sensor: int,
+        spp: int,
+        seed: int,
+        publish: Callable[[bytes], None],
+        tell: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self._describe, self._sensor = describe, sensor
+        self.spp, self.seed = spp, seed
+        self._publish, self._tell = publish, tell
+        description = describe()
+        self._watch = Watch(files_of(description))
+        self.stage = Stage(description, sensor)
+        self.picture = Picture(self.stage.channels)
+        self._round_spp, self._paused, self._asked = 1, False, 0
+        self._touched = False
+        """Whether somebody has changed the scene since it was loaded first."""
+        self._problem, self._retry = "", 0.0
+        """Why the scene's files can't be loaded any more, and when to try again."""
+        self._failure = ""
+        """Why the scene can't be rendered as it is."""
+        self._rounds: Rounds | None = None
+        self._start = self._looked = self._published = time.perf_counter()
+
+    def run(self, inbox: Inbox) -> None:
+        """Render and take messages until an exception ends it, such as `KeyboardInterrupt`."""
+        while True:
+            self.turn(inbox)
+
+    def turn(self, inbox: Inbox, patience: float = LOOK_SECONDS) -> None:
+        """Take the messages that have come, look at the files of the scene if it is time, and render a round.
+
+        If nothing is to be rendered, a message is waited for, for `patience` seconds at most.
+
+        Raises:
+            DjptError: The scene can't be rendered, though nobody has changed it.
+        """
+        # All that has come is taken before a round: a pointer that moves asks for more than can be rendered.
+        waiting = self.waits
+        for _ in range(MESSAGES):
+            try:
+                self.take(inbox.get(waiting, patience))
+                waiting = False
+            except queue.Empty:
+                break
+        if time.perf_counter() - self._looked > LOOK_SECONDS:
+            self.reload_if_changed()
+            self._looked = time.perf_counter()
+        if self.waits:
+            return
+        try:
+            self.render_round()
+        except Exception as error:  # whatever the values that pages choose lead to
+            if not self._touched:
+                raise
+            self._failure = in_one_line(error)
+            self._tell({"error": self._failure})
+
+    # ---- rounds ------------------------------------------------------------------------------
+
+    @property
+    def waits(self) -> bool:
+        """Whether nothing is to be rendered until something changes."""
+        return self._paused or bool(self._failure) or self.picture.spp >= self.spp
+
+    def render_round(self) -> None:
+        """Add a round to the picture, and publish it."""
+        stage = self.stage
+        spp = stage.sensor.sampler().round_count(min(self._round_spp, max(1, self.spp - self.picture.spp)))
+        seed = round_seed(self.seed, self.picture.rounds)
+        if self._rounds is None or self._rounds.spp != spp:
+            self._rounds = Rounds(stage.scene, stage.sensor, stage.integrator, spp, "auto")
+        result = self._rounds.begin(seed, None, None)
+        start = time.perf_counter()
+        part = result()
+        seconds = time.perf_counter() - start
+        self.picture.add(part, spp)
+        if self.picture.rounds > 1 and seconds < SHORT:
+            self._round_spp = 2 * spp
+        elif seconds > LONG:
+            self._round_spp = max(1, spp // 2)
+        if self.picture.rounds <= 2 or self.waits or time.perf_counter() - self._published >= FRAME_SECONDS:
+            self.publish()
+
+    def publish(self) -> None:
+        """Publish the picture as it is."""
+        self._published = time.perf_counter()
+        if self.picture.rounds:
+            self._publish(packed(self.header(), self.shown()))
+
+    def shown(self) -> npt.NDArray[np.float32]:
+        """The three channels of the layer that is shown, (height, width, 3)."""
+        pixels = self.picture.error()[..., None] if self.stage.layer == "error" else self.picture.pixels()
+        if self.stage.layer == "uv":
+            return np.pad(pixels, ((0, 0), (0, 0), (0, 1)))
+        return pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+
+    def header(self) -> dict[str, Any]:
+        """What is told about a frame."""
+        x, y, width, height = self.stage.window
+        return {
+            "size": self.stage.size,
+            "window": [x, y, width, height],
+            "layer": self.stage.layer,
+            "spp": self.picture.spp,
+            "goal": self.spp,
+            "error": self.picture.relative_error(),
+            "seconds": time.perf_counter() - self._start,
+            "answer": self._asked,
+        }
+
+    # ---- messages ----------------------------------------------------------------------------
+
+    def take(self, message: Mapping[str, Any]) -> None:
+        """Do what a page asks for; what it can't have is told as an error."""
+        do = message.get("do")
+        try:
+            if do == "join":
+                self._tell(self.state())
+                self.publish()
+            elif do == "pause":
+                self._paused = bool(message.get("paused"))
+            elif isinstance(do, str) and do in CHANGES:
+                variable = LAYERS[self.stage.layer]
+                self._touched = True
+                CHANGES[do](self.stage, message)
+                asked = message.get("number")
+                self._asked = asked if type(asked) is int and 0 <= asked < 2**53 else 0
+                if do == "show" and LAYERS[self.stage.layer] == variable:
+                    self.publish()  # light and its error are of the same rounds
+                else:
+                    self.begin()
+            else:
+                raise RenderError(f"unknown message '{str(do)[:40]}'")
+        except Exception as error:  # whatever a message leads to, it mustn't end the viewer of all pages
+            self._tell({"error": in_one_line(error)})
+
+    def begin(self) -> None:
+        """Begin the picture anew, with rounds of one sample per pixel."""
+        self.picture, self._round_spp, self._rounds = Picture(self.stage.channels), 1, None
+        self._failure = ""
+        self._start = time.perf_counter()
+
+    def reload_if_changed(self) -> None:
+        """Load the scene again if one of its files has changed; its errors are told, and the old one stays.
+
+        What can't be loaded is tried again from time to time: the mend may be in a file that isn't known yet.
+        """
+        start = time.perf_counter()
+        changed = self._watch.has_changed()
+        if not changed and not (self._problem and start >= self._retry):
+            return
+        try:
+            description = self._describe()
+            fresh = Stage(description, self._sensor)
+            fresh.show(self.stage.layer)
+            if not np.array_equal(self.stage.camera.to_world, self.stage.home.to_world) and np.array_equal(
+                fresh.home.to_world, self.stage.home.to_world
+            ):
+                fresh.hold(self.stage.camera)
+        except Exception as error:  # whatever stands in a file that is being edited
+            found, end = in_one_line(error), time.perf_counter()
+            self._retry = end + max(RETRY_SECONDS, RETRY_SHARE * (end - start))
+            if changed or found != self._problem:
+                self._problem = found
+                self._tell({"error": found})
+            return
+        self.stage, self._watch, self._problem = fresh, Watch(files_of(description)), ""
+        self._touched = True
+        self.begin()
+        self._tell(self.state())
+
+    def state(self) -> dict[str, Any]:
+        """What a page needs to know of the scene."""
+        return {
+            "layers": list(LAYERS),
+            "layer": self.stage.layer,
+            "size": self.stage.size,
+            "controls": self.stage.controls(),
+            "tone": TONE,
+            "paused": self._paused,
+            "problem": self._problem or self._failure,
+        }
+
+
+CHANGES: dict[str, Callable[[Stage, Mapping[str, Any]], None]] = {
+    "turn": lambda stage, m: stage.turn(number(m, "yaw"), number(m, "pitch")),
+    "shift": lambda stage, m: stage.shift(number(m, "right"), number(m, "up")),
+    "approach": lambda stage, m: stage.approach(number(m, "factor")),
+    "home": lambda stage, m: stage.return_home(),
+    "crop": lambda stage, m: stage.crop(*(whole_number(m, name) for name in ("x", "y", "width", "height"))),
+    "set": lambda stage, m: stage.change(m.get("key"), m.get("value")),
+    "show": lambda stage, m: stage.show(m.get("layer")),
+}
+"""The messages that change what is looked at, and what they do."""
+
+
+def packed(header: Mapping[str, Any], pixels: npt.NDArray[np.float32]) -> bytes:
+    """A frame as bytes: the length of the header (uint32), the header (JSON, padded to even length), then the pixels.
+
+    Pixels are little-endian float16, row by row, red, green, blue; larger numbers become the largest one.
+    """
+    text = json.dumps(header).encode()
+    text += b" " * (len(text) % 2)
+    with np.errstate(over="ignore"):
+        halves = np.clip(pixels, -LARGEST_HALF, LARGEST_HALF).astype("<f2")
+    return len(text).to_bytes(4, "little") + text + halves.tobytes()

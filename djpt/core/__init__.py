@@ -1,0 +1,1 @@
+"""What everything may use: records, frames, transforms, warps, files. It knows nothing of scenes."""

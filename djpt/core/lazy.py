@@ -1,0 +1,48 @@
+"""Packages whose names are imported when they are first used.
+
+A package that holds many plugins lists them under ``if TYPE_CHECKING``, where editors and type checkers find them::
+
+    if TYPE_CHECKING:
+        from djpt.shapes.cube import Cube as Cube
+    else:
+        __getattr__, __dir__, __all__ = lazily(__name__)
+
+`lazily` reads the same lines from the package's source: nothing has to be listed twice, and a scene
+imports the plugins that it has. A name may be that of a module.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+__all__ = ["lazily"]
+
+LINE = re.compile(r"^    from (djpt\S*) import (?:\(\n +)?(\w+) as (\w+)(?:,\n    \))?$", re.MULTILINE)
+
+
+def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """What a package needs as its `__getattr__`, `__dir__` and `__all__` to import names at their first use.
+
+    Modules of the package are attributes, too, as if they had been imported.
+    """
+    spec = find_spec(package)
+    source = spec.loader.get_source(package) if spec is not None and spec.loader is not None else ""  # type: ignore[attr-defined]
+    homes = {alias: (module, name) for module, name, alias in LINE.findall(source)}
+    modules = {module.rpartition(".")[2]: module for module, _ in homes.values()}
+
+    def attribute(name: str) -> Any:
+        if name in homes:
+            module, own_name = homes[name]
+            # The package itself is asked for modules only.
+            found = None if module == package else getattr(importlib.import_module(module), own_name, None)
+            return importlib.import_module(f"{module}.{own_name}") if found is None else found
+        if name in modules:
+            return importlib.import_module(modules[name])
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+    names = sorted(homes)
+    return attribute, lambda: names, names

@@ -1,0 +1,315 @@
+"""Points on surfaces, and the hits of rays that they are computed from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import drjit as dr
+
+from djpt.core.frame import Frame3f
+from djpt.core.records.instanced import Instanced
+from djpt.core.records.points import Interaction3f
+from djpt.core.records.rays import Ray3f
+from djpt.core.records.record import Record, no_wavelengths
+from djpt.core.records.scene_ref import at_home, latest_home, only
+from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector2f, Vector3f
+
+__all__ = ["PreliminaryIntersection3f", "SceneView", "SurfaceInteraction3f"]
+
+
+class SceneView(Protocol):
+    """The scene as a surface point sees it."""
+
+    near_share: Float
+    """The share of a camera ray's `maxt` between the camera and its near plane."""
+
+    units: Any
+    """What lengths and points are in the scene's description, if this is a scene in a working frame; else None."""
+
+    def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
+        """The `djpt.materials.pointer.BSDFPtr` of the shape at `si`."""
+
+    def emitter_at(self, si: SurfaceInteraction3f) -> Any:
+        """The `djpt.emitters.pointer.EmitterPtr` of what shines at `si`: the shape, or the environment on a miss."""
+
+    def shape_at(self, si: Any) -> Any:
+        """The `djpt.shapes.pointer.ShapePtr` of the shape at `si`; null on a miss."""
+
+    def instance_at(self, si: Any) -> Any:
+        """The `djpt.shapes.pointer.ShapePtr` of the instance that `si` lies on; null elsewhere."""
+
+    def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
+        """The number of the emitter seen at `si`; the count of emitters means none."""
+
+    def emitter_ptr(self, index: UInt32) -> Any:
+        """The `djpt.emitters.pointer.EmitterPtr` of the emitters with the numbers `index`."""
+
+    def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
+        """The primitive of its shape that `si` lies on, as Mitsuba counts."""
+
+    def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
+
+    def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> Any:
+        """The `djpt.media.pointer.MediumPtr` of the medium that a shape names for the side that `d` points to."""
+
+    def surface_interaction_of(
+        self, pi: PreliminaryIntersection3f, ray: Ray3f, ray_flags: int, active: Bool | bool
+    ) -> SurfaceInteraction3f:
+        """The surface point of a hit that a script got from `ray_intersect_preliminary`."""
+
+
+class PreliminaryIntersection3f(Instanced):
+    """The result of a traversal: enough to compute the rest later."""
+
+    title = "PreliminaryIntersection"
+
+    t: Float
+    """Distance in units of the ray's `d`; infinity on a miss."""
+    prim_uv: Point2f
+    """Barycentric weights of the second and third corner of a mesh's triangle; 0 for other shapes."""
+    prim_index: UInt32
+    """The triangle within its shape, as Mitsuba counts; 0 for shapes that aren't made of triangles."""
+    shape_index: UInt32
+    """Index into ``scene.shapes()``; 0 on a miss."""
+    face: UInt32
+    """The scene's own number of the face that was hit: see `Scene`."""
+    nearby: tuple[Any, ...]
+    """The hit in the coordinates of the search for triangles, if known: see `near`."""
+
+    @staticmethod
+    def found(t: Float, face: UInt32, shape_index: UInt32, near: Any = None) -> PreliminaryIntersection3f:
+        """What a search has found; see the fields."""
+        nearby = () if near is None else (near,)
+        pi: PreliminaryIntersection3f = PreliminaryIntersection3f.holding(
+            t=t, face=face, shape_index=shape_index, nearby=nearby
+        )
+        return pi
+
+    def default(self, name: str) -> Any:
+        if name == "home":
+            return {}
+        return Float(dr.inf) if name == "t" else super().default(name)
+
+    def zero_(self, size: int = 1) -> None:
+        """Complete `dr.zeros`: nothing was hit."""
+        self.fill_with_zeros(size)
+        self.t, self.home = dr.full(Float, dr.inf, size), latest_home()
+
+    def shown(self) -> Sequence[str]:
+        return "valid", "t", "prim_uv", "prim_index", "shape_index"
+
+    @property
+    def near(self) -> Any:
+        """The hit in the coordinates of the search for triangles: see `djpt.geometry.query.Near`; else None."""
+        return only(self.nearby)
+
+    @property
+    def shape(self) -> Any:
+        """The shape that was hit, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
+        return self.__dict__["_shape"] if "_shape" in self.__dict__ else at_home(self).shape_at(self)
+
+    @shape.setter
+    def shape(self, shape: Any) -> None:
+        # Dr.Jit's operations don't carry it along.
+        self.__dict__["_shape"] = shape
+
+    @property
+    def valid(self) -> Bool:
+        """True where something was hit."""
+        return self.is_valid()
+
+    def is_valid(self) -> Bool:
+        """True where something was hit."""
+        return self.t < dr.inf
+
+    def compute_surface_interaction(
+        self, ray: Ray3f, ray_flags: int = 0xE, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The surface point of the hit of `ray`: see `djpt.Scene.ray_intersect` for `ray_flags`."""
+        if not self.home and "_shape" in self.__dict__:
+            found: SurfaceInteraction3f = self.shape.compute_surface_interaction(ray, self, ray_flags, active)
+            return found
+        return at_home(self).surface_interaction_of(self, ray, ray_flags, active)
+
+
+class SurfaceInteraction3f(Interaction3f, Instanced):
+    """A point on a surface with its frame, and the way back to its shape, BSDF and emitter.
+
+    ``SurfaceInteraction3f()``, ``SurfaceInteraction3f(si)``, ``SurfaceInteraction3f(ps, wavelengths)``, or keywords.
+    `n` has unit length and lies on the outer side of the shape (it is never flipped to the ray).
+    """
+
+    title = "SurfaceInteraction"
+
+    sh_frame: Frame3f
+    """Shading frame: `n` is the shading normal, `s` follows dp/du."""
+    uv: Point2f
+    dp_du: Vector3f
+    dp_dv: Vector3f
+    dn_du: Vector3f
+    """Derivative of the normal; 0 unless the flags of the query asked for it."""
+    dn_dv: Vector3f
+    duv_dx: Vector2f
+    """Derivative of uv by the pixel's x; 0 before `compute_uv_partials`."""
+    duv_dy: Vector2f
+    wi: Vector3f
+    """Direction back along the ray, in the shading frame; the world direction on a miss."""
+    prim_index: UInt32
+    """The triangle within its shape, as Mitsuba counts; 0 for shapes that aren't made of triangles."""
+    prim_uv: Point2f
+    """Barycentric weights of the second and third corner of a mesh's triangle; 0 on other shapes."""
+    shape_index: UInt32
+    """Index into ``scene.shapes()``; 0 on a miss."""
+    face: UInt32
+    """The scene's own number of the face: see `Scene`."""
+    media: tuple[UInt32, ...]
+    """The medium of the ray that arrived; nothing in scenes without media."""
+
+    def __init__(self, other: Any = None, wavelengths: Any = None, *, ps: Any = None, **fields: Any) -> None:
+        no_wavelengths(wavelengths)
+        other = other if ps is None else ps
+        Record.__init__(self, other, **fields)
+        if other is not None and not isinstance(other, Interaction3f):
+            self.t, self.sh_frame = Float(0), Frame3f.from_normal(self.n)
+
+    def default(self, name: str) -> Any:
+        if name == "home":
+            return {}
+        if name == "prim_index" and self.home:
+            return self.scene.primitive_index(self)
+        return super().default(name)
+
+    def zero_(self, size: int = 1) -> None:
+        super().zero_(size)
+        self.home = latest_home()
+
+    @property
+    def scene(self) -> SceneView:
+        """The scene that the point belongs to."""
+        return at_home(self)
+
+    @scene.setter
+    def scene(self, scene: SceneView) -> None:
+        self.home = {scene: ()}
+
+    @property
+    def medium(self) -> UInt32 | None:
+        """The medium of the ray that arrived; None in scenes without media."""
+        return only(self.media)
+
+    @medium.setter
+    def medium(self, medium: UInt32 | None) -> None:
+        self.media = () if medium is None else (medium,)
+
+    @property
+    def valid(self) -> Bool:
+        """True where the ray hit a surface."""
+        return self.is_valid()
+
+    @property
+    def shape(self) -> Any:
+        """The shape, a `djpt.shapes.pointer.ShapePtr`, null on a miss; or what was assigned."""
+        if "_shape" in self.__dict__:
+            return self.__dict__["_shape"]
+        return at_home(self).shape_at(self) if self.home else None
+
+    @shape.setter
+    def shape(self, shape: Any) -> None:
+        # Dr.Jit's operations don't carry it along.
+        self.__dict__["_shape"] = shape
+
+    def shown(self) -> Sequence[str]:
+        left_out = ("prim_uv", "shape_index", "face")
+        return [name for name in super().shown() if name not in left_out]
+
+    # ---- frames ---------------------------------------------------------------------------
+
+    def initialize_sh_frame(self) -> None:
+        """Make the shading frame orthonormal: `s` follows dp/du, or is arbitrary where dp/du is 0."""
+        n = self.sh_frame.n
+        s = dr.fma(n, -dr.dot(n, self.dp_du), self.dp_du)
+        squared = dr.squared_norm(s)
+        s = dr.select(squared > 0, s * dr.rsqrt(squared), Frame3f.from_normal(n).s)
+        self.sh_frame = Frame3f(s, dr.cross(n, s), n)
+
+    def to_local(self, v: Vector3f) -> Vector3f:
+        """World direction to the shading frame."""
+        return self.sh_frame.to_local(v)
+
+    def to_world(self, v: Vector3f) -> Vector3f:
+        """Shading frame to world."""
+        return self.sh_frame.to_world(v)
+
+    def to_local_mueller(self, M_world: Any, wi_world: Vector3f, wo_world: Vector3f) -> Any:
+        """The value `M_world` as it is: light isn't polarised, so there are no frames of polarisation to turn."""
+        return M_world
+
+    def to_world_mueller(self, M_local: Any, wi_local: Vector3f, wo_local: Vector3f) -> Any:
+        """The value `M_local` as it is: see `to_local_mueller`."""
+        return M_local
+
+    # ---- the shape and what belongs to it --------------------------------------------------
+
+    def medium_beyond(self, d: Any) -> UInt32 | None:
+        return self.scene.medium_beyond(self, d) if self.media else None
+
+    def target_medium(self, d: Any = None, *, cos_theta: Float | float | None = None) -> Any:
+        """The medium, a `djpt.media.pointer.MediumPtr`, that the shape names for the side that `d` points to.
+
+        `d` is a direction in world space, or its cosine with the normal; that can also be given as `cos_theta`.
+        """
+        return self.scene.target_medium(self, d, cos_theta)
+
+    def bsdf(self, ray: Ray3f | None = None) -> Any:
+        """The BSDF at this point, a `djpt.materials.pointer.BSDFPtr`.
+
+        A `RayDifferential3f` is asked for the derivatives of uv, too: see `compute_uv_partials`.
+        """
+        if getattr(ray, "has_differentials", False):
+            self.compute_uv_partials(ray)
+        return self.shape.bsdf() if "_shape" in self.__dict__ else self.scene.bsdf_at(self)
+
+    def emitter(self, scene: SceneView | None = None, active: Bool | bool = True) -> Any:
+        """The light of the shape, or of the sky on a miss; a null `djpt.emitters.pointer.EmitterPtr` without one."""
+        return self.shape.emitter() if "_shape" in self.__dict__ else (scene or self.scene).emitter_at(self)
+
+    def is_sensor(self) -> Bool:
+        """True where the shape carries a sensor."""
+        return self.shape.is_sensor()
+
+    def is_medium_transition(self) -> Bool:
+        """True where the shape bounds a medium."""
+        return self.shape.is_medium_transition()
+
+    # ---- derivatives ------------------------------------------------------------------------
+
+    def compute_uv_partials(self, ray: Any) -> None:
+        """Compute the derivatives of uv by the pixel's x and y, from the differentials of the ray; 0 without any.
+
+        The offset rays are intersected with the tangent plane, and the two points given in dp/du and dp/dv.
+        """
+        self.duv_dx, self.duv_dy = Vector2f(0), Vector2f(0)
+        if not getattr(ray, "has_differentials", False):
+            return
+        height = dr.dot(self.n, self.p)
+        a, b, c = dr.squared_norm(self.dp_du), dr.dot(self.dp_du, self.dp_dv), dr.squared_norm(self.dp_dv)
+        determinant = a * c - dr.square(b)
+        inverse = dr.select(determinant != 0, dr.rcp(determinant), 0)
+
+        def partial(o: Point3f, d: Vector3f) -> Vector2f:
+            step = dr.fma(d, (height - dr.dot(self.n, o)) * dr.rcp(dr.dot(self.n, d)), o) - self.p
+            u, v = dr.dot(self.dp_du, step), dr.dot(self.dp_dv, step)
+            found = Vector2f(c * u - b * v, a * v - b * u) * inverse
+            return dr.select(dr.isfinite(found), found, 0)
+
+        self.duv_dx, self.duv_dy = partial(ray.o_x, ray.d_x), partial(ray.o_y, ray.d_y)
+
+    def has_uv_partials(self) -> Bool:
+        """True where uv changes from pixel to pixel, as far as was computed."""
+        return dr.any((self.duv_dx != 0) | (self.duv_dy != 0))
+
+    def has_n_partials(self) -> Bool:
+        """True where the derivative of the normal was asked for, and isn't 0."""
+        return dr.any((self.dn_du != 0) | (self.dn_dv != 0))

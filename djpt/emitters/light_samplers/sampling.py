@@ -1,0 +1,93 @@
+"""Light sampling: an emitter is chosen, then a direction towards it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+
+from djpt.core.records import DirectionSample3f, Observer, Ray3f, Reference, SurfaceInteraction3f
+from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.family import Family
+from djpt.emitters.base import Emitter
+from djpt.emitters.light_samplers.base import EmitterChoice
+from djpt.emitters.pointer import EmitterPtr
+from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point2f, UInt32, Vector3f
+
+__all__ = ["LightSample", "LightSampling", "MetLight"]
+
+
+@dataclass
+class MetLight:
+    """The light of a surface, or of the sky, that a ray has met."""
+
+    radiance: Color3f
+    """The radiance that it sends along the ray."""
+    pdf: Float
+    """The density per unit solid angle with which light sampling would have chosen the ray's direction."""
+
+
+@dataclass
+class LightSample:
+    """A direction towards an emitter."""
+
+    ds: DirectionSample3f
+    """`ds.pdf` includes the probability of choosing the emitter."""
+    weight: Color3f
+    """Radiance / pdf, as if nothing stood between."""
+
+
+@dataclass
+class LightSampling:
+    """The emitters of a scene, a way to choose among them, and a way to read their values."""
+
+    emitters: Ensemble[Emitter]
+    choice: EmitterChoice
+    lookup: Lookup
+
+    def sample(self, ref: Observer, sample: Point2f, active: Bool | bool = True) -> LightSample:
+        """Choose an emitter and sample a direction towards it from `ref`.
+
+        `sample.x` chooses and is then stretched for use in the emitter. Without emitters the weight is 0.
+        """
+        if not len(self.emitters):
+            nothing = DirectionSample3f.of(
+                ref.p, Normal3f(0), Point2f(0), Vector3f(0, 0, 1), Float(0), Float(0), Float(0), Bool(False), UInt32(0)
+            )
+            return LightSample(nothing, Color3f(0))
+        index, inverse, u = self.choice.choose(ref.p, ref.n, sample.x)
+        ds, weight = self._emitter(index).sample_direction(ref, Point2f(u, sample.y), active)
+        if self.choice.count > 1:
+            probability = dr.select(inverse > 0, dr.rcp(inverse), 0)
+            ds.pdf, ds.weight, weight = ds.pdf * probability, ds.weight * inverse, weight * inverse
+        return LightSample(ds, weight)
+
+    def pdf(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample` at `ds`, per unit solid angle at `ref`."""
+        pdf = self._emitter(ds.emitter_index).pdf_direction(ref, ds, active)
+        if len(self.emitters) < 2:
+            return pdf
+        return pdf * self.choice.probability(ref.p, ref.n, ds.emitter_index)
+
+    def at_vertex(
+        self, ref: Reference, ray: Ray3f, si: SurfaceInteraction3f, sample: Point2f, active: Bool
+    ) -> tuple[MetLight, LightSample]:
+        """All that a path vertex needs of the emitters: the light that `ray` from `ref` met at `si`, and a sample.
+
+        Lanes that aren't `active` need no sample. A lone environment is looked up once for both.
+        """
+        if len(self.emitters) == 1 and self.emitters.plugins[0].shares_lookup:
+            environment = self.emitters.groups[0].at(UInt32(0), self.lookup)
+            radiance, pdf, weight, d = environment.eval_or_sample(si, sample, active)
+            ds = DirectionSample3f.of(
+                si.p + d, -d, Point2f(0), d, Float(dr.inf), pdf, weight, Bool(False), UInt32(0)
+            )  # fmt: skip
+            met = dr.select(si.is_valid(), 0, radiance)
+            return MetLight(met, pdf), LightSample(ds, radiance * weight)
+        ds = DirectionSample3f.between(ref.p, ray, si)
+        pdf = self.pdf(ref, ds)
+        radiance = si.emitter().eval(si)
+        return MetLight(radiance, pdf), self.sample(si, sample, active)
+
+    def _emitter(self, index: UInt32) -> EmitterPtr:
+        return EmitterPtr.into(Family(self.emitters, self.lookup), index)

@@ -1,0 +1,1 @@
+"""The construction of a BVH by NumPy and kernels, level by level."""

@@ -1,0 +1,53 @@
+"""The memory that compiled ray queries read: one block, counted in rows of 32 bytes.
+
+==============  ====  ==========================================================================
+part            rows  contents
+==============  ====  ==========================================================================
+header          8     word 0: row of the first triangle's record; word 1: of the first placed record
+node            8     2 a: low planes of the eight children along axis a; 2 a + 1: high planes;
+                      6: references to the children; 7: unused
+leaf            10    3 k + a: coordinate a of corner k of eight triangles; 9: their numbers
+placed          2     map into the primitive's space, 3 x 4 floats; label, detail, side, unused
+triangle        1     unused, unit normal, label, face, direction of dp/du
+==============  ====  ==========================================================================
+
+A reference is the row of a node; with LEAF, the row of a leaf; with PLACED, the number of a placed primitive
+(an instance, or an analytic solid). Triangles are numbered in the order of the leaves. The record of a triangle or
+placed primitive is the row that holds its label; for labels and details see `djpt.geometry.bvh.steps.records`.
+
+A group of meshes that instances show has a block of its own, with a header, within the block of the scene. References
+in it count from its start, records from the start of the scene's.
+
+Coordinates count from the middle of their tree.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ANY_HIT",
+    "CHILDREN",
+    "HEADER_ROWS",
+    "LEAF",
+    "LEAF_ROWS",
+    "NODE_ROWS",
+    "PASSES_LIGHTS",
+    "PLACED",
+    "REFERENCE",
+    "ROOT",
+    "ROW_BYTES",
+    "ROW_WORDS",
+]
+
+ROW_WORDS, ROW_BYTES = 8, 32
+HEADER_ROWS, NODE_ROWS, LEAF_ROWS = 8, 8, 10
+CHILDREN = 8
+"""The children of a node, and the triangles of a leaf."""
+
+LEAF, PLACED, REFERENCE = 0x80000000, 0xC0000000, 0x3FFFFFFF
+"""The upper bits of references to leaves and to placed primitives; the bits of the row number."""
+
+ROOT = HEADER_ROWS
+"""The row of the root."""
+
+PASSES_LIGHTS, ANY_HIT = 1, 2
+"""Bits of a ray's flags: shapes that emit aren't hit; any hit ends the search, also one for the closest."""

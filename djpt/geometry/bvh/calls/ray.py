@@ -1,0 +1,153 @@
+"""A ray in the form in which compiled functions test boxes and triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+from djpt.geometry.bvh.calls.layout import CHILDREN, ROW_BYTES
+from djpt.jit.llvm.arithmetic import abs, copysign, fma, maximum, minimum, select
+from djpt.jit.llvm.ir import F32, I32, I64, Function, Type, Value, vector
+
+__all__ = ["BoxRay", "PlaneRay", "RayTerms", "TriangleTest"]
+
+ROW = vector(F32, CHILDREN)
+
+SMALL = 1e-18
+"""Components of directions closer to 0 are replaced: 0 x inf would arise where the origin lies in a plane of a box."""
+
+
+@dataclass
+class RayTerms:
+    """What the tests of a ray need to know; fields are lists of one value per axis.
+
+    The values are scalars, or vectors with a lane for each ray of a packet.
+
+    The axis along which the direction is longest becomes the last one, and a shear makes the ray run along it: S.
+    Woop, C. Benthin and I. Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013.
+    """
+
+    inverse: list[Value]
+    shift: list[Value]
+    """-origin / direction."""
+    near: list[Value]
+    """The bytes from the start of a node to the planes that the ray comes to first."""
+    axes: list[Value]
+    """The bytes from the coordinates of a corner to the one along each axis, in the order of the shear."""
+    origin: list[Value]
+    """The origin in this order."""
+    shear: list[Value]
+    """For two axes, and 1 / direction for the last."""
+
+    @staticmethod
+    def of(o: Sequence[Value], d: Sequence[Value]) -> RayTerms:
+        """Compute the terms of a ray, or of several."""
+        usable = [select(abs(x) < SMALL, copysign(SMALL, x), x) for x in d]
+        inverse = [1.0 / x for x in usable]
+        shift = [-(x * i) for x, i in zip(o, inverse, strict=True)]
+        f, integer = d[0].function, Type("i", 32, d[0].type.lanes)
+        numbers = [f.constant(integer, ROW_BYTES * k) for k in range(2 * 3)]
+        near = [select(inverse[a] < 0.0, numbers[2 * a + 1], numbers[2 * a]) for a in range(3)]
+        x, y, z = (abs(component) for component in d)
+        last_z, last_x = (z >= x) & (z >= y), x >= y
+
+        def ordered(values: Sequence[Value], k: int) -> Value:
+            return select(last_z, values[k], select(last_x, values[(k + 1) % 3], values[(k + 2) % 3]))
+
+        along = [ordered(d, k) for k in range(3)]
+        slope = 1.0 / along[2]
+        return RayTerms(
+            inverse,
+            shift,
+            near,
+            [ordered(numbers[:3], k) for k in range(3)],
+            [ordered(o, k) for k in range(3)],
+            [-(along[0] * slope), -(along[1] * slope), slope],
+        )
+
+    @staticmethod
+    def types() -> list[Type]:
+        """The types of `values`."""
+        return [I32 if field.name in ("near", "axes") else F32 for field in fields(RayTerms) for _ in range(3)]
+
+    @staticmethod
+    def from_values(values: Sequence[Value]) -> RayTerms:
+        """The terms from their `values`."""
+        return RayTerms(*(list(values[3 * k : 3 * k + 3]) for k in range(len(fields(RayTerms)))))
+
+    def values(self) -> list[Value]:
+        """All terms, one after the other."""
+        return [value for field in fields(self) for value in getattr(self, field.name)]
+
+
+class BoxRay:
+    """A ray that is tested against eight boxes at once, by the distances of their planes."""
+
+    def __init__(self, function: Function, terms: RayTerms) -> None:
+        self._function = function
+        self._inverse = [x.spread(CHILDREN) for x in terms.inverse]
+        self._shift = [x.spread(CHILDREN) for x in terms.shift]
+        self._near = [x.to(I64) for x in terms.near]
+        # The two rows of an axis differ in one bit.
+        self._far = [x ^ ROW_BYTES for x in self._near]
+
+    def meet(self, node: Value, reach: Value) -> tuple[Value, Value]:
+        """Where the ray enters the children of a node, and a mask of those that it meets before `reach`."""
+        near, far = (
+            [fma(self._row(node, rows[a]), self._inverse[a], self._shift[a]) for a in range(3)]
+            for rows in (self._near, self._far)
+        )
+        entry = maximum(maximum(near[0], near[1]), maximum(near[2], 0.0))
+        leave = minimum(minimum(far[0], far[1]), minimum(far[2], reach.spread(CHILDREN)))
+        return entry, entry <= leave
+
+    def _row(self, node: Value, offset: Value) -> Value:
+        return self._function.load(ROW, node.at(offset), align=ROW_BYTES)
+
+
+class PlaneRay:
+    """A ray that is tested against eight triangles at once, watertight."""
+
+    def __init__(self, function: Function, terms: RayTerms) -> None:
+        self._function = function
+        self._axes = [x.to(I64) for x in terms.axes]
+        self._origin = [x.spread(CHILDREN) for x in terms.origin]
+        self._shear = [x.spread(CHILDREN) for x in terms.shear]
+
+    def meet(self, leaf: Value) -> TriangleTest:
+        """Test the triangles of a leaf."""
+        sheared, heights = [], []
+        for corner in range(3):
+            x, y, z = (self._row(leaf, corner, self._axes[k]) - self._origin[k] for k in range(3))
+            sheared.append((fma(self._shear[0], z, x), fma(self._shear[1], z, y)))
+            heights.append(z)
+        (x0, y0), (x1, y1), (x2, y2) = sheared
+        # Products and differences are rounded one by one: swapping the ends of an edge then changes
+        # the sign of its function and nothing else.
+        edges = x2 * y1 - y2 * x1, x0 * y2 - y0 * x2, x1 * y0 - y1 * x0
+        return TriangleTest(edges, heights, self._shear[2])
+
+    def _row(self, leaf: Value, corner: int, axis: Value) -> Value:
+        return self._function.load(ROW, leaf.at(axis).at(3 * ROW_BYTES * corner), align=ROW_BYTES)
+
+
+class TriangleTest:
+    """The tests of eight triangles."""
+
+    def __init__(self, edges: tuple[Value, Value, Value], heights: Sequence[Value], inverse: Value) -> None:
+        w0, w1, w2 = edges
+        self._edges, self._heights, self._inverse = edges, heights, inverse
+        self.inside = (minimum(minimum(w0, w1), w2) >= 0.0) | (maximum(maximum(w0, w1), w2) <= 0.0)
+        """Where the line through the ray meets a triangle, edges included; false for NaN."""
+
+    def distance(self) -> tuple[Value, Value, Value]:
+        """The distances, and the weights of the second and third corners; unspecified where not `inside`.
+
+        A distance is a convex combination of the corners' own, so that even a sliver seen edge-on doesn't give
+        one far off.
+        """
+        w0, w1, w2 = self._edges
+        z0, z1, z2 = self._heights
+        inverse = 1.0 / (w0 + w1 + w2)
+        t = fma(w0, z0, fma(w1, z1, w2 * z2)) * inverse * self._inverse
+        return t, w1 * inverse, w2 * inverse

@@ -1,0 +1,174 @@
+"""The trees of a scene: one over its triangles and instances, one over each group that is instanced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.geometry.bvh.extent import Extent
+from djpt.geometry.bvh.leaves import PlacedLeaves
+from djpt.geometry.bvh.steps.records import EMITS, LEAF, ONE_SIDED, PORTAL, SOLID
+from djpt.geometry.canonical import KINDS, PIECE
+from djpt.geometry.curve_segments.piece_set import PieceSet
+from djpt.geometry.engines import new_trees
+from djpt.geometry.mesh_part import MeshPart
+from djpt.geometry.query import RayTree
+from djpt.shapes.base import Shape
+from djpt.shapes.curve_segments import Pieces
+from djpt.shapes.meshes.mesh_set import MeshSet
+
+__all__ = ["Forest", "Placement"]
+
+
+@dataclass
+class Placement:
+    """An instance of a group."""
+
+    group: int
+    """The number of the group's tree; groups are counted from 1."""
+    to_world: NDArray[np.float64]
+    """The map from the group's space to world space, (4, 4)."""
+
+
+class Forest:
+    """The trees of a scene, which build its records and renew them after an edit."""
+
+    pieces: PieceSet | None = None
+    """The pieces of the world's shapes that consist of some; None if there are none."""
+
+    def __init__(
+        self, meshes: MeshSet, parts: Sequence[int], solids: Sequence[Shape], placements: Sequence[Placement]
+    ) -> None:
+        """`parts` counts the meshes of the set that belong to the world, and then to each group, in this order.
+
+        `solids` are analytic shapes of the world, numbered after the meshes.
+        """
+        self._meshes, self._solids, self._placements = meshes, list[Any](solids), list(placements)
+        self._parts = [int(n) for n in np.cumsum([0, *parts])]
+        self._trees = new_trees()
+
+    def tree(self) -> RayTree:
+        """The trees of the current geometry. Those that keep their quality are refitted, others are rebuilt."""
+        parts = self._mesh_parts()
+        nothing = np.zeros((0, 6), np.float32)
+        groups = [self._trees.fit(i, part, nothing) for i, part in enumerate(parts) if i > 0]
+        in_pieces = [shape for shape in self._solids if shape.in_pieces]
+        pieces = [shape.pieces() for shape in in_pieces]
+        self.pieces = PieceSet(pieces) if pieces else None
+        boxes = [self._solid_boxes(), *(part.boxes for part in pieces)]
+        boxes.append(box_rows([placed_box(groups[p.group - 1], p.to_world) for p in self._placements]))
+        placed = np.concatenate(boxes).astype(np.float32)
+        self._trees.fit(0, parts[0], placed)
+        kinds = tuple(sorted({kind_of(shape) for shape in self._solids}))
+        leaves = self._placed_leaves(groups, in_pieces, pieces) if len(placed) else None
+        return self._trees.packed(leaves, kinds, self.emits, self._one_sided)
+
+    def _solid_boxes(self) -> NDArray[np.float64]:
+        """The boxes of the solids that aren't in pieces."""
+        return box_rows([solid_box(shape) for shape in self._solids if not shape.in_pieces])
+
+    def _mesh_parts(self) -> list[MeshPart]:
+        """The meshes of the world, and of each group."""
+        meshes, bounds = self._meshes.meshes, [*self._meshes.first_face, self._meshes.face_count]
+        labels = np.array(
+            [
+                LEAF | i | (0 if m.emitter() is None else EMITS) | (ONE_SIDED if m.one_sided else 0)
+                for i, m in enumerate(meshes)
+            ],
+            np.uint32,
+        )
+        return [
+            MeshPart(meshes[first:last], labels[first:last], bounds[first])
+            for first, last in zip(self._parts, self._parts[1:], strict=False)
+        ]
+
+    def _placed_leaves(
+        self, groups: Sequence[Extent], in_pieces: Sequence[Any], pieces: Sequence[Pieces]
+    ) -> PlacedLeaves:
+        """The leaves of the world's tree, with the maps into the spaces of its shapes and groups."""
+        starts, first = self._trees.starts(), len(self._meshes.meshes)
+        inverse, label, detail, side = [], [], [], []
+        for i, shape in enumerate(self._solids):
+            if not shape.in_pieces:
+                inverse.append(np.linalg.inv(shape.to_world.matrix)[:3])
+                label.append(LEAF | PORTAL | SOLID | (0 if shape.emitter() is None else EMITS) | (first + i))
+                detail.append(kind_of(shape))
+                side.append(-1.0 if shape.flip_normals else 1.0)
+        solids = leaves_of(inverse, label, detail, side)
+        inverse, label, detail, side = [], [], [], []
+        for i, placement in enumerate(self._placements):
+            into = np.linalg.inv(placement.to_world)[:3]
+            into[:, 3] -= groups[placement.group - 1].center
+            inverse.append(into)
+            label.append(LEAF | PORTAL | i)
+            detail.append(starts[placement.group])
+            side.append(1.0)
+        parts, number = [], PIECE
+        for shape, part in zip(in_pieces, pieces, strict=True):
+            maps, radii = part.maps, part.radii
+            own = np.full(len(maps), LEAF | PORTAL | SOLID | (first + self._solids.index(shape)), np.uint32)
+            numbers = np.arange(number, number + len(maps), dtype=np.uint32)
+            parts.append(PlacedLeaves(maps, own, numbers, radii[:, 0].copy(), radii[:, 1].copy()))
+            number += len(maps)
+        return PlacedLeaves.joined([solids, *parts, leaves_of(inverse, label, detail, side)])
+
+    @property
+    def _one_sided(self) -> bool:
+        """Whether rays pass through the backs of some meshes."""
+        return any(mesh.one_sided for mesh in self._meshes.meshes)
+
+    @property
+    def emits(self) -> bool:
+        """Whether any of the shapes is a light."""
+        return any(shape.emitter() is not None for shape in (*self._meshes.meshes, *self._solids))
+
+    def place(self, number: int, to_world: NDArray[np.float64]) -> None:
+        """Move an instance; takes effect with the next `records`."""
+        self._placements[number].to_world = to_world
+
+    def statistics(self) -> tuple[int, int, float]:
+        """Nodes and levels of all trees, and the SAH cost of the world's."""
+        return self._trees.statistics()
+
+
+def leaves_of(inverse: list[Any], label: list[int], detail: list[int], side: list[float]) -> PlacedLeaves:
+    """Leaves from lists of their fields."""
+    return PlacedLeaves(
+        np.array(inverse, np.float64).reshape(-1, 3, 4),
+        np.array(label, np.uint32),
+        np.array(detail, np.uint32),
+        np.array(side, np.float32),
+        np.zeros(len(side), np.float32),
+    )
+
+
+def box_rows(boxes: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> NDArray[np.float64]:
+    """Boxes, given by their corners, as rows (P, 6)."""
+    return np.array([np.concatenate(box) for box in boxes], np.float64).reshape(-1, 6)
+
+
+def kind_of(shape: Shape) -> int:
+    """The number of a shape's kind."""
+    assert shape.canonical is not None
+    return KINDS.index(shape.canonical)
+
+
+def solid_box(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box about an analytic shape."""
+    intervals = np.array([shape.interval(unit) for unit in np.eye(3)])
+    margin = 1e-6 * (np.abs(intervals).max() + 1e-30)
+    return intervals[:, 0] - margin, intervals[:, 1] + margin
+
+
+def placed_box(extent: Extent, to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A box in world space about a group's extent, which `to_world` has placed."""
+    sides = (extent.low, extent.high)
+    corners = np.array([[sides[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)], np.float64)
+    placed = corners @ to_world[:3, :3].T + to_world[:3, 3]
+    # Rounding to 32 bits must not make the box smaller.
+    margin = 1e-6 * (np.abs(placed).max() + 1e-30)
+    return placed.min(axis=0) - margin, placed.max(axis=0) + margin

@@ -1,0 +1,277 @@
+"""Images of any type and number of channels, as Mitsuba's `Bitmap`.
+
+    bitmap = djpt.Bitmap("photo.jpg")
+    linear = bitmap.convert(djpt.Bitmap.PixelFormat.RGB, djpt.Struct.Type.Float32, srgb_gamma=False)
+    djpt.TensorXf(linear.resample((64, 64)))
+
+Files are read and written by `djpt.images.stored`, numbers converted by `djpt.images.conversion`.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import os
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from djpt.errors import DjptError, SceneError
+from djpt.images.bitmap_data import BitmapData
+from djpt.images.bitmap_formats import CHANNELS, AlphaTransform, FileFormat, PixelFormat, file_format
+from djpt.images.bitmap_layers import layers_of, obtainable
+from djpt.images.conversion import convert_fields
+from djpt.images.image import Image
+from djpt.images.metadata import Metadata
+from djpt.images.resampler import FilterBoundaryCondition, values_of
+from djpt.images.resampling import lanczos, resampled, taps_between
+from djpt.images.stored import Stored, format_of, save_stored, stored_to_stream
+from djpt.images.structs import Struct, Type
+from djpt.rfilters.base import ReconstructionFilter
+from djpt.version import __version__
+
+__all__ = ["Bitmap"]
+
+Clamp = FilterBoundaryCondition.Clamp
+EVERYTHING = (-math.inf, math.inf)
+
+
+class Bitmap(BitmapData):
+    """An image: (H, W, C) numbers of one type, what they mean, and metadata.
+
+    * ``Bitmap(pixel_format, component_format, size, channel_count=0, channel_names=())``: black, of `size` (width,
+      height); only `MultiChannel` needs a count.
+    * ``Bitmap(array, pixel_format=None, channel_names=())``: a copy of an array or tensor (H, W) or (H, W, C). One to
+      four channels are Y, YA, RGB, RGBA unless the format says otherwise.
+    * ``Bitmap(path, format=Auto)`` and ``Bitmap(stream, format=Auto)``: from a file, or a binary stream such as
+      `io.BytesIO`. The type is that of the file: bytes of png and jpg, half, float or whole numbers of exr.
+    * ``Bitmap(bitmap)``: a copy.
+
+    Bytes are sRGB and other numbers linear until `set_srgb_gamma` says otherwise; colours are multiplied by alpha
+    until `set_premultiplied_alpha` says otherwise. Files know better.
+
+    NumPy and Dr.Jit read a bitmap as an array: ``numpy.array(bitmap, copy=False)`` shares its memory,
+    ``TensorXf(bitmap)`` takes one of Float32.
+
+    Raises:
+        SceneError: an array of another shape or type, or names that don't fit the number of channels.
+        FileError: a file that can't be read.
+    """
+
+    # ---- changes in place --------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Set all numbers to 0."""
+        self._pixels[:] = 0
+
+    def vflip(self) -> None:
+        """Turn the image upside down."""
+        self._pixels[:] = self._pixels[::-1].copy()
+
+    def accumulate(
+        self, bitmap: Bitmap, source_offset: Any = None, target_offset: Any = None, size: Any = None
+    ) -> None:
+        """Add a part of another bitmap of the same format and type; what lies outside is left out.
+
+        ``accumulate(bitmap)``, ``accumulate(bitmap, target_offset)``, or with all arguments: columns and rows where
+        the part begins there and here, and its width and height.
+        """
+        if size is None and target_offset is None:
+            source_offset, target_offset = None, source_offset
+        if self._kind() != bitmap._kind():
+            raise SceneError(f"can't add {bitmap._kind()} to {self._kind()}: convert it first")
+        here, there = self._pixels, bitmap._pixels
+        slices = []
+        for axis in (1, 0):  # rows, then columns
+            start = int(source_offset[axis]) if source_offset is not None else 0
+            place = int(target_offset[axis]) if target_offset is not None else 0
+            count = int(size[axis]) if size is not None else there.shape[1 - axis]
+            cut = max(0, -start, -place)
+            start, place = start + cut, place + cut
+            count = max(0, min(count - cut, there.shape[1 - axis] - start, here.shape[1 - axis] - place))
+            slices.append((slice(place, place + count), slice(start, start + count)))
+        (to_rows, from_rows), (to_columns, from_columns) = slices
+        here[to_rows, to_columns] += there[from_rows, from_columns]
+
+    def _kind(self) -> str:
+        """The format, type and number of channels, for comparisons and messages."""
+        return f"a bitmap of {self.channel_count()} channels {self._format.name}, {self._pixels.dtype}"
+
+    # ---- new ones ----------------------------------------------------------------------
+
+    def convert(
+        self,
+        pixel_format: PixelFormat | Bitmap | None = None,
+        component_format: Type | None = None,
+        srgb_gamma: bool | None = None,
+        alpha_transform: AlphaTransform = AlphaTransform.Empty,
+        target: Bitmap | None = None,
+    ) -> Any:
+        """A bitmap of another format, or of another type; what isn't given stays.
+
+        Colours become linear numbers, are combined, encoded if asked, rounded to nearest and clipped (Mitsuba adds
+        a pattern of noise before it rounds, so its whole numbers may differ by one). Whole numbers stand for shares of
+        the type's largest. A weight divides. ``convert(target)`` converts into another bitmap and returns None.
+
+        Raises:
+            SceneError: a channel can't be had.
+        """
+        target = pixel_format if isinstance(pixel_format, Bitmap) else target
+        if target is not None:
+            if target._pixels.shape[:2] != self._pixels.shape[:2]:
+                raise SceneError(f"can't convert {self.size()} pixels into {target.size()}")
+            self._convert_into(target)
+            return None
+        form = self._format if not isinstance(pixel_format, PixelFormat) else pixel_format
+        names = tuple(field.name for field in self._struct) if form is PixelFormat.MultiChannel else CHANNELS[form]
+        kind = component_format or self.component_format()
+        result = Bitmap(form, kind, (self.width(), self.height()), len(names), names)
+        result.set_srgb_gamma(self._srgb if srgb_gamma is None else bool(srgb_gamma))
+        transforms = {AlphaTransform.Premultiply: True, AlphaTransform.Unpremultiply: False}
+        result.set_premultiplied_alpha(transforms.get(alpha_transform, self._premultiplied))
+        result._metadata = Metadata(self._metadata)
+        self._convert_into(result)
+        return result
+
+    def _convert_into(self, target: Bitmap) -> None:
+        """Convert the pixels into those of a bitmap of the same size."""
+        columns = {field.name: self._pixels[..., i] for i, field in enumerate(self._struct)}
+        wanted = obtainable(self._struct, target._struct, self._format)
+        for i, column in enumerate(convert_fields(self._struct, wanted, columns).values()):
+            target._pixels[..., i] = column
+
+    def resample(
+        self,
+        target: Any = None,
+        rfilter: ReconstructionFilter | None = None,
+        bc: tuple[FilterBoundaryCondition, FilterBoundaryCondition] = (Clamp, Clamp),
+        clamp: tuple[float, float] = EVERYTHING,
+        temp: Bitmap | None = None,
+        res: Any = None,
+    ) -> Any:
+        """The image in another resolution.
+
+        Args:
+            target: The width and height, or a bitmap of the same format and type, which then receives the result.
+            rfilter: From ``load_dict({'type': ...})``. Default: Lanczos with two lobes.
+            bc: What stands beyond the ends of rows, and of columns.
+            clamp: The range that the results are clipped to.
+            temp: Accepted for compatibility.
+            res: Another name of `target` for a width and height.
+
+        Returns:
+            The bitmap; None if it is given as `target`.
+
+        Raises:
+            SceneError: the numbers aren't floating point, or formats differ.
+        """
+        place = target if isinstance(target, Bitmap) else None
+        wanted = place.size() if place is not None else (target if target is not None else res)
+        if self._pixels.dtype.kind != "f":
+            raise SceneError(f"only floating point numbers are resampled, found {self._pixels.dtype}: convert first")
+        if place is not None and place._kind() != self._kind():
+            raise SceneError(f"can't resample {self._kind()} into {place._kind()}")
+        sizes = [int(count) for count in wanted]
+        pixels = self._pixels
+        for axis, count, beyond in zip((1, 0), sizes, bc, strict=True):
+            if pixels.shape[axis] != count:
+                radius, box = (2.0, False) if rfilter is None else (rfilter.radius(), rfilter.is_box_filter())
+                kernel = lanczos if rfilter is None else values_of(rfilter)
+                try:
+                    taps = taps_between(pixels.shape[axis], count, kernel, radius, box)
+                except ValueError as error:
+                    raise SceneError(f"resample: {error}") from None
+                moved = resampled(pixels.swapaxes(0, axis), taps, beyond.name.lower(), clamp)
+                pixels = moved.swapaxes(0, axis)
+        if place is not None:
+            place._pixels[:] = pixels
+            return None
+        result = Bitmap(self)
+        result._pixels = np.array(pixels, order="C")
+        return result
+
+    def split(self) -> list[tuple[str, Bitmap]]:
+        """The layers of a `MultiChannel` bitmap by name, sorted: channels share what stands before the last dot.
+
+        Those without a layer are ``<root>``. A layer of colours has their format. Others are not split.
+        """
+        if self._format is not PixelFormat.MultiChannel:
+            return [("<root>", self)]
+        result = []
+        for layer, (form, names) in layers_of(self._struct).items():
+            part = Bitmap(form, self.component_format(), (self.width(), self.height()), len(names), tuple(names))
+            part.set_srgb_gamma(self._srgb)
+            part.set_premultiplied_alpha(self._premultiplied)
+            wanted = Struct(part._struct)
+            for field in wanted:
+                field.name = names[field.name]
+            columns = {field.name: self._pixels[..., i] for i, field in enumerate(self._struct)}
+            for i, column in enumerate(convert_fields(self._struct, wanted, columns).values()):
+                part._pixels[..., i] = column
+            result.append((layer, part))
+        return result
+
+    # ---- files -------------------------------------------------------------------------
+
+    def write(
+        self,
+        path: str | os.PathLike[str] | IO[bytes] | None = None,
+        format: FileFormat = FileFormat.Auto,
+        quality: int = -1,
+        stream: IO[bytes] | None = None,
+    ) -> None:
+        """Write to a file or a binary stream; numbers aren't converted, so the format must hold their type.
+
+        exr and png also get the metadata, and in `generatedBy` the version of djpt.
+
+        Args:
+            path: Of the file, which appears whole or not at all; or a stream.
+            format: Default: that of the extension. Streams need one.
+            quality: png: compression, 1 to 9 (default 5); jpg: 0 to 100 (default); exr: above 0, the loss of the
+                compression DWAB.
+            stream: Another name of `path` for streams.
+
+        Raises:
+            FileError: the format can't hold the image, or the path can't be written.
+        """
+        place = path if stream is None else stream
+        names = tuple(field.name for field in self._struct)
+        metadata = {"generatedBy": f"djpt {__version__}", **self._metadata.numbers()}
+        image = Stored(self._pixels, names, metadata, self._srgb, self._premultiplied)
+        if isinstance(place, (str, os.PathLike)):
+            save_stored(Path(place), image, format.suffix, quality)
+        elif place is None:
+            raise SceneError("'write' needs a path or a stream")
+        elif format.suffix is None:
+            raise SceneError("a stream has no extension: give the 'format', such as Bitmap.FileFormat.PNG")
+        else:
+            stored_to_stream(place, image, format.suffix, quality)
+
+    def write_async(
+        self, path: str | os.PathLike[str], format: FileFormat = FileFormat.Auto, quality: int = -1
+    ) -> None:
+        """`write`: the file is complete on return, as no script can tell."""
+        self.write(path, format, quality)
+
+    @staticmethod
+    def detect_file_format(stream: IO[bytes]) -> FileFormat:
+        """The format of a binary stream by its content; `Unknown` if it has none. Moves nothing."""
+        return file_format(format_of(stream))
+
+    # ---- notebooks -----------------------------------------------------------------------
+
+    def _repr_png_(self) -> bytes | None:
+        """The image as notebooks show it; None for `MultiChannel`."""
+        if self._format is PixelFormat.MultiChannel:
+            return None
+        try:
+            shown = self.convert(PixelFormat.RGB, Type.UInt8, True)
+        except DjptError:  # a notebook then shows the text
+            return None
+        return Image(shown._pixels)._repr_png_()
+
+    def _repr_html_(self) -> str | None:
+        """`_repr_png_` as HTML."""
+        png = self._repr_png_()
+        return None if png is None else f'<img src="data:image/png;base64,{base64.b64encode(png).decode()}">'

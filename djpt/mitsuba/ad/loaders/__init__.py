@@ -1,0 +1,8 @@
+"""Mitsuba's place of what feeds an optimisation with some of its pixels at a time."""
+
+from __future__ import annotations
+
+from djpt.mitsuba.ad.loaders import ray_loader as ray_loader
+from djpt.mitsuba.ad.loaders.ray_loader import FlatSensor, RayDataLoader
+
+__all__ = ["FlatSensor", "RayDataLoader", "ray_loader"]

@@ -1,0 +1,355 @@
+"""Streams of bytes as Mitsuba has them: files, memory, and what only counts; with numbers and strings.
+
+They are Python's binary files, too: `djpt.Bitmap`, `Mesh.write_ply` and Python's own functions take them.
+"""
+
+from __future__ import annotations
+
+import enum
+import io
+import os
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+from djpt.core.files import as_path, errors_of_writing
+from djpt.description.plugin import Plugin
+from djpt.errors import FileError
+
+__all__ = ["DummyStream", "FileStream", "MemoryStream", "Stream"]
+
+
+class ByteOrder(enum.Enum):
+    """The order in which the bytes of a number follow each other."""
+
+    EBigEndian = 0
+    ELittleEndian = 1
+    ENetworkByteOrder = 0
+
+    @property
+    def text(self) -> str:
+        """The name in messages."""
+        return "big-endian" if self is ByteOrder.EBigEndian else "little-endian"
+
+
+def reading(code: str, kind: str) -> Callable[[Stream], Any]:
+    """The method that reads a number with the `code` of Python's `struct`."""
+
+    def read(self: Stream) -> Any:
+        size = struct.calcsize(code)
+        return struct.unpack(self._mark + code, self.read_exactly(size))[0]
+
+    read.__doc__ = f"Read {kind}; raises `FileError` at the end of the stream."
+    return read
+
+
+def writing(code: str, kind: str) -> Callable[[Stream, Any], None]:
+    """The method that writes a number with the `code` of Python's `struct`."""
+
+    def write(self: Stream, arg: Any) -> None:
+        try:
+            data = struct.pack(self._mark + code, arg)
+        except struct.error as error:
+            raise FileError(f"{self.title}: can't write {arg!r} as {kind}: {error}") from None
+        self.write(data)
+
+    write.__doc__ = f"Write {kind}."
+    return write
+
+
+class Stream(Plugin):
+    """A sequence of bytes with a position, on top of one of Python's binary files.
+
+    Numbers are little-endian, unless `set_byte_order` says otherwise. After `close` nothing can be read or written.
+
+    Raises:
+        FileError: from methods that read or write, if the stream can't, or ends.
+    """
+
+    EByteOrder = ByteOrder
+    EBigEndian, ELittleEndian = ByteOrder.EBigEndian, ByteOrder.ELittleEndian
+
+    def __init__(self, file: IO[bytes] | None = None) -> None:
+        super().__init__()
+        self._file = file
+        self._order = ByteOrder.ELittleEndian
+
+    @property
+    def title(self) -> str:
+        """The name in messages."""
+        return type(self).__name__
+
+    # ---- the whole stream ---------------------------------------------------------------------
+
+    @property
+    def file(self) -> IO[bytes]:
+        """Python's file; raises `FileError` after `close`."""
+        if self._file is None:
+            raise FileError(f"{self.title}: the stream is closed")
+        return self._file
+
+    def close(self) -> None:
+        """End the use of the stream; a second call does nothing."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._file is None
+
+    def flush(self) -> None:
+        """Write out what is held back."""
+        self.file.flush()
+
+    def can_read(self) -> bool:
+        """Whether bytes can be read."""
+        return self._file is not None and self._file.readable()
+
+    def can_write(self) -> bool:
+        """Whether bytes can be written."""
+        return self._file is not None and self._file.writable()
+
+    readable, writable = can_read, can_write
+
+    def seekable(self) -> bool:
+        """True: there is a position."""
+        return True
+
+    def size(self) -> int:
+        """The number of bytes."""
+        place = self.file.tell()
+        end = self.file.seek(0, os.SEEK_END)
+        self.file.seek(place)
+        return end
+
+    def tell(self) -> int:
+        """The position."""
+        return self.file.tell()
+
+    def seek(self, arg: int, whence: int = os.SEEK_SET, /) -> int:
+        """Move to a position, which may lie beyond the end; `whence` is that of Python's files."""
+        return self.file.seek(arg, whence)
+
+    def skip(self, arg: int, /) -> None:
+        """Move by a number of bytes."""
+        self.seek(arg, os.SEEK_CUR)
+
+    def truncate(self, arg: int, /) -> None:
+        """Cut the stream to a size, or fill it up with zeros; a position beyond the end moves there."""
+        self._require(self.can_write(), "written")
+        place = min(self.tell(), arg)
+        missing = arg - self.size()
+        if missing > 0:
+            self.seek(0, os.SEEK_END)
+            self.file.write(bytes(missing))
+        else:
+            self.file.truncate(arg)
+        self.seek(place)
+
+    # ---- bytes and text -------------------------------------------------------------------------
+
+    def read(self, arg: int = -1, /) -> bytes:
+        """Read a number of bytes, fewer at the end; all that are left if the number is negative."""
+        self._require(self.can_read(), "read")
+        return self.file.read(arg)
+
+    def read_exactly(self, count: int) -> bytes:
+        """Read a number of bytes; raises `FileError` if the stream ends before."""
+        data = self.read(count)
+        if len(data) != count:
+            raise FileError(f"{self.title}: {count} bytes were to be read, found {len(data)} before the end")
+        return data
+
+    def write(self, arg: bytes, /) -> int:
+        """Write bytes; returns their number."""
+        self._require(self.can_write(), "written")
+        return self.file.write(arg)
+
+    def _require(self, can: bool, what: str) -> None:
+        if not can:
+            raise FileError(f"{self.title}: the stream can't be {what}")
+
+    def readline(self) -> bytes:
+        """Read the bytes of a line, with its end."""
+        self._require(self.can_read(), "read")
+        return self.file.readline()
+
+    def read_line(self) -> str:
+        """Read a line of text, without its end."""
+        return self.readline().decode("latin-1").rstrip("\r\n")
+
+    def write_line(self, arg: str, /) -> None:
+        """Write a line of text."""
+        self.write(f"{arg}\n".encode())
+
+    def read_string(self) -> str:
+        """Read a string: its number of bytes (uint32), then the bytes."""
+        return self.read_exactly(self.read_uint32()).decode()
+
+    def write_string(self, arg: str, /) -> None:
+        """Write a string: see `read_string`."""
+        data = arg.encode()
+        self.write_uint32(len(data))
+        self.write(data)
+
+    # ---- numbers --------------------------------------------------------------------------------
+
+    @staticmethod
+    def host_byte_order() -> ByteOrder:
+        """The order of bytes in the memory of this machine."""
+        return ByteOrder.ELittleEndian if sys.byteorder == "little" else ByteOrder.EBigEndian
+
+    def byte_order(self) -> ByteOrder:
+        """The order of bytes in the stream."""
+        return self._order
+
+    def set_byte_order(self, arg: ByteOrder, /) -> None:
+        """Change the order of bytes for numbers to come."""
+        self._order = ByteOrder(arg)
+
+    @property
+    def _mark(self) -> str:
+        return "<" if self._order is ByteOrder.ELittleEndian else ">"
+
+    read_int8, write_int8 = reading("b", "an int8"), writing("b", "an int8")
+    read_uint8, write_uint8 = reading("B", "a uint8"), writing("B", "a uint8")
+    read_int16, write_int16 = reading("h", "an int16"), writing("h", "an int16")
+    read_uint16, write_uint16 = reading("H", "a uint16"), writing("H", "a uint16")
+    read_int32, write_int32 = reading("i", "an int32"), writing("i", "an int32")
+    read_uint32, write_uint32 = reading("I", "a uint32"), writing("I", "a uint32")
+    read_int64, write_int64 = reading("q", "an int64"), writing("q", "an int64")
+    read_uint64, write_uint64 = reading("Q", "a uint64"), writing("Q", "a uint64")
+    read_single, write_single = reading("f", "a float32"), writing("f", "a float32")
+    read_float, write_float = reading("f", "a float32"), writing("f", "a float32")
+    read_double, write_double = reading("d", "a float64"), writing("d", "a float64")
+    read_bool, write_bool = reading("?", "a bool"), writing("?", "a bool")
+
+    # ---- shown ------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        if self._file is None:
+            return f"{self.title}[\n  closed\n]"
+        entries = {
+            **self._details_first(),
+            "host_byte_order": self.host_byte_order().text,
+            "byte_order": self._order.text,
+            "can_read": int(self.can_read()),
+            "can_write": int(self.can_write()),
+            **self._details(),
+            "pos": self.tell(),
+            "size": self.size(),
+        }
+        return f"{self.title}[\n" + ",\n".join(f"  {name} = {value}" for name, value in entries.items()) + "\n]"
+
+    def _details_first(self) -> dict[str, Any]:
+        return {}
+
+    def _details(self) -> dict[str, Any]:
+        return {}
+
+
+class Mode(enum.Enum):
+    """How a file is opened."""
+
+    ERead = 0
+    EReadWrite = 1
+    ETruncReadWrite = 2
+
+
+MODES = {Mode.ERead: "rb", Mode.EReadWrite: "r+b", Mode.ETruncReadWrite: "w+b"}
+
+
+class FileStream(Stream):
+    """A file on the disk.
+
+    Args:
+        p: the path.
+        mode: `ERead` (default), `EReadWrite` (of a file that exists), or `ETruncReadWrite` (of a new, empty file).
+
+    Raises:
+        FileError: the file can't be opened; and later on, it can't be written, as on a full disk.
+    """
+
+    EMode = Mode
+    ERead, EReadWrite, ETruncReadWrite = Mode.ERead, Mode.EReadWrite, Mode.ETruncReadWrite
+
+    def __init__(self, p: str | os.PathLike[str], mode: Mode = Mode.ERead) -> None:
+        self._path = str(as_path(p))
+        try:
+            file = open(self._path, MODES[Mode(mode)])  # noqa: SIM115 - the stream closes it
+        except OSError as error:
+            raise FileError(f"{self._path}: can't be opened: {error.strerror}") from error
+        super().__init__(file)
+
+    def path(self) -> str:
+        """The path."""
+        return self._path
+
+    def write(self, arg: bytes, /) -> int:
+        with errors_of_writing(Path(self._path)):
+            return super().write(arg)
+
+    def truncate(self, arg: int, /) -> None:
+        with errors_of_writing(Path(self._path)):
+            super().truncate(arg)
+
+    def seek(self, arg: int, whence: int = os.SEEK_SET, /) -> int:
+        if self.can_write():
+            self.flush()  # seeking would write what is held back
+        return super().seek(arg, whence)
+
+    def flush(self) -> None:
+        with errors_of_writing(Path(self._path)):
+            super().flush()
+
+    def close(self) -> None:
+        with errors_of_writing(Path(self._path)):
+            super().close()
+
+    def _details_first(self) -> dict[str, Any]:
+        return {"path": f'"{self._path}"'}
+
+
+class MemoryStream(Stream):
+    """Bytes in memory, empty at first; `capacity` is the number of bytes that are expected."""
+
+    def __init__(self, capacity: int = 512) -> None:
+        super().__init__(io.BytesIO())
+        self._capacity = capacity
+
+    def capacity(self) -> int:
+        """The number of bytes that there is room for; it grows with the stream."""
+        return max(self._capacity, self.size())
+
+    def owns_buffer(self) -> bool:
+        """True: the memory belongs to the stream."""
+        return True
+
+    def raw_buffer(self) -> bytes:
+        """All bytes."""
+        place = self.tell()
+        self.seek(0)
+        data = self.read()
+        self.seek(place)
+        return data
+
+    def _details(self) -> dict[str, Any]:
+        return {"owns_buffer": 1, "capacity": self.capacity()}
+
+
+class Counter(io.BytesIO):
+    """A file that can't be read."""
+
+    def readable(self) -> bool:
+        return False
+
+
+class DummyStream(Stream):
+    """A stream that can be written and tells its size, but not be read."""
+
+    def __init__(self) -> None:
+        super().__init__(Counter())

@@ -1,7 +1,0 @@
-"""Parameters of scenes from pictures: `optimize`, a thin layer over `drjit.opt`, and how sure its results are."""
-
-from djpt.optimization.confidence import Confidence, confidence
-from djpt.optimization.gauss_newton import GaussNewton
-from djpt.optimization.loop import Optimization, Progressed, optimize
-
-__all__ = ["Confidence", "GaussNewton", "Optimization", "Progressed", "confidence", "optimize"]

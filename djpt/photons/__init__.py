@@ -1,9 +1,0 @@
-"""Photons: what light paths leave on surfaces, kept for camera paths that come by."""
-
-from __future__ import annotations
-
-from djpt.photons.coverage import inverse_coverage
-from djpt.photons.map import PhotonMap
-from djpt.photons.photon import Photon, PhotonStore
-
-__all__ = ["Photon", "PhotonMap", "PhotonStore", "inverse_coverage"]

@@ -1,0 +1,225 @@
+"""Path replay through media whose extinction is tracked: a third walk finds what more matter would scatter.
+
+The second walk of `djpt.rendering.gradients.replay` differentiates what a path has met. That isn't all where the
+extinction has
+derivatives: more matter scatters more light, also where there is none, and no path has a vertex there. So the second
+walk takes one point of its whole way at which light might be scattered, in proportion to what would come from there to
+the camera by what the walk knows (`djpt.media.differentials`). The third walk, a detour, begins at this point: with
+its radiance S the derivative of the sample is S weight d(sigma_t).
+
+M. Nimier-David, T. Mueller, A. Keller and W. Jakob, "Unbiased Inverse Volume Rendering with Differential Trackers",
+SIGGRAPH 2022.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import Ray3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.dispatch.ensemble import Detached
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.integrators.volpath import VolumetricPathState
+from djpt.jit.kernels import wide
+from djpt.jit.types import Bool, Color3f, Float, UInt32
+from djpt.rendering.gradients.leaves import Numbering
+from djpt.rendering.gradients.modes import Mode
+from djpt.rendering.gradients.zero_weights import begun, blank
+from djpt.rendering.schedules.job import Job
+from djpt.rendering.schedules.lanes import Lanes
+from djpt.rendering.schedules.unmasked_loop import run_free
+from djpt.samplers.base import SampleStream
+from djpt.scene.scene import Scene
+
+__all__ = [
+    "Detour",
+    "attached_extinction",
+    "detour_past",
+    "needed",
+    "no_detour",
+    "observed",
+    "run",
+    "scattered",
+    "turned_off",
+]
+
+FIRST, AGAIN, ASIDE = 0, 1, 2
+"""The walks of a sample."""
+
+TAKEN = 0.1
+"""The share of samples that make a detour, which takes longer than a walk from the camera: it begins in the medium."""
+
+
+def needed(scene: Scene, numbering: Numbering) -> bool:
+    """Whether the extinction of a tracked medium of the scene has derivatives."""
+    wanted = scene.media.of_extinction()
+    return any(id(owner) in wanted for leaf in numbering.leaves for owner in leaf.owners)
+
+
+def attached_extinction(scene: Scene) -> bool:
+    """Whether the extinction of a tracked medium has derivatives as the scene reads its values."""
+    wanted = scene.media.of_extinction()
+    leaves = (leaf for ensemble in scene.media.ensembles for leaf in ensemble.leaves())
+    return any(scene.lookup.attaches(leaf) and any(id(o) in wanted for o in leaf.owners) for leaf in leaves)
+
+
+@dataclass
+class Detour:
+    """The beginning of a third walk: loop state."""
+
+    ray: Ray3f
+    """The ray that comes to the point, from which it begins."""
+    path: Any
+    """The state of the path on that ray."""
+    shade: Color3f
+    """What comes from the point to the camera, over its largest component; the albedo is included."""
+    total: Float
+    """The sum of the largest components for all points that might have been taken."""
+
+
+def no_detour(ray: Ray3f, path: VolumetricPathState) -> Detour:
+    """The detour of a path that has met no medium yet."""
+    return Detour(Ray3f(ray), replace(path), Color3f(0), Float(0))
+
+
+def detour_past(
+    scene: Scene, known: Detour, path: VolumetricPathState, ray: Ray3f, flown: Float, length: Float, active: Bool
+) -> Detour:
+    """The detour of a path after a segment: from there, or the one that is `known`."""
+    point, weight = scene.media.scattering_point(ray, flown, length, scene.lookup, active)
+    # A factor that is set aside, see `djpt.rendering.gradients.zero_weights`, belongs to what comes to the camera, too.
+    assert path.aside is not None
+    weight = dr.select(active, path.throughput * path.aside * weight, 0)
+    mass = dr.max(weight)
+    total = known.total + mass
+    takes = (mass > 0) & (point.choice * total < mass)
+    onward = ray.replaced(o=ray(point.t))
+    return Detour(
+        ray=dr.select(takes, onward, known.ray),
+        path=dr.select(takes, path, known.path),
+        shade=dr.select(takes, weight * dr.rcp(mass), known.shade),
+        total=total,
+    )
+
+
+def observed(path: PathState) -> VolumetricPathState:
+    """The state of a path that begins, and of which detours need to know how far it gets."""
+    assert isinstance(path, VolumetricPathState)
+    return replace(path, scatters=Bool(False), flown=Float(0))
+
+
+def turned_off(detour: Detour) -> VolumetricPathState:
+    """The state of a path that begins with a detour."""
+    return replace(detour.path, throughput=Color3f(1), aside=Color3f(1), scatters=Bool(True))
+
+
+@dataclass
+class Lane:
+    """Loop state."""
+
+    ray: Ray3f
+    sampler: SampleStream
+    path: Any
+    radiance: Color3f
+    """First and third walk: radiance so far. Second walk: radiance still to come."""
+    behind: Color3f | None
+    """See `djpt.rendering.gradients.zero_weights`."""
+    walk: UInt32
+    """`FIRST`, `AGAIN` or `ASIDE`."""
+    detour: Detour
+    k: UInt32
+    slot: UInt32
+    delta: Color3f
+    """Reverse mode: derivative of the loss with respect to the sample. Forward mode: derivative of the sample."""
+    sums: list[Float]
+
+    @property
+    def again(self) -> Bool:
+        """True on the second walk."""
+        return self.walk == AGAIN
+
+
+def run(
+    job: Job, values: Detached, numbering: Numbering, lanes: Lanes, slots: UInt32, slot_stride: UInt32, mode: Mode
+) -> tuple[list[Float], UInt32]:
+    """Walk all samples three times; return the sums, and a number to evaluate if there are none."""
+    integrator, scene, count = job.integrator, job.scene, dr.width(lanes.pixel)
+    assert isinstance(integrator, PathIntegrator)
+    x, y = job.coordinates(lanes.pixel)
+    _, attached = mode.view(scene, values, numbering)
+
+    def begin(k: UInt32) -> tuple[Any, Ray3f, VolumetricPathState]:
+        sampler, ray, _ = job.begin(lanes.pixel, k, x, y)
+        return sampler, ray, observed(begun(integrator.begin(scene, sampler), attached))
+
+    sampler, ray, path = begin(lanes.first)
+    start = Lane(
+        ray=wide(ray, count),
+        sampler=sampler,
+        path=wide(path, count),
+        radiance=dr.zeros(Color3f, count),
+        behind=blank(attached, count),
+        walk=dr.full(UInt32, FIRST, count),
+        detour=wide(no_detour(ray, path), count),
+        k=wide(lanes.first, count),
+        slot=wide(slots, count),
+        delta=wide(mode.delta_of(slots, Bool(True)), count),
+        sums=mode.start(),
+    )
+
+    def body(lane: Lane) -> Lane:
+        leaves, view = mode.view(scene, values, numbering)
+        si = integrator.trace(scene, lane.path, lane.ray)
+        si.scene = view
+        with dr.resume_grad():
+            v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
+            arrived = integrator.arriving(view, lane.sampler, v)
+        assert isinstance(v.state, VolumetricPathState)
+        assert v.state.flown is not None
+        ended, runs = ~v.active, lane.k < lanes.end
+        second, aside = runs & lane.again, runs & (lane.walk == ASIDE)
+        radiance, behind, outgoing = mode.outgoing(lane, v, arrived)
+        with dr.resume_grad():
+            there = scattered(view, lane.detour, radiance * (1 / TAKEN), aside & ended)
+            outgoing = dr.select(second, outgoing, 0) + dr.select(aside & ended, there, 0)
+            lane.delta, lane.sums = mode.differentiate(lane, leaves, outgoing, second | (aside & ended))
+
+        length = dr.select(si.is_valid(), si.t, lane.ray.maxt)
+        detour = detour_past(scene, lane.detour, lane.path, lane.ray, v.state.flown, length, second)
+        turns = second & ended & (detour.total > 0) & (lane.sampler.next_1d() < TAKEN)
+        finished = ended & ((second & ~turns) | aside)
+        k = dr.select(finished, lane.k + lanes.stride, lane.k)
+        next_slot = dr.select(finished, lane.slot + slot_stride, lane.slot)
+        delta, sums = mode.hand_over(job, lane, finished, next_slot, finished & (k < lanes.end))
+        fresh, camera_ray, restart = begin(k)
+        after = dr.select(turns, detour.ray, dr.select(ended, camera_ray, dr.detach(v.ray)))
+        walk = dr.select(finished, UInt32(FIRST), dr.select(ended, lane.walk + 1, lane.walk))
+        detour.total = dr.select(ended & ~turns, 0, detour.total)
+        return Lane(
+            ray=after,
+            sampler=dr.select(ended & ~turns, fresh, lane.sampler),
+            path=dr.select(turns, turned_off(detour), dr.select(ended, restart, dr.detach(v.state))),
+            radiance=dr.select(finished | turns, 0, radiance),
+            behind=None if behind is None else dr.select(finished | turns, 0, behind),
+            walk=walk,
+            detour=detour,
+            k=k,
+            slot=next_slot,
+            delta=delta,
+            sums=sums,
+        )
+
+    end = run_free(start, lambda lane: lane.k < lanes.end, body, count, mode.label)
+    return end.sums, end.k
+
+
+def scattered(scene: Scene, detour: Detour, radiance: Color3f, active: Bool) -> Color3f:
+    """What the matter at a detour's beginning scatters to the camera, given the radiance that the detour found."""
+    ray = detour.ray
+    assert ray.medium is not None
+    mei = MediumInteraction3f.on(ray, Float(0))
+    sigma_t = scene.media.extinction(ray.medium, mei, scene.lookup, active)
+    return sigma_t * (detour.shade * (detour.total * radiance))

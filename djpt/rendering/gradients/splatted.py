@@ -1,0 +1,190 @@
+"""Derivatives of images that light paths add to: by replay, pass by pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.errors import RenderError
+from djpt.films.footprint import SpreadReader, in_window
+from djpt.films.splats import ChangeSplats
+from djpt.integrators.bdpt import BidirectionalPath
+from djpt.integrators.ptracer import ParticleTracer
+from djpt.jit.kernels import opaque
+from djpt.jit.types import Color3f, Float, TensorXf, UInt32
+from djpt.rendering.gradients.bidirectional import BothEnds
+from djpt.rendering.gradients.derivatives import Derivative, add, derivative_of, on_grid, over_weights
+from djpt.rendering.gradients.gradient_sums import Forward, Measure, Reverse
+from djpt.rendering.gradients.leaves import Parameter
+from djpt.rendering.gradients.light_replay import nothing, walk_light_paths
+from djpt.rendering.gradients.own_rendering import attached_view
+from djpt.rendering.gradients.traced_light import TracedLight
+from djpt.rendering.schedules.canvas import image_of_rows, picture
+from djpt.rendering.schedules.job import Band, Job
+from djpt.rendering.schedules.lanes import grouped
+from djpt.rendering.schedules.passes import ranges, stored_passes, stored_rows
+from djpt.rendering.schedules.reconstruction import sample_adjoints
+from djpt.rendering.schedules.wave import Wave
+from djpt.scene.scene import Scene
+
+__all__ = ["BothEndsDerivative", "TracedLightDerivative", "light_derivative"]
+
+PASS_PATHS = 2**20
+"""Light paths of a pass. Each pass has sums of its own, so that they don't outgrow what they are increased by."""
+
+
+def light_derivative(job: Job, parameters: list[Parameter]) -> Derivative:
+    """The estimator of the derivative of an image by an integrator that starts at lights.
+
+    Raises:
+        RenderError: It follows media that scatter light.
+    """
+    if job.scene.media.scatter:
+        raise RenderError(
+            f"'{type(job.integrator).__name__}' has no derivatives in media that scatter light; 'prbvolpath' has"
+        )
+    by = TracedLightDerivative if isinstance(job.integrator, ParticleTracer) else BothEndsDerivative
+    return by(job, parameters)
+
+
+class LeafViews:
+    """Views of a scene in which fresh leaves stand in for its parameters."""
+
+    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
+        self._scene = job.scene
+        self._places = [(id(p.owner), p.attribute) for p in parameters]
+        # Later edits of the scene must not change what is differentiated.
+        self._values = [opaque(p.value) for p in parameters]
+
+    def attached(self, tangents: list[Any] | None = None) -> tuple[list[Any], Scene]:
+        """Fresh leaves and the scene that reads them; in forward mode it reads their tangents along."""
+        with dr.resume_grad():
+            fresh = [type(value)(value) for value in self._values]
+            dr.enable_grad(fresh)
+            scene = attached_view(self._scene, dict(zip(self._places, fresh, strict=True)))
+            if tangents is not None:
+                for leaf, tangent in zip(fresh, tangents, strict=True):
+                    dr.set_grad(leaf, tangent)
+                # To the tables that kernels read: loops can't propagate from outside.
+                dr.enqueue(dr.ADMode.Forward, fresh)
+                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+            return fresh, scene
+
+
+def gradients(fresh: list[Any]) -> list[Any]:
+    """The gradients of leaves after a replay."""
+    dr.eval()  # what the replay writes to
+    with dr.resume_grad():
+        return [dr.grad(leaf) for leaf in fresh]
+
+
+def adjoints_of_light(job: Job, image: TensorXf, continued: bool) -> SpreadReader:
+    """Derivatives of a loss by light that is added to the film, from those with respect to the pixels.
+
+    `continued` is as for `Splats.sums`.
+    """
+    height, width, channels = image.shape
+    entry = dr.arange(UInt32, width * height) * channels
+    of_pixel = job.color_adjoint([dr.gather(Float, image.array, entry + c) for c in range(channels)])
+    reader = SpreadReader(job.film)
+    scale = dr.rcp(dr.opaque(Float, job.spp))
+    if job.film.filters and not continued:
+        scale = scale * dr.rcp(reader.shares_inside())
+    reader.hold(of_pixel * scale)
+    return reader
+
+
+def light_image(job: Job, changes: ChangeSplats, continued: bool) -> TensorXf:
+    """The derivative of the image of the light that is added to the film."""
+    channels = job.tangent_channels(Color3f(*changes.sums(0, continued)) * dr.rcp(dr.opaque(Float, job.spp)))
+    dr.eval(channels)
+    return picture(channels, *job.film.crop_size())
+
+
+class BothEndsDerivative:
+    """The derivative of an image by `bdpt`."""
+
+    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
+        self._job, self._views = job, LeafViews(job, parameters)
+        self._continued = job.film.border > 0
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        job = self._job
+        with dr.suspend_grad():
+            adjoints = over_weights(job, on_grid(job, image))
+            pixels = adjoints_of_light(job, image, self._continued)
+
+            def of_pass(band: Band, begin: int, end: int) -> list[Any]:
+                delta = job.color_adjoint(sample_adjoints(job, band, adjoints, begin, end))
+                dr.eval(delta)
+                fresh, scene = self._views.attached()
+                paths, sampler = self._paths(scene, band, begin, end)
+                paths.reverse(Measure(pixels), Reverse(pixels), sampler, delta)
+                return gradients(fresh)
+
+            return add(of_pass(*part) for part in stored_passes(job))
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        changes = ChangeSplats(self._job.film)
+
+        def samples(job: Job, band: Band, begin: int, end: int) -> list[Float]:
+            _, scene = self._views.attached(tangents)
+            paths, sampler = self._paths(scene, band, begin, end)
+            return job.tangent_channels(paths.forward(Forward(changes), sampler))
+
+        with dr.suspend_grad():
+            image = image_of_rows(self._job, stored_rows(self._job, samples))
+            return image + light_image(self._job, changes, self._continued)
+
+    def _paths(self, scene: Scene, band: Band, begin: int, end: int) -> tuple[BothEnds, Any]:
+        """The samples begin <= k < end of a band, and their random numbers."""
+        job = self._job
+        assert isinstance(job.integrator, BidirectionalPath)
+        layer, pixel = grouped(job, band, end - begin)
+        x, y = job.coordinates(pixel)
+        sampler, ray, offset = job.begin(pixel, layer + dr.opaque(UInt32, begin), x, y)
+        inside = in_window(job.in_crop(x, y, offset))
+        return BothEnds(job.integrator, scene, job.camera, ray, inside, dr.width(pixel)), sampler
+
+
+class TracedLightDerivative:
+    """The derivative of an image by `ptracer`: of what light paths show, and of what the camera sees of lights."""
+
+    def __init__(self, job: Job, parameters: list[Parameter]) -> None:
+        self._job, self._views = job, LeafViews(job, parameters)
+        assert isinstance(job.integrator, ParticleTracer)
+        straight = job.integrator.from_camera
+        spp = job.sampler.round_count(job.spp)
+        self._straight: Derivative = derivative_of(replace(job, integrator=straight, spp=spp), Wave(), parameters)
+
+    def backward(self, image: TensorXf) -> list[Any]:
+        with dr.suspend_grad():
+            pixels = adjoints_of_light(self._job, image, False)
+
+            def of_pass(begin: int, end: int) -> list[Any]:
+                fresh, scene = self._views.attached()
+                paths, lanes = TracedLight(self._job, scene, begin, end), end - begin
+                empty = nothing(scene, lanes)
+                total = walk_light_paths(paths, Measure(pixels), paths.sampler(), lanes, empty).carried
+                walk_light_paths(paths, Reverse(pixels), paths.sampler(), lanes, total)
+                return gradients(fresh)
+
+            by_light = add(of_pass(*part) for part in self._passes())
+        return [a + b for a, b in zip(by_light, self._straight.backward(image), strict=True)]
+
+    def forward(self, tangents: list[Any]) -> TensorXf:
+        job, changes = self._job, ChangeSplats(self._job.film)
+        with dr.suspend_grad():
+            for begin, end in self._passes():
+                _, scene = self._views.attached(tangents)
+                paths, lanes = TracedLight(job, scene, begin, end), end - begin
+                walk = walk_light_paths(paths, Forward(changes), paths.sampler(), lanes, nothing(scene, lanes))
+                dr.eval(walk.count, changes.memory)
+            return light_image(job, changes, False) + self._straight.forward(tangents)
+
+    def _passes(self) -> Iterator[tuple[int, int]]:
+        width, height = self._job.film.crop_size()
+        return ranges(width * height * self._job.spp, PASS_PATHS)

@@ -1,0 +1,56 @@
+"""The light paths of `ptracer`, as replay follows them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.integrators.ptracer import ParticleTracer
+from djpt.jit.types import Bool, Color3f, UInt32
+from djpt.rendering.gradients.light_replay import Step, begun
+from djpt.rendering.schedules.job import Job
+from djpt.samplers.base import SampleStream
+from djpt.scene.scene import Scene
+
+__all__ = ["TracedLight"]
+
+
+class TracedLight:
+    """The light paths number `begin` <= n < `end` of an image, one per lane, as `light_replay` follows them."""
+
+    def __init__(self, job: Job, scene: Scene, begin: int, end: int) -> None:
+        """`scene` is a view whose lookups are attached."""
+        assert isinstance(job.integrator, ParticleTracer)
+        self._job, self._scene, self._integrator = job, scene, job.integrator
+        self._number = dr.arange(UInt32, end - begin) + dr.opaque(UInt32, begin)
+
+    def sampler(self) -> SampleStream:
+        """The random numbers of the paths, from the first one on."""
+        return self._job.stream(self._number // self._job.spp_value, self._number % self._job.spp_value)
+
+    def begin(self, sampler: SampleStream) -> tuple[Any, Color3f, Color3f | None]:
+        """See `LightPaths`."""
+        path = self._integrator.start(self._scene, sampler)
+        flux, aside = begun(self._scene, path.flux, path.flux * path.unit)
+        return replace(path, flux=flux, aside=aside), flux, aside
+
+    def step(self, state: Any, sampler: SampleStream, active: Bool) -> Step:
+        """See `LightPaths`."""
+        scene = self._scene
+        si = scene.surface_interaction(state.ray, scene.closest_hit(state.ray), full=scene.needs_uv)
+        arriving = replace(state, flux=state.flux * scene.transmittance(state.ray, si.t))
+        v = self._integrator.vertex(scene, self._job.camera, sampler, arriving, si)
+        light = self._integrator.seen(scene, v)
+        return Step(
+            arrived=arriving.flux,
+            position=v.position,
+            light=light,
+            shows=si.is_valid(),
+            onward=v.path.flux,
+            state=v.path,
+            active=v.active,
+            aside=v.path.aside,
+            joins=Bool(False),
+        )

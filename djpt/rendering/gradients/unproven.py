@@ -1,0 +1,279 @@
+"""The cases in which derivatives are known to be wrong, and their refusal.
+
+Estimators of derivatives by the place of shapes leave out some of what changes in an image as a shape moves. Each case
+here has been compared with closed forms or finite differences and was off, without a sign. `require_proven` refuses
+them; integrators whose `unproven_gradients` is true go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.core.records import BSDFFlags, EmitterFlags, has_flag
+from djpt.description.plugin import Plugin
+from djpt.description.registry import name_of
+from djpt.errors import RenderError
+from djpt.jit.frozen import recording
+from djpt.scene.intersecting_shapes import between, box_of, is_convex, may_intersect
+
+if TYPE_CHECKING:
+    from djpt.integrators.base import Integrator
+    from djpt.scene.scene import Scene
+
+__all__ = ["CASES", "Case", "Rendering", "require_proven"]
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What is to be differentiated: a scene, and how it is rendered."""
+
+    scene: Scene
+    integrator: Integrator
+    moving: tuple[Any, ...]
+    """The shapes whose place has gradients; not clouds of ellipsoids, which have no silhouettes by definition."""
+    seen: tuple[Any, ...]
+    """All shapes that rays can hit; an instance stands for its group."""
+
+    @staticmethod
+    def of(scene: Scene, integrator: Integrator) -> Rendering:
+        """The rendering of a scene by an integrator."""
+        shapes = scene.shapes()
+        moving = tuple(s for s in shapes if s.parameters_grad_enabled() and not s.is_ellipsoids())
+        return Rendering(scene, integrator, moving, tuple(s for s in shapes if s.class_name() != "ShapeGroup"))
+
+    def bsdfs(self, *, of_moving: bool = False) -> Iterator[tuple[Any, Any]]:
+        """Each shape, of those that move or of all, with its BSDF."""
+        for shape in self.moving if of_moving else self.scene.geometry.contents.shapes:
+            if shape.bsdf() is not None:
+                yield shape, shape.bsdf()
+
+    def emitters(self, kind: int) -> Iterator[Any]:
+        """The emitters that have any of some `EmitterFlags`."""
+        return (emitter for emitter in self.scene.emitters() if has_flag(emitter.flags(), kind))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case in which derivatives are wrong."""
+
+    name: str
+    """What the scene has, for the table in the guide."""
+    reason: str
+    """What is wrong."""
+    way_out: str
+    """What can be done instead."""
+    found: Callable[[Rendering], Iterator[str]]
+    """Yields a phrase about each node that makes it the case."""
+    needs_numbers: bool = False
+    """Whether the places of shapes are read, which can't be done while `dr.freeze` records."""
+
+
+def named(plugin: Any) -> str:
+    """A plugin in a message: its name, and what it is."""
+    return f"'{plugin.id()}' ({name_of(type(plugin)) or type(plugin).__name__})"
+
+
+def of_lobes(*lobes: int) -> Callable[[Rendering], Iterator[str]]:
+    """Finds shapes whose BSDF has any of the lobes of each number."""
+
+    def found(rendering: Rendering) -> Iterator[str]:
+        for shape, bsdf in rendering.bsdfs():
+            if all(has_flag(bsdf.flags(), kind) for kind in lobes):
+                yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+
+    return found
+
+
+def bent_normals(rendering: Rendering) -> Iterator[str]:
+    """Moving shapes with a normal map or a bump map."""
+    for shape, bsdf in rendering.bsdfs(of_moving=True):
+        if bends_normals(bsdf):
+            yield f"'{shape.id()}' has the BSDF {named(bsdf)}"
+
+
+def bends_normals(bsdf: Any) -> bool:
+    """Whether a BSDF, or one that is nested in it, works about another normal than the surface's."""
+    from djpt.materials.perturbed import PerturbedBSDF
+
+    nested = (getattr(bsdf, name, None) for name in bsdf.children)
+    return isinstance(bsdf, PerturbedBSDF) or any(
+        bends_normals(child) for child in nested if isinstance(child, Plugin) and child.kind == "bsdf"
+    )
+
+
+def textured_lamps(rendering: Rendering) -> Iterator[str]:
+    """Moving shapes with an area light whose radiance varies."""
+    for shape in rendering.moving:
+        radiance = getattr(shape.emitter(), "radiance", None)
+        if isinstance(radiance, Plugin) and not radiance.is_constant:  # type: ignore[attr-defined]
+            yield f"'{shape.id()}' has the area light {named(shape.emitter())} with the texture {named(radiance)}"
+
+
+def sharp_shadows(rendering: Rendering) -> Iterator[str]:
+    """Lights without extent, unless nothing can be shadowed: a single convex shape shadows nothing."""
+    alone = len(rendering.seen) == 1
+    if alone and not recording() and is_convex(rendering.seen[0]):
+        return
+    for emitter in rendering.emitters(EmitterFlags.Delta):
+        yield f"{named(emitter)} shines"
+
+
+def intersections(rendering: Rendering) -> Iterator[str]:
+    """Shapes that a moving one cuts or touches."""
+    moving = {id(shape) for shape in rendering.moving}
+    for i, shape in enumerate(rendering.seen):
+        for other in rendering.seen[:i]:
+            if (id(shape) in moving or id(other) in moving) and may_intersect(shape, other):
+                yield f"'{shape.id()}' and '{other.id()}' intersect or touch"
+
+
+def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
+    """Shapes that stay between one that moves and a lamp with an extent."""
+    moving = {id(shape) for shape in rendering.moving}
+    lamps = [e.get_shape() for e in rendering.emitters(EmitterFlags.Surface) if e.get_shape() is not None]
+    for shape in rendering.moving:
+        for lamp in lamps:
+            for other in rendering.seen:
+                if lamp is shape or other is lamp or id(other) in moving:
+                    continue
+                if between(other, box_of(shape), box_of(lamp)):
+                    yield f"'{other.id()}' may throw a shadow of the lamp '{lamp.id()}' on '{shape.id()}'"
+
+
+def hidden_lamps(rendering: Rendering) -> Iterator[str]:
+    """An integrator that hides emitters of the scene."""
+    if rendering.integrator.hide_emitters:
+        for emitter in rendering.emitters(EmitterFlags.Surface | EmitterFlags.Infinite):
+            yield f"'hide_emitters' hides {named(emitter)}"
+
+
+def without_silhouettes(rendering: Rendering) -> Iterator[str]:
+    """An integrator that follows no silhouettes."""
+    if not rendering.integrator.follows_silhouettes:
+        yield f"the integrator '{type(rendering.integrator).__name__}' follows no silhouettes"
+
+
+CASES: tuple[Case, ...] = (
+    Case(
+        "an integrator without silhouettes",
+        "what appears and disappears at the outlines of the shape is left out",
+        "render with 'direct_projective' or 'prb_projective'",
+        without_silhouettes,
+    ),
+    Case(
+        "`hide_emitters`",
+        "the outlines of lamps count although they can't be seen",
+        "show the emitters, or move lamps out of the picture",
+        hidden_lamps,
+    ),
+    Case(
+        "smooth plastic",
+        "the reflection in its coat doesn't move",
+        "use a 'roughplastic'",
+        of_lobes(BSDFFlags.DeltaReflection, BSDFFlags.DiffuseReflection),
+    ),
+    Case(
+        "smooth mirrors and smooth glass",
+        "what is seen in them or through them doesn't move",
+        "use a 'roughconductor'",
+        of_lobes(BSDFFlags.DeltaReflection | BSDFFlags.DeltaTransmission),
+    ),
+    Case(
+        "rough glass",
+        "the direction in which light meets it is taken for fixed",
+        "use an opaque material",
+        of_lobes(BSDFFlags.GlossyTransmission),
+    ),
+    Case(
+        "`mask`, `null` and other surfaces that light passes straight through",
+        "of the layers behind each other only one has an outline",
+        "use an opaque material",
+        of_lobes(BSDFFlags.Null),
+    ),
+    Case(
+        "a normal map or a bump map on a shape that moves",
+        "where normals are bent past the viewer light jumps, and that isn't followed",
+        "use a mesh with the detail in its vertices",
+        bent_normals,
+    ),
+    Case(
+        "a textured area light that moves",
+        "the texture stays behind where light is sampled",
+        "give the light a radiance that doesn't vary",
+        textured_lamps,
+    ),
+    Case(
+        "a `point`, `spot`, `directional`, `projector` or `directionalarea` light, unless one convex shape is all",
+        "the edges of its shadows aren't followed",
+        "use a small area light",
+        sharp_shadows,
+    ),
+    Case(
+        "a shape that a moving one cuts or touches",
+        "the curve in which they meet isn't followed",
+        "leave a gap between them",
+        intersections,
+        needs_numbers=True,
+    ),
+    Case(
+        "a shape that stays between a moving one and an area light",
+        "the shadow that it throws on the moving shape isn't followed",
+        "move the other shape out of the way",
+        shadows_on_moving,
+        needs_numbers=True,
+    ),
+)
+"""The cases of moving shapes, those that are found fastest first."""
+
+
+def require_proven(scene: Scene, integrator: Integrator) -> None:
+    """Refuse derivatives that are known to be wrong, unless `integrator.unproven_gradients` is true.
+
+    Called where derivatives of an image are asked for, with the scene whose parameters have gradients.
+
+    Raises:
+        RenderError: It names the nodes, what is wrong, and what can be done.
+    """
+    if integrator.unproven_gradients:
+        return
+    for emitter in scene.emitters():
+        direction = getattr(emitter, "sun_direction", None)
+        if direction is not None and grad_enabled(direction) and shines(emitter):
+            raise refusal(
+                f"'{emitter.id()}.sun_direction' has gradients",
+                f"'{emitter.id()}' has a sun, and the change of its light with the angle to surfaces is left out",
+                "set 'sun_scale' to 0, for the sky alone",
+            )
+    rendering = Rendering.of(scene, integrator)
+    if not rendering.moving:
+        return
+    what = f"'{rendering.moving[0].id()}' moves with parameters that have gradients"
+    for case in CASES:
+        if case.needs_numbers and recording():
+            continue
+        node = next(case.found(rendering), None)
+        if node is not None:
+            raise refusal(what, f"{node}, and {case.reason}", case.way_out)
+
+
+def grad_enabled(value: Any) -> bool:
+    """Whether a value has gradients, also where these are suspended."""
+    with dr.resume_grad():
+        return bool(dr.grad_enabled(value))
+
+
+def shines(sky: Any) -> bool:
+    """Whether the light of a sky has a sun; True while it can't be known."""
+    return recording() or bool(dr.detach(sky.sun_scale).numpy().any())
+
+
+def refusal(what: str, why: str, way_out: str) -> RenderError:
+    """The error for a case."""
+    return RenderError(
+        f"{what}, but the derivatives would be wrong: {why}. Possible: {way_out}; or, to get them all the same, set "
+        "'unproven_gradients' of the integrator to true"
+    )

@@ -1,0 +1,163 @@
+"""Files of accumulations.
+
+    djpt accumulation 2         the kind and the version of the format
+    1f0c2a9b                    the CRC-32 of all that follows, in hexadecimal digits
+    {"software": .., ..}        a line of JSON: everything but the arrays
+    ...                         the arrays one after the other, little-endian
+
+If a last round is smaller, the arrays of all rounds are followed by those without it, from which a render goes on.
+Nothing in it is code, and all sizes follow from the line of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from djpt.core.files import as_path, read_bytes, shortened, writing
+from djpt.errors import FileError
+
+if TYPE_CHECKING:
+    from djpt.rendering.progressive.accumulation import Accumulation
+
+__all__ = ["load", "save"]
+
+KIND, VERSION = b"djpt accumulation ", 2
+
+
+def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
+    """Write an accumulation: see `Accumulation.save`."""
+    header = {
+        "software": accumulation.software,
+        "fingerprint": dict(accumulation.fingerprint),
+        "channels": accumulation.channels,
+        "constant": accumulation.constant.shape[2],
+        "size": accumulation.size,
+        "round_spp": accumulation.round_spp,
+        "schedule": accumulation.schedule,
+        "seeds": accumulation.seeds,
+        "counts": accumulation.counts,
+        "sets": [one.facts() for one in with_beginning(accumulation)],
+    }
+    parts: list[Any] = [json.dumps(header).encode() + b"\n"]
+    for one in with_beginning(accumulation):
+        for name, kind in one.stored.items():
+            parts.append(np.ascontiguousarray(getattr(one, name), kind).reshape(-1).view(np.uint8))
+    check = 0
+    for part in parts:
+        check = zlib.crc32(part, check)
+    target = as_path(path)
+    with writing(target) as temporary, temporary.open("wb") as file:
+        file.writelines([KIND, b"%d\n%08x\n" % (VERSION, check), *parts])
+
+
+def load(path: str | os.PathLike[str]) -> Accumulation:
+    """Read an accumulation: see `Accumulation.load`."""
+    from djpt.rendering.progressive.adaptive import AdaptiveAccumulation
+    from djpt.rendering.progressive.even import EvenAccumulation
+
+    source = as_path(path)
+    kind, _, rest = read_bytes(source).partition(b"\n")
+    if not kind.startswith(KIND):
+        raise unreadable(source, "it isn't an accumulation of djpt")
+    if kind[len(KIND) :] != b"%d" % VERSION:
+        found = kind[len(KIND) :][:8].decode("ascii", "replace")
+        raise unreadable(source, f"its format is version {found}; this djpt reads version {VERSION}")
+    check, _, data = rest.partition(b"\n")
+    if check != b"%08x" % zlib.crc32(data):
+        raise unreadable(source, "it is cut off or damaged")
+    line, _, memory = data.partition(b"\n")
+    try:
+        header = checked(json.loads(line))
+        made: type[Accumulation] = AdaptiveAccumulation if "tiles" in header["sets"][0] else EvenAccumulation
+        return read(made, header, memory)
+    except (ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
+        raise unreadable(source, f"its header is wrong: {str(error) or type(error).__name__}") from None
+
+
+def read(made: type[Accumulation], header: Mapping[str, Any], memory: bytes) -> Accumulation:
+    """The accumulation of a checked header and the memory of its arrays; raises `ValueError` if they contradict."""
+    headers = [{**header, **facts} for facts in header["sets"]]
+    layouts = [made.shapes(one) for one in headers]
+    needed = sum(
+        int(np.dtype(made.stored[name]).itemsize) * math.prod(shape)
+        for shapes in layouts
+        for name, shape in shapes.items()
+    )
+    if needed != len(memory):
+        raise ValueError(f"its arrays have {len(memory)} bytes, its header asks for {needed}")
+    found: list[Accumulation] = []
+    end = len(memory)
+    # The beginning stands last, and what follows refers to it.
+    for without, (one, shapes) in reversed(list(enumerate(zip(headers, layouts, strict=True)))):
+        entries = made.further(one)
+        for name, shape in reversed(shapes.items()):
+            kind = np.dtype(made.stored[name])
+            end -= kind.itemsize * math.prod(shape)
+            array = np.frombuffer(memory, kind, math.prod(shape), end).reshape(shape)
+            entries[name] = array.astype(kind.newbyteorder("="))
+        rounds = len(header["seeds"]) - without
+        accumulation = made(
+            software=header["software"],
+            fingerprint=header["fingerprint"],
+            channels=tuple(header["channels"]),
+            round_spp=header["round_spp"],
+            schedule=header["schedule"],
+            seeds=tuple(header["seeds"][:rounds]),
+            counts=tuple(header["counts"][:rounds]),
+            beginning=found[-1] if found else None,
+            **entries,
+        )
+        accumulation.check()
+        found.append(accumulation)
+    return found[-1]
+
+
+def with_beginning(accumulation: Accumulation) -> list[Accumulation]:
+    """An accumulation, and after it the one that it goes on from, if that is another one."""
+    return [accumulation] if accumulation.beginning is None else [accumulation, accumulation.beginning]
+
+
+def checked(header: Any) -> Mapping[str, Any]:
+    """The header, if its entries have the types and ranges that are expected; raises `ValueError` or `KeyError`."""
+    if not isinstance(header, dict):
+        raise ValueError("it isn't a dict")
+    if not isinstance(header["fingerprint"], dict):
+        raise ValueError("'fingerprint' must be a dict")
+    width, height = header["size"]
+    seeds, counts = header["seeds"], header["counts"]
+    numbers = {"width": width, "height": height, "constant": header["constant"], "round_spp": header["round_spp"]}
+    numbers |= {f"seed {i}": seed for i, seed in enumerate(seeds)}
+    numbers |= {f"count {i}": count for i, count in enumerate(counts)}
+    for name, number in numbers.items():
+        if type(number) is not int or not 0 <= number < 2**32:
+            raise ValueError(f"'{name}' is no whole number of 32 bits")
+    texts = [header["software"], header["schedule"], *header["channels"]]
+    texts += [*header["fingerprint"], *header["fingerprint"].values()]
+    if not all(isinstance(text, str) for text in texts):
+        raise ValueError("'software', 'schedule', 'channels' and 'fingerprint' must be texts")
+    if min(width, height, header["round_spp"]) < 1 or header["constant"] > len(header["channels"]):
+        raise ValueError("a size is out of range")
+    if len(set(seeds)) != len(seeds):
+        raise ValueError("two rounds have the same seed")
+    if len(counts) != len(seeds) or not all(1 <= count <= header["round_spp"] for count in counts):
+        raise ValueError(f"'counts' must be {len(seeds)} numbers of 1 to {header['round_spp']} samples")
+    sets = header["sets"]
+    if not isinstance(sets, list) or not 1 <= len(sets) <= 2 or not all(isinstance(one, dict) for one in sets):
+        raise ValueError("'sets' must be one or two dicts")
+    whole = [count == header["round_spp"] for count in counts]
+    if len(sets) == 2 and not (all(whole[:-1]) and whole[-1:] == [False]):
+        raise ValueError("'sets' says that the last round alone is smaller, 'counts' doesn't")
+    return header
+
+
+def unreadable(source: Path, problem: str) -> FileError:
+    """The error to raise for a file."""
+    return FileError(f"can't read '{shortened(source)}': {problem}")

@@ -1,0 +1,221 @@
+"""Rounds: the parts that a render which can go on at any time consists of.
+
+A round is the image of `render` with a number of samples per pixel that all rounds of a render share, and with a seed
+of its own. So the first rounds of a long render are those of a short one. A last round may be smaller.
+
+Parts of the samples of one seed wouldn't do: as in Mitsuba the numbers of sample k of a pixel depend on how many the
+pixel has in all, which nobody knows who renders until an error is small or the time is up, or goes on later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import numpy.typing as npt
+
+from djpt.core.process.interruption import Interruption
+from djpt.integrators.base import Integrator
+from djpt.jit.frozen import Holder, without_garbage
+from djpt.jit.kernels import begin_trace
+from djpt.jit.llvm.lanes import small_blocks
+from djpt.jit.llvm.results import Results
+from djpt.jit.types import Float, UInt32
+from djpt.rendering.gradients.leaves import attached_parameters
+from djpt.rendering.gradients.own_rendering import image_by_itself
+from djpt.rendering.image import centres, make_job, require_still
+from djpt.rendering.progress import Progress
+from djpt.rendering.progressive.multi_pixel_lanes import StreakJob, rows_by_streaks, streak
+from djpt.rendering.schedules.canvas import Summed
+from djpt.rendering.schedules.choice import choose
+from djpt.rendering.schedules.job import Job
+from djpt.rendering.schedules.memory import check_memory
+from djpt.rendering.schedules.reconstruction import Rows
+from djpt.scene.scene import Scene
+from djpt.sensors import Sensor
+
+__all__ = ["RoundSums", "Rounds", "constant_of", "inputs", "round_seed"]
+
+Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
+
+RECORDED_SAMPLES = 2**24
+"""The samples of the largest rounds whose kernels are recorded: tracing them matters less and less in larger ones."""
+
+PORTION = 2**8
+"""The lanes of recorded kernels that a thread takes at a time: then none waits long for the last portion of a round."""
+
+
+def round_seed(seed: int, number: int) -> int:
+    """The seed of a round: ``(seed + mix(number)) mod 2^32``, with the finaliser of MurmurHash3 (A. Appleby) as `mix`.
+
+    `mix` is a bijection with mix(0) = 0: round 0 has the seed itself, and no two of 2^32 rounds have the same one.
+    """
+    h = number & 0xFFFFFFFF
+    h = (h ^ h >> 16) * 0x85EBCA6B & 0xFFFFFFFF
+    h = (h ^ h >> 13) * 0xC2B2AE35 & 0xFFFFFFFF
+    return (seed + (h ^ h >> 16)) & 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class RoundSums:
+    """The image of a round before it is divided by its weights."""
+
+    sums: Floats | Doubles
+    """Weighted sums, (channels, height, width)."""
+    weights: Floats
+    """Their weights, (height, width), or (1, 1) if all pixels have the same."""
+    constant: Floats
+    """The channels that come from the centres of pixels, the same in each round: (height, width, channels)."""
+
+
+class Rounds:
+    """The rounds of one image.
+
+    Python traces the kernels of the first two rounds; those of the others are recorded and launched again with other
+    seeds (`dr.freeze`), which takes no time, if the image is small enough to be computed in one band.
+    """
+
+    def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
+        self._scene, self._sensor, self._integrator = scene, sensor, integrator
+        self.spp, self._schedule = spp, schedule
+        """Samples per pixel of a whole round, and how lanes are filled."""
+        self._job: Job | None = None
+        """The job of a round that was computed in one band."""
+        self._constant: Floats | None = None
+        self._streak = 1
+        """The pixels of a lane of the recorded kernels."""
+        self._inputs: list[Any] = []
+        """The arrays that they read."""
+        self._recorded: Callable[..., list[Float]] = dr.freeze(self._one_band, auto_opaque=False)
+
+    @property
+    def small(self) -> bool:
+        """Whether a round is known to be small enough to be computed in one band."""
+        return self._job is not None
+
+    def begin(
+        self, seed: int, progress: Progress | None, interruption: Interruption | None, spp: int = 0
+    ) -> Callable[[], RoundSums]:
+        """Launch the kernels of a round of `spp` samples per pixel, 0: of a whole one; the result waits for them.
+
+        Kernels run meanwhile, unless there is something to be told after each pass.
+        """
+        spp = spp or self.spp
+        if self._job is not None and progress is None and interruption is None and spp == self.spp:
+            return self._launched_again(self._job, seed)
+        begin_trace()
+        scene, sensor, integrator = self._scene, self._sensor, self._integrator
+        if type(integrator).render is not Integrator.render:
+            return waiting_for_image(image_by_itself(integrator, scene, None, sensor, seed, spp), spp)
+        require_still(scene)
+        job = make_job(scene, sensor, integrator, seed, spp, 0, progress, interruption)
+        how = choose(self._schedule, job)
+        check_memory(job)
+        if self._constant is None:
+            self._constant = constant_of(job)
+        constant = self._constant
+        with dr.suspend_grad():
+            if job.channel_names() and not how.in_bands:
+                return waiting_for_image(how.image(job), spp, constant)
+            summed = list(how.rows(job)) if job.channel_names() else []
+        if len(summed) == 1 and how.can_be_recorded and can_be_recorded(job) and spp == self.spp:
+            self._job, self._streak = job, streak(job, how)
+            self._inputs = inputs(scene, sensor, integrator)
+
+        results = Results()
+
+        def result() -> RoundSums:
+            sums = sums_of_rows(job, summed, results)
+            if len(summed) > 1:
+                # What large bands took is needed for sums of 64 bits.
+                summed.clear()
+                dr.flush_malloc_cache()
+            return RoundSums(*sums, constant)
+
+        return result
+
+    def _launched_again(self, job: Job, seed: int) -> Callable[[], RoundSums]:
+        """Launch the recorded kernels with another seed; the first time they are traced."""
+        begin_trace()
+        with dr.suspend_grad(), without_garbage(), small_blocks(PORTION):
+            sums = self._recorded(self._inputs, dr.opaque(UInt32, seed))
+        assert self._constant is not None
+        weight = sums[-1] if job.film.filters else dr.opaque(Float, self.spp)
+        summed, results = [(Rows(0, job.height, sums), weight)], Results()
+        constant = self._constant
+        return lambda: RoundSums(*sums_of_rows(job, summed, results), constant)
+
+    def _one_band(self, inputs: list[Any], seed: UInt32) -> list[Float]:
+        """The sums of a round that is computed in one band, by channel; `inputs` is what its kernels read."""
+        job = replace(make_job(self._scene, self._sensor, self._integrator, seed, self.spp), repeated=True)
+        with dr.suspend_grad():
+            if self._streak > 1:
+                ((rows, _),) = rows_by_streaks(StreakJob.of(job, self._streak))
+            else:
+                ((rows, _),) = choose(self._schedule, job).rows(job)
+        return rows.sums
+
+
+def inputs(*holders: Holder) -> list[Any]:
+    """The arrays that kernels read of some objects, as they are now.
+
+    A frozen function that was given the objects would look through them at each call.
+    """
+    return [array for holder in holders for array in holder.held[1:]]
+
+
+def can_be_recorded(job: Job) -> bool:
+    """Whether the kernels of a round can be launched again without Python.
+
+    Integrators and samplers of scripts may do anything between kernels, and parameters with gradients may change.
+    """
+    return (
+        job.samples <= RECORDED_SAMPLES
+        and not job.integrator.from_script
+        and job.sampler.has_streams
+        and not attached_parameters(job.scene)
+    )
+
+
+def waiting_for_image(image: Any, spp: int, constant: Floats | None = None) -> Callable[[], RoundSums]:
+    """The sums of a round of which only the image is known: each sample has the weight 1."""
+
+    def result() -> RoundSums:
+        values = np.moveaxis(image.numpy(), 2, 0).astype(np.float64) * spp
+        height, width = values.shape[1:]
+        of_centres = np.zeros((height, width, 0), np.float32) if constant is None else constant
+        return RoundSums(values, np.full((1, 1), spp, np.float32), of_centres)
+
+    return result
+
+
+def sums_of_rows(job: Job, summed: list[Summed], results: Results) -> tuple[Floats, Floats]:
+    """The sums and the weights of the pixels of a film, without its border; `results` reads them."""
+    border, (width, height) = job.film.border, job.film.crop_size()
+    sums = np.zeros((job.channel_count(), height, width), np.float32)
+    weights = np.zeros((height, width) if job.film.filters else (1, 1), np.float32)
+    for rows, weight in summed:
+        top, end = max(rows.first_row, border), min(rows.first_row + rows.count, border + height)
+        if end <= top:
+            continue
+        inside = slice(top - rows.first_row, end - rows.first_row), slice(border, border + width)
+        target = slice(top - border, end - border)
+        for channel, values in zip(sums, rows.sums, strict=False):
+            channel[target] = results.numpy(values)[: rows.count * job.width].reshape(rows.count, job.width)[inside]
+        if job.film.filters:
+            weights[target] = results.numpy(weight)[: rows.count * job.width].reshape(rows.count, job.width)[inside]
+        else:
+            weights[...] = results.numpy(weight)
+    return sums, weights
+
+
+def constant_of(job: Job) -> Floats:
+    """The channels of a job that come from the centres of its pixels."""
+    width, height = job.film.crop_size()
+    if not job.integrator.unfiltered_names():
+        return np.zeros((height, width, 0), np.float32)
+    return np.asarray(centres(job).numpy(), np.float32)

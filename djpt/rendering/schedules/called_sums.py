@@ -1,0 +1,134 @@
+"""Sums of a film in memory, to which kernels add samples by calls: see `djpt.rendering.schedules.film_accumulation`."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.description.plugin import is_plain
+from djpt.description.properties import Properties
+from djpt.films.base import Film
+from djpt.geometry.ray_queries import asked_for
+from djpt.integrators.base import Integrator
+from djpt.jit.llvm.calls import Code, call, reason_against
+from djpt.jit.llvm.compiler import compiled
+from djpt.jit.llvm.lanes import lane_count
+from djpt.jit.types import ArrayXf, Bool, Float, Point2f, UInt32
+from djpt.rendering.schedules.film_accumulation import ADD_SAMPLES, CHANNELS, Taps, tap_function
+from djpt.rendering.schedules.job import image_channels
+from djpt.rendering.schedules.reconstruction import Read
+from djpt.rfilters.base import ReconstructionFilter, is_wide
+from djpt.rfilters.tent import Tent
+
+__all__ = ["CalledSums", "prepare_function", "prepare_sums", "reader", "usable"]
+
+
+class CalledSums:
+    """The sums of some lanes; the lanes of a kernel have the same numbers."""
+
+    def __init__(self, taps: Taps, rfilter: ReconstructionFilter, lanes: int, memory: Float | None = None) -> None:
+        """Begin with the sums in `memory`, which is written to, or with zeros."""
+        self.memory = dr.opaque(Float, 0, lanes * taps.sums) if memory is None else memory
+        self._code = function(taps, rfilter)
+        self._lane, self._lanes = dr.arange(UInt32, lanes), dr.opaque(UInt32, lanes)
+
+    def add(
+        self, corner: Point2f, offset: Point2f, channels: list[Float], active: Bool, slot: UInt32 | None = None
+    ) -> Bool:
+        """Add a sample of each active lane; return where there was one.
+
+        `offset` is the sample's place on its pixel, whose corner has the film position `corner`. `slot` says whose
+        sums it is added to: by default those of its lane. No two lanes may add to the same ones. The call takes place
+        only if the result is used.
+        """
+        if slot is None:
+            slot = self._lane
+        # The last packet may have lanes beyond the last one.
+        active = active & (slot < self._lanes)
+        # Distances come from rounded film positions, as in Mitsuba: in the filter's tail the rounding shows.
+        position = corner + offset
+        unused, end = Float(0), Float(1)
+        words: list[Any] = [*channels, *[unused] * (len(CHANNELS) - len(channels))]
+        last = [dr.reinterpret_array(UInt32, word) for word in words[4:]]
+        floats = [position.x, position.y, corner.x, corner.y, *words[:4], end]
+        inputs = [Bool(False), active, *floats, slot, *last]
+        # The function leaves the end of the "ray" as it is, so nothing is ever blocked.
+        (blocked,) = call(self._code, self.memory, [dr.detach(x) for x in inputs], [Bool(False)], any_hit=True)
+        taken: Bool = active & ~blocked
+        return taken
+
+
+def reader(memory: Float, taps: Taps, row: int) -> Read:
+    """Reads the sums of lanes for a row tap, the weights' included."""
+    channels = taps.channels + 1
+    first, of_lane = dr.opaque(UInt32, row * taps.count), taps.count**2
+
+    def tap(lane: UInt32, column: int, active: Bool) -> list[Float]:
+        index = dr.fma(lane, of_lane, first) + column
+        sums: Any = dr.gather(ArrayXf, memory, index, active, shape=(channels, dr.width(lane)))
+        return list(sums)
+
+    return tap
+
+
+def prepare_sums(film: Film, integrator: Integrator) -> None:
+    """Compile the function that adds an integrator's samples to a film, if they are added by calls."""
+    taps = Taps(film.taps, len(image_channels(film, integrator)))
+    if film.filters and "flat" in integrator.schedules and usable(taps, film.rfilter()):
+        prepare_function(taps, film.rfilter())
+
+
+def prepare_function(taps: Taps, rfilter: ReconstructionFilter) -> None:
+    """Compile the function that adds samples with a filter's weights, which frozen functions can't."""
+    function(taps, rfilter)
+
+
+_functions: dict[Any, Code] = {}
+"""The functions that have been compiled, by what they are written from."""
+
+
+def function(taps: Taps, rfilter: ReconstructionFilter) -> Code:
+    """The function that adds samples to the pixels around their own, compiled at the first call."""
+    width = lane_count()
+    attributes = tuple((name, value) for name, value in vars(rfilter).items() if name != "_id")
+    # A filter of a script may have attributes that can't be compared.
+    key: Any = (taps, width, type(rfilter), attributes) if is_plain(attributes) else tap_function(taps, rfilter, width)
+    if key not in _functions:
+        text = tap_function(taps, rfilter, width)
+        _functions[key] = Code.at(compiled(text, (ADD_SAMPLES,))[ADD_SAMPLES])
+    return _functions[key]
+
+
+def usable(taps: Taps, rfilter: ReconstructionFilter) -> bool:
+    """Whether samples can be added by calls."""
+    return (
+        rfilter.has_formula
+        and not is_wide(taps.count)
+        and taps.channels <= len(CHANNELS)
+        and asked_for() != "steps"
+        and works()
+    )
+
+
+@cache
+def works() -> bool:
+    """Whether calls add what they are to add."""
+    return reason_against(proved, "samples of known sums got others") is None
+
+
+def proved() -> bool:
+    """Whether samples whose sums are known are added up to them."""
+    lanes, skipped, taps, tent = 2 * lane_count() + 3, 1, Taps(3, 1), Tent(Properties("rfilter", "tent", {}))
+    sums = CalledSums(taps, tent, lanes)
+    lane = dr.arange(UInt32, lanes)
+    corner = Point2f(Float(lane), Float(2 * lane))
+    taken = sums.add(corner, Point2f(0.25, 0.5), [Float(lane) + 1], lane != skipped)
+    dr.eval(taken)
+    weights = np.outer([0, 1, 0], [0.25, 0.75, 0])
+    expected = np.multiply.outer(np.arange(1, lanes + 1), weights)[..., None]
+    expected = np.concatenate([expected, np.broadcast_to(weights[..., None], expected.shape)], axis=-1)
+    expected[skipped] = 0
+    return bool(np.allclose(np.array(sums.memory).reshape(expected.shape), expected))

@@ -1,0 +1,224 @@
+"""The flat schedule: a lane is a pixel (or part of one) and starts a new path when one ends.
+
+Paths differ in length. With one lane per sample a packet of lanes waits for its longest
+path; here every lane always has a path to advance, and all state stays in registers. See
+docs/performance.md for what that gives.
+
+`radiance_sums` adds samples up within the lane and is all that a box filter needs;
+`film_sums` also weights them with a wider filter; `Flat.samples` stores them, for images of
+so many channels that sums per tap would not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.core.records import Ray3f
+from djpt.dispatch.ensemble import Detached
+from djpt.integrators.base import PathIntegrator, PathState
+from djpt.jit.kernels import wide
+from djpt.jit.llvm.lanes import small_blocks
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.rendering.schedules.base import ModeOf, Schedule
+from djpt.rendering.schedules.called_sums import CalledSums, reader, usable
+from djpt.rendering.schedules.canvas import Summed
+from djpt.rendering.schedules.film_accumulation import Taps
+from djpt.rendering.schedules.job import Band, Job
+from djpt.rendering.schedules.lanes import Lanes, interleaved, layered
+from djpt.rendering.schedules.passes import filtered_rows, summed_rows
+from djpt.rendering.schedules.reconstruction import Rows, by_pixels, collect
+from djpt.rendering.schedules.sinks import (
+    CalledFilmSums,
+    FilmSums,
+    Finished,
+    Sink,
+    Store,
+    Sums,
+    blank_sums,
+    sample_buffers,
+)
+from djpt.rendering.schedules.unmasked_loop import run_free
+
+if TYPE_CHECKING:
+    from djpt.rendering.gradients.leaves import Numbering
+    from djpt.rendering.gradients.modes import Mode
+
+__all__ = ["Flat"]
+
+
+class Flat(Schedule):
+    """One lane per pixel, or several lanes that share the samples of a pixel."""
+
+    name = "flat"
+
+    def rows(self, job: Job) -> Iterator[Summed]:
+        if not job.film.filters:
+            return summed_rows(job, radiance_sums)
+        if usable(Taps(job.film.taps, job.channel_count()), job.film.rfilter()):
+            return filtered_rows(job, called_film_sums, spread=spread_called)
+        if by_pixels(job, job.channel_count() + 1):
+            return filtered_rows(job, film_sums)
+        return super().rows(job)
+
+    def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
+        lanes = layered(job, band, begin, end)
+        buffers, write = sample_buffers(job, band, end - begin)
+        run(job, lanes, Store(dr.width(lanes.pixel), write))
+        with small_blocks():
+            dr.eval(buffers)
+        return buffers
+
+    def carries_sums(self, job: Job) -> bool:
+        return not job.film.filters
+
+    def replay(
+        self, job: Job, values: Detached, numbering: Numbering, band: Band, begin: int, end: int, mode_of: ModeOf
+    ) -> tuple[Mode, list[Float], UInt32]:
+        from djpt.rendering.gradients import extinction_walk as detours
+        from djpt.rendering.gradients import replay
+
+        lanes = (interleaved if self.carries_sums(job) else layered)(job, band, begin, end)
+        count = dr.width(lanes.pixel)
+        mode = mode_of(count, lanes.pixel)
+        # The opaque zero is needed: Dr.Jit turns a gather of all entries in order into a plain load, which
+        # would give images of one sample per pixel a kernel of their own.
+        slots = dr.arange(UInt32, count) + dr.opaque(UInt32, 0)
+        run = detours.run if detours.needed(job.scene, numbering) else replay.run
+        return mode, *run(job, values, numbering, lanes, slots, dr.opaque(UInt32, count), mode)
+
+
+@dataclass
+class Lane:
+    """Loop state."""
+
+    ray: Ray3f
+    sampler: Any
+    path: PathState
+    radiance: Color3f
+    held: Bool | None
+    """True where the path has ended, but the sink couldn't take the sample yet; None if it always can."""
+    valid: Bool | None
+    """True where a held sample counts as covered."""
+    offset: Point2f | None
+    """The place of the sample on its pixel; None if the sink doesn't need it."""
+    k: UInt32
+    """The number of the path's sample, among those of its pixel."""
+    sink: list[Any]
+
+
+def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
+    """Advance all lanes until the sink has their samples.
+
+    Returns the sink's state.
+    """
+    integrator = job.integrator
+    assert isinstance(integrator, PathIntegrator)
+    scene, width = job.scene, dr.width(lanes.pixel)
+    x, y = job.coordinates(lanes.pixel)
+    several = sink.steps > 1
+    sampler, ray, offset = job.begin(lanes.pixel, lanes.first, x, y)
+    start = Lane(
+        ray=wide(ray, width),
+        sampler=sampler,
+        path=wide(integrator.begin(scene, sampler), width),
+        radiance=dr.zeros(Color3f, width),
+        held=dr.full(Bool, False, width) if several else None,
+        valid=dr.full(Bool, False, width) if several else None,
+        offset=offset if sink.needs_offset else None,
+        k=wide(lanes.first, width),
+        sink=sink.state,
+    )
+
+    def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
+        si = integrator.trace(scene, lane.path, lane.ray)
+        v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
+        here = v.emitted + integrator.arriving(scene, lane.sampler, v)
+        running = lane.k < lanes.end
+        ready, held = ~v.active & running, None
+        valid: Any = v.valid
+        if lane.held is not None:
+            here, valid = dr.select(lane.held, 0, here), dr.select(lane.held, lane.valid, v.valid)
+            ready = ready | (lane.held & running)
+        radiance = lane.radiance + here
+
+        # The path has ended: hand over the sample, start the next one.
+        channels = job.channels(radiance, valid, [])
+        state, waiting, taken = sink.take(lane.sink, waiting, channels, lane.offset, ready)
+        if lane.held is not None:
+            held = ready & ~taken
+        next_k = lane.k + lanes.stride
+        fresh, camera_ray, offset = job.begin(lanes.pixel, next_k, x, y)
+        begun = integrator.begin(scene, fresh)
+        after = Lane(
+            ray=dr.select(taken, camera_ray, v.ray),
+            sampler=dr.select(taken, fresh, lane.sampler),
+            path=v.state.restarted(taken, begun),
+            radiance=dr.select(taken, 0, radiance),
+            held=held,
+            valid=None if held is None else valid,
+            offset=None if lane.offset is None else dr.select(taken, offset, lane.offset),
+            k=dr.select(taken, next_k, lane.k),
+            sink=state,
+        )
+        return after, waiting
+
+    def body(lane: Lane) -> Lane:
+        waiting = None
+        for _ in range(sink.steps):
+            lane, waiting = step(lane, waiting)
+        lane.sink = sink.close(lane.sink, waiting)
+        return lane
+
+    return run_free(start, lambda lane: lane.k < lanes.end, body, width, "flat").sink
+
+
+def radiance_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to `sums`, one array per channel.
+
+    The sums are per lane: pass them on from pass to pass, and to `total` at the end.
+    """
+    lanes = interleaved(job, band, begin, end)
+    if sums is None:
+        sums = blank_sums(dr.width(lanes.pixel), job.channel_count())
+    result = run(job, lanes, Sums(sums))
+    with small_blocks():
+        dr.eval(result)
+    return result
+
+
+def called_film_sums(job: Job, band: Band, begin: int, end: int, memory: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to the film's sums by calls; the result goes to `spread_called`."""
+    lanes = interleaved(job, band, begin, end)
+    taps, width = Taps(job.film.taps, job.channel_count()), dr.width(lanes.pixel)
+    sums = CalledSums(taps, job.film.rfilter(), width, None if memory is None else memory[0])
+    # A call takes time, which shows where vertices are cheap. A loop of one vertex is compiled in half the time.
+    steps = 2 if job.scene.geometry.triangles is None else 1
+    count = run(job, lanes, CalledFilmSums(job.on_film(*job.coordinates(lanes.pixel)), sums, steps))
+    with small_blocks():
+        dr.eval(count)
+    return [sums.memory]
+
+
+def spread_called(job: Job, band: Band, memory: list[Float], rows: Rows) -> list[Float]:
+    """Add a finished band's sums in memory to those of the rows in its reach."""
+    taps = Taps(job.film.taps, job.channel_count())
+    return collect(job, band, dr.width(memory[0]) // taps.sums, lambda row: reader(memory[0], taps, row), rows)
+
+
+def film_sums(job: Job, band: Band, begin: int, end: int, sums: list[Float] | None) -> list[Float]:
+    """Add the samples begin <= k < end of a band to the film's sums by pixels, without storing them.
+
+    The result goes to `collected`: the lanes of a pixel follow each other group by group.
+    """
+    lanes = interleaved(job, band, begin, end)
+    if sums is None:
+        sums = blank_sums(dr.width(lanes.pixel), job.film.taps**2 * (job.channel_count() + 1))
+    sink = FilmSums(job, job.on_film(*job.coordinates(lanes.pixel)), sums)
+    result = run(job, lanes, sink)
+    with small_blocks():
+        dr.eval(result)
+    return result

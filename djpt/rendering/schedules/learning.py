@@ -1,0 +1,79 @@
+"""The learning schedule: paths to learn from, then the image, by whatever schedule is the fastest for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import Ray3f
+from djpt.description.properties import Properties
+from djpt.errors import RenderError
+from djpt.integrators.guiding.learning import LearningIntegrator
+from djpt.jit.frozen import recording
+from djpt.jit.types import UInt32
+from djpt.rendering.schedules.base import Schedule
+from djpt.rendering.schedules.canvas import Summed
+from djpt.rendering.schedules.choice import choose
+from djpt.rendering.schedules.job import Job
+from djpt.rendering.schedules.passes import report
+from djpt.samplers import SampleIndex, SampleStream
+from djpt.samplers.hashing import sample_tea_32
+from djpt.samplers.independent import Independent
+
+__all__ = ["Learning"]
+
+LESSON = 5
+"""The number of the seed of lessons, among those that are derived from an image's."""
+
+GOLDEN = 2654435769
+"""2^32 over the golden ratio: its multiples, modulo 2^32, are spread evenly."""
+
+
+class Learning(Schedule):
+    """Runs a `LearningIntegrator`: what it has been taught is rendered by another schedule."""
+
+    name = "learning"
+    can_be_recorded = False  # what is learned are results of kernels
+
+    def rows(self, job: Job) -> Iterator[Summed]:
+        job = taught(job)
+        return choose("auto", job).rows(job)
+
+
+def taught(job: Job) -> Job:
+    """The job with an integrator that has learned."""
+    integrator = job.integrator
+    assert isinstance(integrator, LearningIntegrator)
+    if recording():
+        raise RenderError(
+            f"{integrator.id()}: a frozen function can't learn about a scene, since that needs the results of kernels; "
+            "render it outside of the function, or with 'path'"
+        )
+    return replace(job, integrator=integrator.taught(JobLessons(job)))
+
+
+class JobLessons:
+    """A job as a `LearningIntegrator` sees it: see `djpt.integrators.guiding.learning.Lessons`."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._sampler = Independent(Properties("independent", "sampler", {}))
+        self._seed = sample_tea_32(job.seed_value, UInt32(LESSON))[0]
+        dr.eval(self._seed)
+        self.scene, self.samples = job.scene, job.samples
+
+    def begin(self, first: int, end: int) -> tuple[SampleStream, Ray3f]:
+        """Random numbers and camera rays, see `djpt.integrators.guiding.learning.Lessons`."""
+        job = self._job
+        number = dr.arange(UInt32, end - first) + dr.opaque(UInt32, first)
+        pixel: Any = dr.mul_hi(number * GOLDEN, dr.opaque(UInt32, job.width * job.height))
+        stream = self._sampler.stream(self._seed, SampleIndex(UInt32(0), number, job.spp_value, job.width_value))
+        ray, _ = job.sampled_ray(stream, pixel, *job.coordinates(pixel))
+        return stream, ray
+
+    def pause(self) -> None:
+        """Stop here if somebody has asked for it."""
+        report(self._job, 0)

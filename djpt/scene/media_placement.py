@@ -1,0 +1,392 @@
+"""Which media a scene has, which of them a ray runs through, and how far light gets in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+
+from djpt.core.lookup import Members, Numbers
+from djpt.core.records import RAY_EPSILON, Ray3f, SurfaceInteraction3f
+from djpt.core.records.media import MediumInteraction3f
+from djpt.description.plugin import Plugin
+from djpt.dispatch.ensemble import Ensemble, Group, Lookup, is_attached
+from djpt.dispatch.family import Family, Pointer
+from djpt.errors import SceneError
+from djpt.geometry.aggregate import Geometry
+from djpt.geometry.contents import unseen
+from djpt.jit.kernels import wide
+from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.media import tracking
+from djpt.media.differentials import ScatteringPoint, passed
+from djpt.shapes.base import Shape
+
+if TYPE_CHECKING:
+    from djpt.media.base import Medium
+    from djpt.media.flight import Flight
+    from djpt.phase.pointer import PhaseFunctionPtr
+    from djpt.samplers.base import SampleStream
+
+__all__ = ["Media", "absorbing_sides", "all_sides"]
+
+DIRECTIONS = ((0.3651484, 0.5477226, 0.7527727), (-0.6202, 0.3351, -0.7093), (0.2418, -0.9043, 0.3518))
+"""Directions in which boundaries are looked for: arbitrary, but not along an axis, where rays run within faces."""
+
+
+class Media:
+    """Media that a scene follows along its rays. `vacuum` is the number for no medium.
+
+    A ray carries the number of the medium that it runs through (`Ray3f.medium`). The number changes where it leaves a
+    surface that bounds a medium, to the one on the side that it leaves to, and nowhere else.
+    """
+
+    def __init__(
+        self, geometry: Geometry, sides: Sequence[tuple[Any, Any] | None], others: Sequence[Medium] = ()
+    ) -> None:
+        """Number the media.
+
+        Args:
+            geometry: What rays hit.
+            sides: The media inside and outside of each shape (None stands for vacuum); None if it bounds no medium.
+            others: Media that no shape bounds.
+        """
+        found = [medium for pair in sides if pair is not None for medium in pair if medium is not None]
+        self.plugins: list[Medium] = list({id(medium): medium for medium in [*found, *others]}.values())
+        self.ensemble: Ensemble[Medium] = Ensemble(self.plugins)
+        phases = [medium.phase for medium in self.plugins if medium.phase is not None]
+        self._phases: Ensemble[Any] = Ensemble(list({id(phase): phase for phase in phases}.values()))
+        self._phase_of = Numbers([index_of(self._phases.plugins, medium.phase) for medium in self.plugins])
+        self.vacuum = len(self.plugins)
+        self._geometry = geometry
+        # For shapes that bound no medium: one number more.
+        self._kept = self.vacuum + 1
+        self._inside = [self._kept if pair is None else self.number(pair[0]) for pair in sides]
+        self._outside = [self._kept if pair is None else self.number(pair[1]) for pair in sides]
+        self._closed = [i for i, pair in enumerate(sides) if pair is not None and is_closed(geometry, i)]
+        self.prepare()
+
+    def __bool__(self) -> bool:
+        """True if there are any."""
+        return bool(self.plugins)
+
+    def prepare(self) -> None:
+        """Build the tables that kernels read, after the scene was compiled or edited."""
+        self._around: dict[tuple[float, ...], int] = {}
+        self._inside_of_face = self._geometry.per_face(self._inside)
+        self._outside_of_face = self._geometry.per_face(self._outside)
+        self._bounds = Members(self._closed, len(self._inside))
+
+    def number(self, medium: Medium | None) -> int:
+        """The number of a medium, or that of the vacuum."""
+        return index_of(self.plugins, medium)
+
+    @property
+    def ensembles(self) -> Sequence[Ensemble[Any]]:
+        """The plugins whose values kernels look up: media and their phase functions."""
+        return (self.ensemble, self._phases) if self.plugins else ()
+
+    def of_extinction(self) -> set[int]:
+        """The ids of plugins whose values the extinction of tracked media depends on."""
+        waiting: list[Any] = [plugin for medium in self.plugins for plugin in medium.of_extinction()]
+        found: set[int] = set()
+        while waiting:
+            plugin = waiting.pop()
+            found.add(id(plugin))
+            if plugin.kind != "medium":
+                children = (getattr(plugin, name) for name in plugin.children)
+                waiting += [child for child in children if isinstance(child, Plugin)]
+        return found
+
+    @property
+    def scatter(self) -> bool:
+        """True if light can be scattered."""
+        return any(medium.phase is not None for medium in self.plugins)
+
+    @property
+    def emit(self) -> bool:
+        """True if some of them glow."""
+        return any(medium.emits() for medium in self.plugins)
+
+    @property
+    def are_coloured(self) -> bool:
+        """True if the extinction of some of them may differ between channels."""
+        return any(medium.has_spectral_extinction() for medium in self.plugins)
+
+    def are_attached(self, lookup: Lookup) -> bool:
+        """Whether some of them, or of their phase functions, compute with AD leaves."""
+        return any(lookup.attaches(leaf) for ensemble in self.ensembles for leaf in ensemble.leaves())
+
+    def number_of(self, medium: Any) -> UInt32:
+        """The numbers of media as scripts give them: a medium or None for all lanes, or a `MediumPtr`."""
+        if not isinstance(medium, Pointer):
+            return UInt32(self.number(medium))
+        numbers = Numbers([self.number(plugin) for plugin in medium.plugins] + [self.vacuum])
+        return numbers.at(dr.minimum(medium.index, len(medium.plugins)))
+
+    # ---- which medium ---------------------------------------------------------------------
+
+    def around(self, p: np.ndarray | None, lookup: Lookup) -> int:
+        """The medium that a point (3,) lies in, computed at once; None stands for a point outside of all bodies.
+
+        A ray may slip through an edge: the majority of three decides. Answers are kept, so that frozen functions need
+        no kernel for what was asked before.
+        """
+        if p is None:
+            return self.vacuum
+        key = tuple(float(x) for x in p)
+        if key not in self._around:
+            self._around[key] = self._majority(key, lookup)
+        return self._around[key]
+
+    def _majority(self, p: tuple[float, ...], lookup: Lookup) -> int:
+        directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
+        numbers = self.at(Point3f(*p), lookup, directions).numpy()
+        return int(np.bincount(numbers).argmax())
+
+    def at(
+        self, p: Point3f, lookup: Lookup, direction: Vector3f | None = None, outside: UInt32 | None = None
+    ) -> UInt32:
+        """The medium that each point lies in: the one on this side of the first boundary in an arbitrary direction.
+
+        It is `outside` (default: the vacuum) where there is none. Only closed shapes count as boundaries. Traces rays
+        through the scene: only where paths begin.
+        """
+        d = Vector3f(*DIRECTIONS[0]) if direction is None else direction
+        outside = UInt32(self.vacuum) if outside is None else outside
+        if not self._closed:
+            return outside
+
+        def step(walk: Walk) -> tuple[Walk]:
+            ray = Ray3f(walk.o, walk.d)
+            hit = self._geometry.closest(ray)
+            found = hit.is_valid() & walk.active
+            bounds = found & self._bounds.contain(hit.shape_index)
+            surface = self._geometry.surface(ray, hit, lookup, False)
+            leaving = points_outward(surface.n, surface.sh_frame.n, walk.d)
+            side = dr.select(leaving, self._inside_of_face.at(hit.face), self._outside_of_face.at(hit.face))
+            there = ray(dr.select(found, hit.t, 0))
+            on = dr.fma(walk.d, RAY_EPSILON * (1 + dr.max(dr.abs(there))), there)
+            return (Walk(on, walk.d, dr.select(bounds, side, walk.medium), found & ~bounds),)
+
+        start = wide(Walk(Point3f(p), d, outside, Bool(True)), dr.width(p, d))
+        (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="medium")
+        return end.medium
+
+    def beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
+        side = self.side(si, d)
+        elsewhere = UInt32(self.vacuum) if si.medium is None else si.medium
+        return dr.select(side == self._kept, elsewhere, side)
+
+    def side(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
+        """The medium on the side of `si` that `d` points to; `vacuum` + 1 on surfaces that bound no medium."""
+        outward = points_outward(si.n, si.sh_frame.n, d)
+        return dr.select(outward, self._outside_of_face.at(si.face), self._inside_of_face.at(si.face))
+
+    def phases(self, medium: UInt32, lookup: Lookup) -> PhaseFunctionPtr:
+        """The phase functions of media with the numbers `medium`."""
+        from djpt.phase.pointer import PhaseFunctionPtr
+
+        pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, lookup), self._phase_of.at(medium))
+        return pointer
+
+    def sample_emitters(self, medium: UInt32) -> Bool:
+        """True where emitters are to be sampled from points in a medium."""
+        return Members([i for i, m in enumerate(self.plugins) if m.use_emitter_sampling()], self.vacuum).contain(medium)
+
+    # ---- what becomes of light ---------------------------------------------------------------
+
+    def fill(self, medium: UInt32) -> Bool:
+        """True where a ray's medium isn't the vacuum."""
+        return medium < self.vacuum
+
+    def fly(
+        self,
+        ray: Ray3f,
+        length: Float,
+        channel: UInt32 | None,
+        throughput: Color3f,
+        stream: SampleStream,
+        lookup: Lookup,
+    ) -> Flight:
+        """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
+        from djpt.media.flight import Flight
+
+        assert ray.medium is not None
+        flight = Flight.none()
+        for group in self.ensemble.groups:
+            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            medium, leaves = tracked_and_attached(group, slot, lookup)
+            if leaves is None:
+                flown = medium.fly(ray, length, channel, throughput, stream, mine)
+            else:
+                flown = tracking.fly(medium, ray, length, throughput, stream, mine, leaves)
+            flight = dr.select(mine, flown, flight)
+        return flight
+
+    def transmittance(
+        self, ray: Ray3f, length: Float, lookup: Lookup, stream: SampleStream | None = None, active: Bool | bool = True
+    ) -> Color3f:
+        """The share of light that is left after a segment of a ray, or an estimate of it; 1 in vacuum.
+
+        Only estimates need a `stream`.
+        """
+        assert ray.medium is not None
+        left = Color3f(1)
+        for group in self.ensemble.groups:
+            mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
+            medium, leaves = tracked_and_attached(group, slot, lookup)
+            if leaves is None or stream is None:
+                share = medium.transmittance(ray, length, stream, mine & active)
+            else:
+                share = tracking.transmittance(medium, ray, length, stream, mine & active, leaves)
+            left = dr.select(mine, share, left)
+        return left
+
+    def in_box(self, ray: Ray3f, length: Float, lookup: Lookup) -> tuple[Float, Float]:
+        """The part of a segment of a ray that lies in the box of a tracked medium; elsewhere an empty one."""
+        assert ray.medium is not None
+        start, end = Float(0), Float(0)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, ray.medium)
+            medium = group.at(self.ensemble.slots(group, ray.medium), lookup.plain())
+            first, last = tracking.span(medium, ray, length, mine)
+            start, end = dr.select(mine, first, start), dr.select(mine, last, end)
+        return start, end
+
+    def passed(self, ray: Ray3f, start: Float, end: Float, lookup: Lookup, active: Bool) -> Color3f:
+        """1, with the derivative of what tracked media leave: see `djpt.media.differentials.passed`."""
+        assert ray.medium is not None
+        one = Color3f(1)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, ray.medium)
+            _, leaves = tracked_and_attached(group, self.ensemble.slots(group, ray.medium), lookup)
+            if leaves is not None:
+                one = dr.select(mine, passed(leaves, ray, start, end, mine & active), one)
+        return one
+
+    def scattering_point(
+        self, ray: Ray3f, flown: Float, length: Float, lookup: Lookup, active: Bool
+    ) -> tuple[ScatteringPoint, Color3f]:
+        """A point of a segment of a ray at which more matter would scatter light.
+
+        With it comes the weight of a change of sigma_t there: the transmittance over the density, the albedo, and this
+        estimate's share of the derivative (see `djpt.media.differentials`).
+
+        Args:
+            ray: The ray.
+            flown: How far light got on it.
+            length: The length of the segment.
+            lookup: Reads the values of media.
+            active: Lanes that have a segment.
+        """
+        assert ray.medium is not None
+        found, weight = ScatteringPoint.none(), Color3f(0)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, ray.medium) & active
+            medium = group.at(self.ensemble.slots(group, ray.medium), lookup.plain())
+            of_group = tracking.scattering_point(medium, ray, flown, length, mine)
+            found, weight = dr.select(mine, of_group, (found, weight))
+        return found, weight
+
+    def extinction(self, medium: UInt32, mei: MediumInteraction3f, lookup: Lookup, active: Bool) -> Color3f:
+        """sigma_t at points in tracked media; 0 in all others."""
+        return self._tracked_value(medium, lookup, lambda leaves, mine: leaves.extinction(mei, mine & active))
+
+    def extinction_at(
+        self, medium: UInt32, mei: MediumInteraction3f, u: Float, lookup: Lookup, active: Bool
+    ) -> Color3f:
+        """An estimate of sigma_t at points in tracked media, from a uniform number; 0 in all others."""
+        return self._tracked_value(medium, lookup, lambda leaves, mine: leaves.extinction_at(mei, u, mine & active))
+
+    def _tracked_value(self, medium: UInt32, lookup: Lookup, value: Callable[[Medium, Bool], Color3f]) -> Color3f:
+        """What tracked media answer; 0 for all others."""
+        answer = Color3f(0)
+        for group in self._tracked():
+            mine = self.ensemble.members(group, medium)
+            leaves = group.at(self.ensemble.slots(group, medium), lookup)
+            answer = dr.select(mine, value(leaves, mine), answer)
+        return answer
+
+    def _tracked(self) -> list[Group[Medium]]:
+        """The groups of media whose flights are tracked."""
+        return [group for group in self.ensemble.groups if group.plugins[0].is_tracked]
+
+
+@dataclass
+class Walk:
+    """A ray on its way to the first boundary: loop state."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32
+    active: Bool
+
+
+def tracked_and_attached(group: Group[Medium], slot: UInt32, lookup: Lookup) -> tuple[Medium, Medium | None]:
+    """A medium to fly in, and the same one with values that have derivatives if it is tracked and there are some.
+
+    What a tracker reads must have none: it decides in a loop.
+    """
+    if group.plugins[0].is_tracked and is_attached(group, lookup):
+        return group.at(slot, lookup.plain()), group.at(slot, lookup)
+    return group.at(slot, lookup), None
+
+
+def index_of(plugins: Sequence[Any], plugin: Any) -> int:
+    """The place of a plugin in a sequence; one beyond the last if it isn't there."""
+    return next((i for i, other in enumerate(plugins) if other is plugin), len(plugins))
+
+
+def points_outward(n: Vector3f, shading: Vector3f, d: Vector3f) -> Bool:
+    """True where a direction points to the outside of a surface, `n` and `shading` being its normals.
+
+    The geometric normal decides, since rays are moved off the surface along it. A mirroring transform has turned it
+    round, but not the shading normal.
+    """
+    return dr.dot(n, d) * dr.dot(n, shading) > 0
+
+
+def is_closed(geometry: Geometry, shape: int) -> bool:
+    """Whether a shape encloses a volume."""
+    return geometry.contents.shapes[shape].is_closed()
+
+
+def absorbing_sides(shapes: Sequence[Shape]) -> list[tuple[Any, Any] | None]:
+    """The media on both sides of shapes if only the BSDFs that absorb are looked at; None for all other shapes."""
+    bodies: dict[int, Medium] = {}
+    return [absorbing_side(shape, bodies) for shape in shapes]
+
+
+def absorbing_side(shape: Shape, bodies: dict[int, Medium]) -> tuple[Any, Any] | None:
+    """The medium inside of a shape whose BSDF absorbs, and the vacuum; `bodies` has those of BSDFs by id."""
+    if unseen(shape) or not shape.bsdf().absorbs:
+        return None
+    from djpt.media.absorption import AbsorbingBody
+
+    bsdf = shape.bsdf()
+    return bodies.setdefault(id(bsdf), AbsorbingBody(bsdf)), None
+
+
+def all_sides(shapes: Sequence[Shape]) -> list[tuple[Any, Any] | None]:
+    """The media on both sides of shapes; None for those that bound no medium.
+
+    Raises:
+        SceneError: A shape has an interior medium, and a BSDF that absorbs.
+    """
+    result: list[tuple[Any, Any] | None] = []
+    for shape, absorbing in zip(shapes, absorbing_sides(shapes), strict=True):
+        if unseen(shape) or not shape.is_medium_transition():
+            result.append(absorbing)
+            continue
+        inside, outside = shape.interior_medium(), shape.exterior_medium()
+        if inside is not None and absorbing is not None:
+            raise SceneError(
+                f"{shape.id()}: the BSDF '{shape.bsdf().id()}' absorbs, and the shape has an 'interior': "
+                "light in it needs one medium"
+            )
+        result.append((absorbing[0] if absorbing is not None else inside, outside))
+    return result

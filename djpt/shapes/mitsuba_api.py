@@ -1,0 +1,235 @@
+"""What scripts ask a shape by itself: its kind, what belongs to it, its extent, and rays against it alone."""
+
+from __future__ import annotations
+
+import copy
+import weakref
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.records import (
+    DirectionSample3f,
+    Observer,
+    PositionSample3f,
+    PreliminaryIntersection3f,
+    Ray3f,
+    RayFlags,
+    SurfaceInteraction3f,
+)
+from djpt.description.plugin import Plugin
+from djpt.description.properties import Properties
+from djpt.description.registry import lookup
+from djpt.errors import SceneError
+from djpt.jit.types import Bool, Float, Point2f, UInt32
+from djpt.shapes.shape_type import ShapeType
+from djpt.shapes.silhouettes.mitsuba_api import SilhouetteQuestions
+from djpt.shapes.texture_attributes import TextureAttributes
+
+__all__ = ["ShapeQuestions"]
+
+
+class ShapeQuestions(TextureAttributes, SilhouetteQuestions):
+    """The part of a shape that kernels don't see.
+
+    A shape that stands in no scene is intersected in one of its own, made of a copy of it.
+    """
+
+    shape_kind: ClassVar[ShapeType] = ShapeType.Other
+    triangle_count: ClassVar[int] = 1
+    """The number of primitives, as Mitsuba counts."""
+
+    _bsdf: Any = None
+    _emitter: Any = None
+    _sensor: Any = None
+    _interior: Any = None
+    _exterior: Any = None
+    users: Sequence[weakref.ref[Any]] = ()
+    """The scenes that the shape stands in."""
+    original: Any = None
+    """The shape that this one was copied from, to be asked alone; else None."""
+
+    # ---- what belongs to it ---------------------------------------------------------------
+
+    def bsdf(self) -> Any:
+        """The BSDF; a shape without one gets a diffuse one, grey 0.5, or black if the shape emits."""
+        if self._bsdf is None:
+            grey = 0.5 if self._emitter is None else 0.0
+            self._bsdf = lookup("bsdf", "diffuse")(Properties("diffuse", f"{self.id()}.bsdf", {"reflectance": grey}))
+        return self._bsdf
+
+    def set_bsdf(self, bsdf: Any) -> None:
+        """Give the shape another BSDF, also in the scenes that it stands in.
+
+        Raises:
+            TypeError: It is no BSDF.
+        """
+        if getattr(bsdf, "kind", None) != "bsdf":
+            raise TypeError(
+                f"set_bsdf(): incompatible function arguments: expected a BSDF, found {type(bsdf).__name__}"
+            )
+        self._bsdf = bsdf
+        self.forget_alone()
+        for user in self.users:
+            scene = user()
+            if scene is not None:
+                scene.renew_bsdfs()
+
+    def emitter(self) -> Any:
+        """The area light, or None."""
+        return self._emitter
+
+    def sensor(self) -> Any:
+        """The sensor, or None."""
+        return self._sensor
+
+    def is_emitter(self) -> bool:
+        """Whether the shape shines."""
+        return self._emitter is not None
+
+    def is_sensor(self) -> bool:
+        """Whether the shape carries a sensor."""
+        return self._sensor is not None
+
+    def is_mesh(self) -> bool:
+        """Whether the shape consists of triangles in memory."""
+        return bool(self.shape_type() & ShapeType.Mesh)
+
+    def is_ellipsoids(self) -> bool:
+        """False: there are no ellipsoids."""
+        return False
+
+    def is_medium_transition(self) -> bool:
+        """Whether the surface bounds a medium: one was given, as `interior` or `exterior`."""
+        return self._interior is not None or self._exterior is not None
+
+    def interior_medium(self) -> Any:
+        """The medium inside, or None. (Absorption in glass belongs to its BSDF.)"""
+        return self._interior
+
+    def exterior_medium(self) -> Any:
+        """The medium outside, or None."""
+        return self._exterior
+
+    def shape_type(self) -> ShapeType:
+        """The kind of the shape, with Mitsuba's number."""
+        return self.shape_kind
+
+    def has_flipped_normals(self) -> bool:
+        """Whether `flip_normals` is set."""
+        return bool(getattr(self, "flip_normals", False))
+
+    # ---- extent ---------------------------------------------------------------------------
+
+    def primitive_count(self) -> int:
+        """The number of primitives."""
+        return self.triangle_count
+
+    def effective_primitive_count(self) -> int:
+        """The number of primitives, with those of instances counted each time."""
+        return self.primitive_count()
+
+    def bbox(self, index: int | None = None, clip: Any = None) -> ScalarBoundingBox3f:
+        """The box about the shape in world space, or about primitive number `index`, cut by the box `clip`."""
+        low, high = self._box(index)
+        if clip is not None:
+            low, high = np.maximum(low, np.array(clip.min).ravel()), np.minimum(high, np.array(clip.max).ravel())
+        return ScalarBoundingBox3f(low, high)
+
+    def _box(self, index: int | None) -> tuple[Any, Any]:
+        if index is not None and not 0 <= index < self.primitive_count():
+            raise SceneError(f"{self.id()}: there are {self.primitive_count()} primitives, found the index {index}")
+        intervals = np.array([self.interval(unit) for unit in np.eye(3)])  # type: ignore[attr-defined]
+        return intervals[:, 0], intervals[:, 1]
+
+    # ---- rays -----------------------------------------------------------------------------
+
+    def ray_intersect(
+        self, ray: Ray3f, ray_flags: int = RayFlags.All, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The first point of this shape alone with 0 < t < maxt: see `djpt.Scene.ray_intersect`."""
+        return self.alone().ray_intersect(ray, ray_flags, False, active=active)
+
+    def ray_intersect_preliminary(
+        self, ray: Ray3f, prim_index: int = 0, active: Bool | bool = True
+    ) -> PreliminaryIntersection3f:
+        """The first hit of this shape alone, of whatever primitive."""
+        return self.alone().ray_intersect_preliminary(ray, active=active)
+
+    def ray_test(self, ray: Ray3f, active: Bool | bool = True) -> Bool:
+        """True where the shape is hit with 0 < t < maxt."""
+        return self.alone().ray_test(ray, active)
+
+    def compute_surface_interaction(
+        self, ray: Ray3f, pi: PreliminaryIntersection3f, ray_flags: int = RayFlags.All, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The surface point of a hit: see `PreliminaryIntersection3f.compute_surface_interaction`."""
+        return pi.compute_surface_interaction(ray, ray_flags, active)
+
+    def eval_parameterization(
+        self, uv: Any, ray_flags: int = RayFlags.All, active: Bool | bool = True
+    ) -> SurfaceInteraction3f:
+        """The surface point with the texture coordinates (u, v) in the unit square; `t` is 0.
+
+        Raises:
+            SceneError: The shape has no parameterisation, so that no uv belong to a single point.
+        """
+        if not self.has_parameterization:  # type: ignore[attr-defined]
+            raise SceneError(f"{self.id()}: texture coordinates don't determine a point of this shape")
+        ps = self.at_uv(Point2f(uv))  # type: ignore[attr-defined]
+        si = self.alone().revisit(ps.p, -ps.n, UInt32(0), full=True)
+        si.t = dr.select(active, Float(0), dr.inf)
+        return si
+
+    def sample_position(self, time: Any, sample: Any, active: Bool | bool = True) -> PositionSample3f:
+        """Sample a point uniformly by area: pdf = 1 / area. Shapes don't move, so `time` is just noted."""
+        ps: PositionSample3f = self.draw_point(Point2f(sample))  # type: ignore[attr-defined]
+        ps.time = time
+        return ps
+
+    def sample_direction(self, it: Observer, sample: Any, active: Bool | bool = True) -> DirectionSample3f:
+        """Sample a point of the shape as seen from `it`; the pdf is per unit solid angle there."""
+        return self.draw_direction(it.p, Point2f(sample))  # type: ignore[attr-defined]
+
+    def pdf_direction(self, it: Observer, ps: DirectionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_direction` at `ps`, per unit solid angle at `it`."""
+        return dr.select(active, self.direction_density(it.p, ps), 0)  # type: ignore[attr-defined]
+
+    def pdf_position(self, ps: PositionSample3f, active: Bool | bool = True) -> Float:
+        """The density of `sample_position`, per unit area."""
+        return dr.select(active, dr.rcp(self.surface_area()), 0)  # type: ignore[attr-defined]
+
+    def used_in(self, scene: Any) -> None:
+        """Note that the shape stands in a scene."""
+        self.users = [*(user for user in self.users if user() is not None), weakref.ref(scene)]
+
+    # ---- a scene of its own -----------------------------------------------------------------
+
+    def alone(self) -> Any:
+        """A scene of this shape alone, or rather of a copy of it without emitter and sensor."""
+        if "_alone" not in self.__dict__:
+            only = copy.copy(self)
+            only._emitter = only._sensor = None
+            only._bsdf, only.original = self.bsdf(), self
+            self._alone = lookup("scene", "scene")(Properties("scene", self.id(), {"shape": only}))
+        return self._alone
+
+    def prepare_to_record(self) -> None:
+        self.make_parameters()
+        if self.original is None:
+            self.alone()
+
+    def make_parameters(self) -> None:
+        """Make the parameters that otherwise are made when they are asked for: frozen functions can't."""
+
+    def forget_alone(self) -> None:
+        """Drop the scene of the shape alone, after an edit."""
+        self.__dict__.pop("_alone", None)
+
+    def refresh(self, changed: Sequence[Plugin]) -> None:
+        """Follow an edit of the shape where it is the root of a description."""
+        self.forget_alone()
+        self.stand_alone()

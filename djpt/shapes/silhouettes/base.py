@@ -1,0 +1,177 @@
+"""The contract of silhouettes: what each kind of shape knows of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.core.records import DiscontinuityFlags, SurfaceInteraction3f
+from djpt.jit.types import Bool, Float, Matrix4f, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.silhouettes.moving import attached_place
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = [
+    "INSET",
+    "INTERIOR",
+    "PERIMETER",
+    "Placement",
+    "Silhouette",
+    "SurfacePoint",
+    "aligned",
+    "away_from",
+    "edge_normal",
+    "with_gradient",
+]
+
+INSET = 1e-4
+"""How far off an edge a surface is looked at, as a share of the shape's extent."""
+
+PERIMETER, INTERIOR = int(DiscontinuityFlags.PerimeterType), int(DiscontinuityFlags.InteriorType)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The affine map of a unit shape to the world: p = origin + x p_x + y p_y + z p_z."""
+
+    x: Vector3f
+    y: Vector3f
+    z: Vector3f
+    origin: Point3f
+
+    @staticmethod
+    def of_matrix(matrix: Matrix4f) -> Placement:
+        """The columns of a matrix."""
+        x, y, z, origin = (Vector3f(matrix[0, k], matrix[1, k], matrix[2, k]) for k in range(4))
+        return Placement(x, y, z, origin)
+
+    def point(self, p: Point3f) -> Point3f:
+        """Map a point."""
+        return dr.fma(self.x, p.x, dr.fma(self.y, p.y, dr.fma(self.z, p.z, self.origin)))
+
+    def local(self, p: Point3f) -> tuple[Float, Float]:
+        """The first two coordinates of a point near the plane of x and y."""
+        cross = dr.cross(self.x, self.y)
+        v = (p - self.origin) / dr.squared_norm(cross)
+        return dr.dot(v, dr.cross(self.y, cross)), dr.dot(v, dr.cross(cross, self.x))
+
+    def along(self, p: Point3f) -> Vector3f:
+        """The coordinates of a point, if the columns are perpendicular to each other."""
+        v = p - self.origin
+        return Vector3f(*(dr.dot(v, axis) / dr.squared_norm(axis) for axis in (self.x, self.y, self.z)))
+
+    def up(self) -> Normal3f:
+        """The unit normal of the plane of x and y."""
+        return dr.normalize(dr.cross(self.x, self.y))
+
+
+@dataclass
+class SurfacePoint:
+    """What shading needs to know of a point of a surface."""
+
+    n: Normal3f
+    """The normal of the surface, of unit length, on the outer side."""
+    shading: Normal3f
+    """The interpolated normal of smooth meshes; else the same."""
+    uv: Point2f
+    """Texture coordinates."""
+
+
+class Silhouette:
+    """The silhouettes of one shape, or of the shapes of one class, one per lane.
+
+    Samples lie in the unit cube. `types` says which kinds of silhouettes there are; a sample is of one kind, and what
+    has none of the kinds that are asked for returns an empty one.
+    """
+
+    types: ClassVar[int] = PERIMETER
+    offset: ClassVar[float] = 0.0
+    """`SilhouetteSample3f.offset`."""
+
+    def __init__(self, shape: Any) -> None:
+        """`shape` holds the values: numbers, or one per lane."""
+        self.shape = shape
+
+    def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
+        """The segment that belongs to a point of the unit cube."""
+        raise NotImplementedError
+
+    def invert(self, ss: SilhouetteSample3f, active: Bool | bool) -> Point3f:
+        """The point that `sample` takes to a segment."""
+        raise NotImplementedError
+
+    def project(
+        self, viewpoint: Point3f, si: SurfaceInteraction3f, flags: int, sample: Float, active: Bool | bool
+    ) -> SilhouetteSample3f:
+        """A point of the silhouette, as seen from `viewpoint`, that belongs to the surface point `si`."""
+        raise NotImplementedError
+
+    def precompute(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
+        """The parts of the silhouette as seen from a point: their numbers, and weights to choose among them."""
+        return UInt32(PERIMETER), Float(1)
+
+    def sample_precomputed(
+        self, viewpoint: Point3f, part: UInt32, sample: Float, active: Bool | bool
+    ) -> SilhouetteSample3f:
+        """A point of a part of the silhouette; `pdf` is per unit length."""
+        raise NotImplementedError
+
+    def local(self, uv: Point2f) -> Point3f:
+        """The point of the unit shape with the texture coordinates `uv`."""
+        raise NotImplementedError
+
+    def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
+        """The point that sticks to the surface as the shape moves, attached to its parameters; None if it stays."""
+        place = self.attached()
+        return None if place is None else place.point(dr.detach(self.local(dr.detach(uv))))
+
+    def place(self) -> Any:
+        """Where the shape is: its `Placement`; of a mesh the positions of its vertices."""
+        raise NotImplementedError
+
+    def attached(self) -> Any:
+        """The same, attached to the parameters of the shape; None if it stays."""
+        matrix = attached_place(self.shape)
+        return None if matrix is None else Placement.of_matrix(matrix)
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        """The surface at a point of it, if the shape is where `place` says; attached if `place` or `p` is."""
+        raise NotImplementedError
+
+    def foreground(self, ss: Any, active: Bool | bool) -> tuple[Point3f, Normal3f]:
+        """A point of the surface close to a silhouette, off the very edge, and the unit normal there."""
+        place = self.place()
+        middle = dr.fma(INSET, place.origin - ss.p, ss.p)
+        return middle, self.surface(place, middle, ss.prim_index, active).n
+
+    def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
+        """Of the texture coordinates and barycentric weights of a hit those that `follow` understands."""
+        return uv
+
+    def sample_of(self, **fields: Any) -> SilhouetteSample3f:
+        """A sample of this shape, whose number the caller sets."""
+        return SilhouetteSample3f(number=UInt32(0), offset=Float(self.offset), **fields)
+
+
+def with_gradient(value: Any, attached: Any) -> Any:
+    """The value, with the derivative of another expression that has the same one."""
+    result: Any = dr.replace_grad(dr.detach(value), attached)  # type: ignore[func-returns-value]
+    return result
+
+
+def away_from(viewpoint: Point3f) -> Callable[[Point3f], Vector3f]:
+    """The function that gives the direction in which a viewer sees a point."""
+    return lambda p: dr.normalize(p - viewpoint)
+
+
+def edge_normal(d: Vector3f, edge: Vector3f, inward: Vector3f) -> Normal3f:
+    """The unit normal of the plane through `edge` and `d`, on the side that `inward` doesn't point to."""
+    n = dr.normalize(dr.cross(d, edge))
+    return dr.select(dr.dot(inward, n) > 0, -n, n)
+
+
+def aligned(n: Vector3f, reference: Vector3f) -> Vector3f:
+    """The normal on the side of another."""
+    return n * dr.mulsign(Float(1), dr.detach(dr.dot(n, reference)))

@@ -1,0 +1,56 @@
+"""The surface that a viewer sees on this side of a silhouette."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.frame import Frame3f
+from djpt.core.records import RAY_EPSILON, Ray3f, RayFlags, SurfaceInteraction3f
+from djpt.jit.types import Bool, Normal3f, Point3f
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["foreground"]
+
+LEAST_COSINE = 1e-5
+"""The least cosine of a viewer's direction with a shading normal that is bent towards it."""
+
+
+def foreground(
+    scene: Any, shapes: list[Any], ss: SilhouetteSample3f, active: Bool | bool
+) -> tuple[SurfaceInteraction3f, Bool]:
+    """The surface points at silhouettes, seen along `ss.d`, and whether they were found.
+
+    A ray from just above the surface finds the triangle and all that belongs to it. Where the shading normal points
+    away from the viewer, it is bent until it doesn't: rounding decides for analytic shapes, and meshes with smooth
+    normals have a black seam there, whose inner border moves like the silhouette, so that the sum of both jumps counts.
+
+    Args:
+        scene: the scene.
+        shapes: `scene.silhouette_shapes()`, which `ss.scene_index` counts.
+        ss: the silhouettes.
+        active: the lanes that matter.
+    """
+    p, n = Point3f(ss.p), Normal3f(ss.n)
+    for number, shape in enumerate(shapes):
+        near, outer = shape.silhouette().foreground(ss, active)
+        mine = ss.scene_index == number
+        p, n = dr.select(mine, near, p), dr.select(mine, outer, n)
+    front = dr.dot(n, ss.d) <= 1e-3
+    toward = dr.select(front, n, -n)
+    height = RAY_EPSILON * (1 + dr.max(dr.abs(p)))
+    si = scene.ray_intersect(Ray3f(dr.fma(toward, height, p), -toward), RayFlags.AllNonDifferentiable, active=active)
+    found = si.is_valid() & (si.t < 4 * height) & active
+    on_shape = Bool(False)
+    for number, shape in enumerate(shapes):
+        on_shape |= (ss.scene_index == number) & (si.shape == shape)
+
+    shading = si.sh_frame.n
+    side = dr.select(dr.dot(si.n, toward) > 0, 1.0, -1.0)
+    cosine = side * dr.dot(shading, ss.d)
+    bent = dr.normalize(shading - side * (cosine + LEAST_COSINE) * ss.d)
+    away = cosine > -LEAST_COSINE
+    si.sh_frame = dr.select(away, Frame3f.from_normal(bent), si.sh_frame)
+    si.wi = si.sh_frame.to_local(-ss.d)
+    return si, found & on_shape

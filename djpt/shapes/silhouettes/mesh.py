@@ -1,0 +1,297 @@
+"""Silhouettes of meshes: edges between a triangle that is seen from the front and one from the back, and borders."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.core.records import BSDFFlags, DiscontinuityFlags, SurfaceInteraction3f, has_flag
+from djpt.core.warp import (
+    square_to_uniform_sphere,
+    square_to_uniform_spherical_lune,
+    square_to_uniform_spherical_lune_pdf,
+    uniform_sphere_to_square,
+    uniform_spherical_lune_to_square,
+)
+from djpt.distributions.weights import Weights
+from djpt.jit.types import Bool, Float, Normal3f, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.silhouettes.base import (
+    INSET,
+    PERIMETER,
+    Placement,
+    Silhouette,
+    SurfacePoint,
+    edge_normal,
+    with_gradient,
+)
+from djpt.shapes.silhouettes.moving import attached_place
+from djpt.shapes.silhouettes.normals import attached_normals
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+if TYPE_CHECKING:
+    from djpt.shapes.mesh import Mesh
+
+__all__ = ["MeshSilhouette"]
+
+NO_EDGE = 0xFFFFFFFF
+"""The number of the opposite edge at a border."""
+
+LEAST_ANGLE = math.radians(1)
+"""The least weight of an edge in walks, so that each can be crossed."""
+
+EPSILON = 2.0**-24
+
+
+class MeshSilhouette(Silhouette):
+    """The edges, chosen by length; `uv` are barycentric weights. Edge k of triangle f is number 3 f + k."""
+
+    shape: Mesh
+
+    # ---- edges and triangles ------------------------------------------------------------
+
+    def corners(self, edge: UInt32, active: Bool | bool = True) -> tuple[Point3f, Point3f, Point3f]:
+        """The ends of an edge, and the third corner of its triangle."""
+        face = edge // 3
+        corner = edge - 3 * face
+        start, mesh = 3 * face, self.shape
+        second = dr.select(corner == 2, 0, corner + 1)
+        third = dr.select(second == 2, 0, second + 1)
+        a, b, c = (
+            mesh.vertex_position(dr.gather(UInt32, mesh.faces_parameter, start + k, active), active)
+            for k in (corner, second, third)
+        )
+        return a, b, c
+
+    def neighbour(self, edge: UInt32, active: Bool | bool = True) -> tuple[UInt32, Bool]:
+        """The opposite edge, and whether there is one."""
+        opposite = self.shape.opposite_dedge(edge, active)
+        return opposite, (opposite != NO_EDGE) & active
+
+    def normals(self, edge: UInt32, active: Bool | bool) -> tuple[UInt32, Bool, Normal3f, Normal3f]:
+        """The opposite edge, whether there is one, and the normals of both triangles."""
+        opposite, shared = self.neighbour(edge, active)
+        own, other = self.shape.face_normal(edge // 3, active), self.shape.face_normal(opposite // 3, shared)
+        return opposite, shared, own, other
+
+    @cached_property
+    def edges(self) -> Weights:
+        """All edges that may be on a silhouette, by their lengths, each once and where the mesh lies now."""
+        mesh = self.shape
+        key = (mesh.positions, mesh.indices)
+        known = mesh.__dict__.get("_silhouette_edges")
+        if known is not None and all(a is b for a, b in zip(known[0], key, strict=True)):
+            found: Weights = known[1]
+            return found
+        with dr.suspend_grad():
+            edges = Weights(self._weights())
+        mesh.__dict__["_silhouette_edges"] = (key, edges)
+        return edges
+
+    def _weights(self) -> Float:
+        edge = dr.arange(UInt32, 3 * len(self.shape.indices))
+        opposite, shared, own, other = self.normals(edge, True)
+        first = shared & (opposite > edge)
+        a, b, _ = self.corners(edge)
+        bends = dr.dot(own, other) < 1
+        if not has_flag(self.shape.bsdf().flags(), BSDFFlags.BackSide):
+            # Edges of hollows separate a triangle that is seen from the front from one that is black from behind.
+            _, q1, q2 = self.corners(opposite, first)
+            bends &= dr.dot(own, dr.normalize(q2 - q1)) < 0
+        return dr.select((first & bends) | ~shared, dr.norm(b - a), 0)
+
+    # ---- the space of segments ------------------------------------------------------------
+
+    def sample(self, sample: Point3f, flags: int, active: Bool | bool) -> SilhouetteSample3f:
+        if not flags & PERIMETER or not self.shape.parameters_grad_enabled():
+            return SilhouetteSample3f()
+        edge, along, chance = self.edges.choose(sample.x, active)
+        active = (chance > 0) & active
+        a, b, c = self.corners(edge, active)
+        _, shared, own, other = self.normals(edge, active)
+        on_square = Point2f(sample.y, sample.z)
+        d = square_to_uniform_sphere(on_square)
+        pdf = Float(0.25 / math.pi)
+        if flags & DiscontinuityFlags.DirectionLune:
+            d = dr.select(shared, square_to_uniform_spherical_lune(on_square, own, other), d)
+            pdf = dr.select(shared, square_to_uniform_spherical_lune_pdf(d, own, other), pdf)
+        valid = active & (~shared | (dr.dot(d, own) * dr.dot(d, other) < 0)) & (pdf != 0)
+        ss = self._on_edge(edge, along, a, b, c, d)
+        ss.pdf = pdf * chance / dr.norm(b - a)
+        ss.flags = UInt32(int(flags))
+        ss.foreshortening = dr.norm(dr.cross(ss.silhouette_d, d))
+        return dr.select(valid, ss, SilhouetteSample3f())
+
+    def _on_edge(
+        self, edge: UInt32, along: Float, a: Point3f, b: Point3f, c: Point3f, d: Vector3f
+    ) -> SilhouetteSample3f:
+        """The point at the share `along` of the edge from `a` to `b`; `c` is the third corner."""
+        face = edge // 3
+        corner = edge - 3 * face
+        p = dr.lerp(a, b, along)
+        tangent = dr.normalize(b - a)
+        uv = dr.select(
+            corner == 0,
+            Point2f(along, 0),
+            dr.select(corner == 1, Point2f(1 - along, along), Point2f(0, 1 - along)),
+        )
+        return self.sample_of(
+            p=p,
+            n=edge_normal(d, tangent, c - p),
+            uv=uv,
+            discontinuity_type=UInt32(PERIMETER),
+            d=d,
+            silhouette_d=tangent,
+            prim_index=face,
+            projection_index=corner,
+        )
+
+    def invert(self, ss: SilhouetteSample3f, active: Bool | bool) -> Point3f:
+        if not self.shape.parameters_grad_enabled():
+            return Point3f(0)
+        active = (ss.discontinuity_type == PERIMETER) & active
+        edge = 3 * ss.prim_index + ss.projection_index
+        # Of the two numbers of an edge the smaller one is sampled.
+        edge = dr.minimum(edge, self.shape.opposite_dedge(edge, active))
+        _, shared, own, other = self.normals(edge, active)
+        a, b, _ = self.corners(edge, active)
+        along = dr.clip(dr.norm(ss.p - a) / dr.norm(b - a), EPSILON, 1 - EPSILON)
+        begin, chance = self.edges.probability_below(edge, active), self.edges.probability(edge, active)
+        x = dr.fma(along, chance, begin)
+        lune = shared & has_flag(ss.flags, DiscontinuityFlags.DirectionLune)
+        square = dr.select(lune, uniform_spherical_lune_to_square(ss.d, own, other), uniform_sphere_to_square(ss.d))
+        known = lune | ~shared | has_flag(ss.flags, DiscontinuityFlags.DirectionSphere)
+        square = dr.select(known, square, 0)
+        return Point3f(dr.select(active, x, 0), square.x, square.y)
+
+    # ---- projections ------------------------------------------------------------------------
+
+    def project(
+        self, viewpoint: Point3f, si: SurfaceInteraction3f, flags: int, sample: Float, active: Bool | bool
+    ) -> SilhouetteSample3f:
+        """A point of one of the triangle's edges that is on the silhouette; none if no edge is.
+
+        With `HeuristicWalk` any edge may be chosen, by the angle in which it is seen, and `prim_index` is the triangle
+        beyond it.
+        """
+        if not flags & PERIMETER or not self.shape.parameters_grad_enabled():
+            return SilhouetteSample3f()
+        mesh = self.shape
+        prim = si.prim_index
+        vertices = [mesh.vertex_position(i, active) for i in mesh.face_indices(prim, active)]
+        own = dr.normalize(dr.cross(vertices[1] - vertices[0], vertices[2] - vertices[0]))
+        cosines, beyond = [], []
+        for k in range(3):
+            opposite, shared = self.neighbour(3 * prim + k, active)
+            d = dr.normalize(vertices[(k + 1) % 3] - viewpoint)
+            other = mesh.face_normal(opposite // 3, shared)
+            facing = dr.dot(d, other) * dr.sign(dr.dot(d, own))
+            cosines.append(dr.select(shared, facing, -1))
+            beyond.append(dr.select(shared, opposite // 3, prim))
+        if flags & DiscontinuityFlags.HeuristicWalk:
+            weights = [dr.select(c <= 0, 0.5 * math.pi, dr.safe_acos(c)) for c in cosines]
+            weights = [dr.maximum(w, LEAST_ANGLE) for w in weights]
+        else:
+            weights = [dr.select(c < 0, Float(1), 0) for c in cosines]
+        total = weights[0] + weights[1] + weights[2]
+        none = total == 0
+        weights = [dr.select(none, 1 / 3, w / total) for w in weights]
+
+        second, third = sample >= weights[0], sample >= weights[0] + weights[1]
+        edge = dr.select(third, UInt32(2), dr.select(second, UInt32(1), 0))
+        before = dr.select(third, weights[0] + weights[1], dr.select(second, weights[0], 0))
+        along = (sample - before) / by_edge(edge, weights)
+        p = by_edge(edge, [dr.lerp(vertices[k], vertices[(k + 1) % 3], along) for k in range(3)])
+        if flags & DiscontinuityFlags.HeuristicWalk:
+            failed, target = by_edge(edge, cosines) > 0, by_edge(edge, beyond)
+        else:
+            failed, target = none, UInt32(prim)
+        return self.sample_of(
+            p=p,
+            d=dr.normalize(p - viewpoint),
+            prim_index=target,
+            projection_index=edge,
+            discontinuity_type=dr.select(~failed & active, UInt32(PERIMETER), 0),
+        )
+
+    def precompute(self, viewpoint: Point3f) -> tuple[UInt32, Float]:
+        edge = dr.arange(UInt32, 3 * len(self.shape.indices))
+        a, b, _ = self.corners(edge)
+        opposite, shared, own, other = self.normals(edge, True)
+        to_a, to_b = dr.normalize(a - viewpoint), dr.normalize(b - viewpoint)
+        parted = dr.dot(to_a, own) * dr.dot(to_a, other) <= 0
+        bends = dr.abs(dr.dot(own, other)) < 1
+        part: Any = dr.compress(~shared | ((opposite > edge) & parted & bends))
+        # The angle in which an edge is seen: a chord of the unit sphere is twice the sine of half of its angle.
+        angle = 2 * dr.safe_asin(0.5 * dr.norm(to_b - to_a))
+        return part, dr.gather(Float, angle, part)
+
+    def sample_precomputed(
+        self, viewpoint: Point3f, part: UInt32, sample: Float, active: Bool | bool
+    ) -> SilhouetteSample3f:
+        a, b, c = self.corners(part, active)
+        ss = self._on_edge(part, sample, a, b, c, dr.normalize(dr.lerp(a, b, sample) - viewpoint))
+        ss.pdf = dr.rsqrt(dr.squared_norm(b - a))
+        return ss
+
+    def foreground(self, ss: SilhouetteSample3f, active: Bool | bool) -> tuple[Point3f, Normal3f]:
+        """Of the two triangles at the edge that which is seen from the front; at a border the only one."""
+        edge = 3 * ss.prim_index + ss.projection_index
+        opposite, shared, own, other = self.normals(edge, active)
+        beyond = shared & (dr.dot(own, ss.d) > 0)
+        face, n = dr.select(beyond, opposite // 3, ss.prim_index), dr.select(beyond, other, own)
+        a, b, c = self._at(self.place(), face, active)
+        return dr.fma(INSET, (a + b + c) / 3 - ss.p, ss.p), -n if self.shape.flip_normals else n
+
+    # ---- motion -------------------------------------------------------------------------------
+
+    def texture_place(self, uv: Point2f, prim_uv: Point2f) -> Point2f:
+        return prim_uv
+
+    def place(self) -> Float:
+        return dr.detach(self.shape.vertex_positions)
+
+    def attached(self) -> Float | None:
+        positions: Float | None = attached_place(self.shape)
+        return positions
+
+    def follow(self, prim_index: UInt32, uv: Point2f, active: Bool | bool) -> Point3f | None:
+        positions = self.attached()
+        if positions is None:
+            return None
+        a, b, c = self._at(positions, prim_index, active)
+        u, v = dr.detach(uv.x), dr.detach(uv.y)
+        return dr.fma(a, 1 - u - v, dr.fma(b, u, c * v))
+
+    def _at(self, positions: Float, prim_index: UInt32, active: Bool | bool) -> list[Point3f]:
+        """The corners of triangles."""
+        corners = self.shape.face_indices(prim_index, active)
+        return [dr.gather(Point3f, positions, corner, active) for corner in corners]
+
+    def surface(self, place: Any, p: Point3f, prim_index: UInt32, active: Bool | bool) -> SurfacePoint:
+        mesh = self.shape
+        a, b, c = self._at(place, prim_index, active)
+        plane = Placement(b - a, c - a, Vector3f(0), a)
+        n, weights = plane.up(), plane.local(p)
+        n = -n if mesh.flip_normals else n
+        shares = (1 - weights[0] - weights[1], *weights)
+        shading, uv = n, Point2f(*weights)
+        corners = mesh.face_indices(prim_index, active)
+        if mesh.has_vertex_normals():
+            normals = mesh.vertex_normals
+            if dr.grad_enabled(place):
+                normals = with_gradient(normals, attached_normals(mesh))
+            at_corners = [dr.gather(Normal3f, normals, corner, active) for corner in corners]
+            shading = dr.normalize(sum((w * m for w, m in zip(shares, at_corners, strict=True)), Normal3f(0)))
+            shading = -shading if mesh.flip_normals else shading
+        if mesh.has_vertex_texcoords():
+            texcoords = [dr.gather(Point2f, mesh.vertex_texcoords, corner, active) for corner in corners]
+            uv = sum((w * t for w, t in zip(shares, texcoords, strict=True)), Point2f(0))
+        return SurfacePoint(n, shading, uv)
+
+
+def by_edge(edge: UInt32, values: list[Any]) -> Any:
+    """The value of one of three edges."""
+    return dr.select(edge == 0, values[0], dr.select(edge == 1, values[1], values[2]))

@@ -1,0 +1,70 @@
+"""The parameters by which shapes move: the attached value of each, and values that stand in for it for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.transforms.host import ScalarTransform4f
+from djpt.jit.types import Float
+
+__all__ = ["AttachedTransform", "attached_place", "exchanged", "exchanged_value", "motion_name"]
+
+
+class AttachedTransform(ScalarTransform4f):
+    """A transform on the host that knows the Dr.Jit transform, attached to gradients, that it was made from."""
+
+    __slots__ = ("lanes",)
+
+    def __init__(self, lanes: Any) -> None:
+        """Read a `Transform4f`."""
+        super().__init__(dr.detach(lanes.matrix))
+        self.lanes = lanes
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+_exchanged: ContextVar[Mapping[tuple[int, str], Any] | None] = ContextVar("exchanged", default=None)
+
+
+@contextmanager
+def exchanged(values: Mapping[tuple[int, str], Any]) -> Iterator[None]:
+    """Let shapes move by other variables within a `with` block: fresh leaves in place of the parameters.
+
+    Args:
+        values: the variables by the id of the shape and its attribute, `motion_name`.
+    """
+    token = _exchanged.set(values)
+    try:
+        yield
+    finally:
+        _exchanged.reset(token)
+
+
+def exchanged_value(shape: Any, name: str) -> Any:
+    """The variable that stands in for an attribute of a shape; None if there is none."""
+    return (_exchanged.get() or {}).get((id(shape), name))
+
+
+def motion_name(shape: Any) -> str:
+    """The attribute that holds the variable by which a shape moves: a matrix, or the positions of vertices."""
+    return "vertex_positions" if shape.of_triangles else "attached_matrix"
+
+
+def attached_place(shape: Any) -> Any:
+    """The variable by which a shape moves: a `Matrix4f`, or the `Float` of a mesh's positions; None if it stays."""
+    name = motion_name(shape)
+    value = exchanged_value(shape, name)
+    if value is None:
+        value = shape.__dict__.get(name) if shape.of_triangles else shape.attached_matrix
+    if value is None or not dr.grad_enabled(value):
+        return None
+    moved: Float = value
+    return moved

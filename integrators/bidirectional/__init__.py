@@ -1,0 +1,1 @@
+"""Parts of bidirectional path tracing: subpaths, their weights, strategies by themselves."""

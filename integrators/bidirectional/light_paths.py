@@ -1,0 +1,104 @@
+"""Paths that leave lights: how they begin, and the vertices that they leave for other paths to join."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.core.records import RAY_EPSILON, EmissionSample, EmitterFlags, Ray3f, has_flag
+from djpt.emitters.pointer import EmitterPtr
+from djpt.integrators.bidirectional.compact_interaction import KeptSurface
+from djpt.integrators.paths.path_vertex import Matter, Place
+from djpt.jit.kernels import maximum
+from djpt.jit.types import Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.samplers.base import SampleStream
+
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+
+__all__ = ["Departure", "LightVertex", "departure", "is_beam", "vertices"]
+
+
+@dataclass
+class Departure:
+    """A ray that leaves an emitter."""
+
+    o: Point3f
+    """Where it begins, off the surface."""
+    emitter: EmitterPtr
+    inverse: Float
+    """1 / the probability of choosing the emitter."""
+    sample: EmissionSample
+
+    def ray(self, scene: Scene) -> Ray3f:
+        """The ray, in its medium."""
+        return Ray3f(self.o, self.sample.ray.d, medium=scene.medium_at(self.o))
+
+
+def departure(scene: Scene, sampler: SampleStream) -> Departure:
+    """Choose an emitter, and sample a ray that leaves it."""
+    index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, sampler.next_1d())
+    emitter = scene.emitter_ptr(index)
+    es = emitter.sample_emission(sampler.next_2d(), sampler.next_2d())
+    # Off the surface, along the ray, whichever side that is.
+    a = dr.abs(es.ray.o)
+    largest = maximum(maximum(a.x, a.y), a.z)
+    o = dr.fma(es.ray.d, dr.fma(largest, RAY_EPSILON, RAY_EPSILON), es.ray.o)
+    return Departure(o, emitter, inverse, es)
+
+
+def is_beam(flags: Any) -> Any:
+    """Whether light leaves a surface in one direction only: flags are `EmitterFlags`."""
+    return has_flag(flags, EmitterFlags.Surface) & has_flag(flags, EmitterFlags.DeltaDirection)
+
+
+class LightVertex(KeptSurface):
+    """A vertex of a light path, as local memory keeps it: the surface point, and what arrives there."""
+
+    flux: Color3f
+    vcm: Float
+    vc: Float
+    depth: UInt32
+
+    @staticmethod
+    def at(place: Place, flux: Color3f, vcm: Float, vc: Float, depth: UInt32) -> LightVertex:
+        """The vertex where a light path of `depth` edges has arrived with a flux.
+
+        For `vcm` and `vc` see `djpt.integrators.bidirectional.subpath.End`.
+        """
+        kept = KeptSurface.fields_of(place.si)
+        kind, matter = LightVertex, place.matter
+        if matter is not None:
+            kind = VertexInMatter
+            kept.update(medium=dr.select(matter.inside, matter.medium, NOWHERE), back=matter.wi)
+        vertex: LightVertex = kind.holding(**kept, flux=flux, vcm=vcm, vc=vc, depth=depth)
+        return vertex
+
+    def place(self, scene: Scene) -> Place:
+        """The place of the vertex."""
+        return Place(self.interaction(scene), None)
+
+
+class VertexInMatter(LightVertex):
+    """A vertex of a light path that may be a place in a medium."""
+
+    medium: UInt32
+    """The number of the medium; `NOWHERE` on surfaces."""
+    back: Vector3f
+    """The direction back along the ray, in world space."""
+
+    def place(self, scene: Scene) -> Place:
+        plain = super().place(scene)
+        inside = self.medium != NOWHERE
+        return Place(plain.si, Matter(inside, dr.select(inside, self.medium, 0), self.back))
+
+
+NOWHERE = 0xFFFFFFFF
+"""The number of no medium."""
+
+
+def vertices(scene: Scene, size: int) -> Any:
+    """Local memory for some vertices of a light path."""
+    return dr.alloc_local(VertexInMatter if scene.media.scatter else LightVertex, size)

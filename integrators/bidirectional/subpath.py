@@ -1,0 +1,243 @@
+"""Paths that grow from a light and from the camera, and how they are weighted where they meet.
+
+A path of k edges can be put together in many ways: s vertices from the light and t = k + 1 - s from the camera. The
+sample of way s with density p_s counts with the weight
+
+    w_s = h(p_s) / (sum over i of h(p_i)),    h(p) = p (balance heuristic) or p^2 (power heuristic).
+
+Neighbouring densities differ by two factors only, p_(i+1) / p_i = (density of vertex i from the light) / (its density
+from the camera), so both ends carry what the sum needs of their side: two numbers, which a vertex updates.
+
+E. Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, chapter 10; the recursion is that of
+I. Georgiev, "Implementing Vertex Connection and Merging", 2012, without merging.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import BSDFFlags, Ray3f, has_flag
+from djpt.integrators.base import SMALL
+from djpt.integrators.bidirectional.light_paths import LightVertex
+from djpt.integrators.paths.path_vertex import Place, Scattering
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+
+__all__ = [
+    "CameraHit",
+    "CameraLane",
+    "CameraStep",
+    "End",
+    "Heuristic",
+    "Lane",
+    "LightHit",
+    "LightStep",
+    "balance",
+    "meeting",
+    "mis_weight",
+    "power",
+    "scaled",
+    "with_derivative",
+]
+
+Heuristic = Callable[[Float], Float]
+
+
+def balance(density: Float) -> Float:
+    """The balance heuristic: strategies count by their densities."""
+    return density
+
+
+def power(density: Float) -> Float:
+    """The power heuristic with the exponent 2."""
+    return dr.square(density)
+
+
+def mis_weight(others: Float) -> Float:
+    """1 / (1 + others), `others` being the sum of h(density) over that of the strategy at hand; 0 if it is infinite."""
+    return dr.select(others < dr.inf, dr.rcp(1 + others), 0)
+
+
+def meeting(vcm: Float, vc: Float, density: Float, back: Float, h: Heuristic) -> Float:
+    """The share of one side, whose last vertex has `vcm` and `vc`, in the sum of a weight.
+
+    `density` is that of reaching this vertex from the other side, per unit area, and `back` that of going on from
+    there to the vertex before it, per unit solid angle.
+    """
+    return h(density) * (vcm + vc * h(back))
+
+
+@dataclass
+class End:
+    """The end of a path that grows from the camera or from a light."""
+
+    ray: Ray3f
+    """The next edge."""
+    throughput: Color3f
+    """What the path is worth: importance from the camera, power from a light, over the density."""
+    vcm: Float
+    """h(1 / density of the last vertex); at first times that of the vertex before, if that is sampled directly."""
+    vc: Float
+    """The sum of h(density ratio) over all strategies with fewer vertices on this side, over that of the last edge."""
+    before: Float
+    """How far before the ray's origin its directions part; inf if the rays are parallel."""
+    eta: Float | None
+    """Product of relative indices of refraction; None in scenes without refraction."""
+    depth: UInt32
+    """The number of edges, the next one included."""
+    aside: Color3f | None = None
+    """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
+
+    def arrived(self, place: Place, passed: Color3f, h: Heuristic) -> End:
+        """The end at the place that its ray has reached: densities are per unit area there.
+
+        `passed` is what media have left.
+        """
+        cos = h(place.cos(self.ray.d))
+        hit = place.si.is_valid()
+        inverse = dr.rcp(dr.select(hit, cos, 1))
+        distance = place.si.t + self.before
+        spread = dr.select(hit & (self.before < dr.inf), h(dr.square(distance)), 1)
+        return replace(self, throughput=self.throughput * passed, vcm=self.vcm * spread * inverse, vc=self.vc * inverse)
+
+    def scattered(self, place: Place, s: Scattering, throughput: Color3f, h: Heuristic) -> End:
+        """The end of the path that goes on from a place as `s` says, with the given throughput."""
+        d = place.direction(s)
+        cos = place.cos(d)
+        delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
+        # No strategy joins two vertices at a delta lobe, whose densities of both ways are equal.
+        on = self.vc * h(s.back_of_sample) + self.vcm
+        return End(
+            ray=place.ray(d),
+            throughput=throughput,
+            vcm=dr.select(delta, 0, h(dr.rcp(s.sample.pdf))),
+            vc=dr.select(delta, self.vc * h(cos), h(cos * dr.rcp(s.sample.pdf)) * on),
+            before=Float(0),
+            eta=None if self.eta is None else self.eta * s.sample.eta,
+            depth=self.depth + 1,
+            aside=self.aside,
+        )
+
+    def passing(self, place: Place, passes: Bool, other: End) -> End:
+        """`other`, or where the path `passes` a surface as if it weren't there, the same edge continued."""
+        return replace(
+            other,
+            vcm=dr.select(passes, self.vcm, other.vcm),
+            vc=dr.select(passes, self.vc, other.vc),
+            before=dr.select(passes, self.before + place.si.t, other.before),
+            depth=dr.select(passes, self.depth, other.depth),
+        )
+
+
+def scaled(
+    throughput: Color3f, aside: Color3f | None, weight: Color3f, differs: Callable[[], Bool]
+) -> tuple[Color3f, Color3f | None]:
+    """A throughput times the weight of a vertex, and what is set aside of it.
+
+    As in `PathState.carrying`, replays go on where a weight is 0 or too small to divide by: the first such factor of
+    each channel is set aside where the vertex `differs`. The throughput keeps the derivative of the product.
+    """
+    product = throughput * weight
+    if aside is None or not dr.grad_enabled(weight):
+        return product, aside
+    factor = dr.detach(weight)
+    small = (aside == 1) & (dr.abs(factor) < SMALL) & differs()
+    value = dr.detach(throughput) * dr.select(small, 1, factor)
+    return with_derivative(value, product), dr.select(small, factor, aside)
+
+
+def with_derivative(value: Color3f, other: Color3f) -> Color3f:
+    """The colour `value` with the derivative of another one."""
+    return dr.replace_grad(value, other)  # type: ignore[func-returns-value, return-value]
+
+
+@dataclass
+class Lane:
+    """Loop state of either walk."""
+
+    end: End
+    sampler: Any
+    active: Bool
+    vertices: Any
+    """The vertices of the light path, in local memory."""
+    count: UInt32
+    """Their number."""
+
+
+@dataclass
+class CameraLane(Lane):
+    """Loop state of the walk from the camera."""
+
+    radiance: Color3f
+    covered: Bool
+
+
+@dataclass
+class LightHit:
+    """The next vertex of a light path, before light is scattered there."""
+
+    place: Place
+    come: End
+    """The path before it has arrived."""
+    end: End
+    """The path that has arrived."""
+    flux: Color3f
+    vertex: LightVertex
+    """What is kept for connections."""
+    joins: Bool
+    """Whether other paths can be joined to it."""
+    active: Bool
+    """True where there is something."""
+
+
+@dataclass
+class LightStep:
+    """What a light path does at a vertex. Colours are attached where the scene's values are, and not weighted."""
+
+    position: Point2f
+    """The place on the film that shows it, in [0, 1)^2 of the crop window."""
+    shown: Color3f | None
+    """The light that the film receives there; None from sensors that light can't be traced to."""
+    weight: Float
+    """That of `shown`."""
+    end: End
+    """The path that goes on."""
+    active: Bool
+    """True where it does."""
+
+
+@dataclass
+class CameraHit:
+    """The next vertex of a camera path, before light is scattered there. Colours are as in `LightStep`."""
+
+    place: Place
+    come: End
+    """The path before it has arrived."""
+    end: End
+    """The path that has arrived."""
+    glow: Color3f | None
+    """The light that media have added on the way, and that other paths have left here; None if there is neither."""
+    met: Color3f
+    """The light that the path has met."""
+    weight: Float
+    """That of `met`."""
+    joins: Bool
+    """Whether light paths can be joined to the vertex."""
+    active: Bool
+    """True where there is something, and an edge left to go on from it."""
+
+
+@dataclass
+class CameraStep:
+    """What a camera path does at a vertex, connections aside. Colours are as in `LightStep`."""
+
+    scattering: Scattering
+    lit: Color3f
+    """The light of the light sample."""
+    weight: Float
+    """That of `lit`."""
+    covers: Bool
+    """True where there is a surface that the path doesn't pass straight through."""

@@ -1,0 +1,155 @@
+"""Direct light, with derivatives by the shapes that move."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, TransportMode, has_flag
+from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
+from djpt.errors import RenderError
+from djpt.integrators.projective.projective_sampling import PSIntegrator
+from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight
+from djpt.integrators.projective.weights import mis_weight
+from djpt.jit.types import Bool, Color3f, Float, Point2f, UInt32
+from djpt.shapes.silhouettes.foreground import foreground
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["DirectProjectiveIntegrator"]
+
+SMOOTH = int(BSDFFlags.Smooth)
+
+
+class DirectProjectiveIntegrator(PSIntegrator):
+    """Emitters seen directly, and their light on surfaces; differentiable by the place of shapes.
+
+    At each hit one sample by the emitters and one by the BSDF, with multiple importance sampling. Derivatives are those
+    of the code, and of silhouettes: see `djpt.ad.integrators.projective_sampling`. As in Mitsuba 3.9.1, light is
+    followed whose path the silhouette of a moving shape cuts; shadows that fall on a moving shape from one that stays
+    have derivatives as far as the light of unshadowed points has.
+
+    Parameters: those of `PSIntegrator`, of which `max_depth` is 1 (emitters alone) or more; `project_seed` (`both`,
+    `bsdf` or `emitter`, default `both`): the rays that are projected to guide samples.
+    """
+
+    radiative_backprop = False
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.project_seed = props.string("project_seed", "both", choices=("both", "bsdf", "emitter"))
+
+    def sample(  # type: ignore[override]
+        self,
+        mode: dr.ADMode,
+        scene: Any,
+        sampler: Any,
+        ray: Any,
+        depth: Any = None,
+        δL: Any = None,
+        state_in: Any = None,
+        active: Any = True,
+        project: bool = False,
+        si_shade: Any = None,
+        **kwargs: Any,
+    ) -> Any:
+        attached = mode != dr.ADMode.Primal
+        ray, active = dr.detach(ray), Bool(active)
+        with dr.resume_grad(when=attached):
+            si = self.first_hit(scene, ray, active) if si_shade is None else si_shade
+            light = Color3f(0)
+            if not self.hide_emitters:
+                light = dr.select(active, si.emitter(scene).eval(si, active), 0)
+        covered = si.is_valid() & active
+        onward = covered & (self.max_depth > 1)
+        bsdf, ctx = si.bsdf(), BSDFContext()
+
+        by_light = onward & has_flag(bsdf.flags(), SMOOTH)
+        ds, weight = scene.sample_emitter_direction(dr.detach(si), sampler.next_2d(), True, by_light)
+        lit = by_light & (ds.pdf != 0)
+        with dr.resume_grad(when=attached):
+            d = ds.d
+            if attached:
+                d, weight = attached_light(scene, si, ds, weight, lit)
+            value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(d), lit)
+            mis = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
+            light = light + dr.select(lit, value * weight * mis, 0)
+
+        bs, scattered = bsdf.sample(ctx, dr.detach(si), sampler.next_1d(), sampler.next_2d(), onward)
+        scattered = dr.detach(scattered)
+        by_bsdf = onward & dr.any(scattered != 0)
+        delta = has_flag(bs.sampled_type, int(BSDFFlags.Delta))
+        next_ray = dr.detach(si.spawn_ray(si.to_world(bs.wo)))
+        with dr.resume_grad(when=attached):
+            target = scene.ray_intersect(next_ray, active=by_bsdf)
+            if attached:
+                scattered = scattered * bsdf_weight(bsdf, si, next_ray.d, target, by_bsdf & ~delta)
+                target.wi = attached_wi(target, si)
+            emitted = target.emitter(scene).eval(target, by_bsdf)
+            seen = DirectionSample3f(scene, dr.detach(target), dr.detach(si))
+            other = scene.pdf_emitter_direction(dr.detach(si), seen, by_bsdf & ~delta)
+            mis = dr.select(delta, 1, mis_weight(bs.pdf, other))
+            light = light + dr.select(by_bsdf, emitted * scattered * mis, 0)
+
+        if not project:
+            return light, covered, [], None
+        return light, covered, [], self._seed_rays(si, ds, by_light, next_ray, by_bsdf & target.is_valid(), sampler)
+
+    def _seed_rays(
+        self, si: Any, ds: Any, by_light: Bool, next_ray: Ray3f, by_bsdf: Bool, sampler: Any
+    ) -> tuple[Ray3f, Bool]:
+        """The rays to project: to the emitter, also through what hides it, or along the BSDF's sample."""
+        to_light = si.spawn_ray_to(ds.p)
+        to_light.maxt = Float(dr.inf)
+        by_light = by_light & (dr.dot(si.n, to_light.d) * dr.dot(si.n, si.to_world(si.wi)) > 0)
+        if self.project_seed == "emitter":
+            return to_light, by_light
+        if self.project_seed == "bsdf":
+            return next_ray, by_bsdf
+        second = by_bsdf & ((sampler.next_1d() > 0.5) | ~by_light)
+        o, d = dr.select(second, next_ray.o, to_light.o), dr.select(second, next_ray.d, to_light.d)
+        return Ray3f(o, d), by_light | second
+
+    def sample_radiance_difference(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
+    ) -> tuple[Color3f, Bool]:
+        depth = int(curr_depth[0]) if dr.is_array_v(curr_depth) else int(curr_depth)
+        if depth not in (0, 1):
+            raise RenderError(f"direct_projective: silhouettes are on the first two edges of a path, found {depth}")
+        ray = ss.spawn_ray(wavelengths)
+        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
+        if depth == 1:
+            behind = scene.ray_intersect(ray, active=active)
+            back, front = (point.emitter(scene).eval(point, active) for point in (behind, si))
+        else:
+            back = self.shade(scene, sampler, ray, 0, None, active)
+            front = self.shade(scene, sampler, ray, 0, si, active)
+        difference = Color3f(dr.select(active, front - back, 0))
+        return difference, active & dr.any(difference != 0)
+
+    def sample_importance(
+        self,
+        scene: Any,
+        sensor: Any,
+        ss: SilhouetteSample3f,
+        max_depth: Any,
+        sampler: Any,
+        wavelengths: Any,
+        active_: Any,
+    ) -> tuple[Color3f, Point2f, UInt32, Bool]:
+        back = SilhouetteSample3f(ss)
+        back.d = -ss.d
+        si = scene.ray_intersect(back.spawn_ray(wavelengths), active=active_)
+        active = active_ & si.is_valid()
+        it = dr.zeros(Interaction3f)
+        it.p = si.p
+        ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
+        active = active & dr.any(importance != 0)
+        active = active & ~scene.ray_test(si.spawn_ray_to(ds.p), active)
+        value = si.bsdf().eval(BSDFContext(TransportMode.Importance), si, si.to_local(ds.d), active)
+        found = Color3f(dr.select(active, value * importance, 0))
+        return found, ds.uv, UInt32(2), active & dr.any(found != 0)
+
+
+register_integrator("direct_projective", DirectProjectiveIntegrator)

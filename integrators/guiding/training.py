@@ -1,0 +1,154 @@
+"""Practice: paths that are followed to learn where light comes from.
+
+A path remembers each choice of a direction: the square of the guide's map, the density, and the light that it had found
+by then. What it finds later, over its throughput, is an estimate C of the light that the chosen direction brings. Per
+square the sum of C^2 p is kept: the second moment, to whose square root the best density is proportional (A. Rath,
+P. Grittmann, S. Herholz, P. Vévoda, P. Slusallek and J. Křivánek, "Variance-aware path guiding", SIGGRAPH 2020).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from djpt.core.records import Ray3f
+from djpt.integrators.base import PathIntegrator, Vertex
+from djpt.integrators.guiding.guide import SQUARES
+from djpt.jit.kernels import as_float, loop_traced_once, minimum, while_loop, wide
+from djpt.jit.types import Bool, Color3f, Float, Int64, Point3f, UInt32, Vector3f
+from djpt.samplers.base import SampleStream
+
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+
+__all__ = ["GuidedVertex", "Notes", "practise"]
+
+DIGITS = 24
+"""Binary digits behind the point of the sums, whole numbers whose order doesn't matter."""
+
+MOST = 2.0**15
+"""The largest summand, in units of the usual one."""
+
+REMEMBERED = 16
+"""The number of vertices that a path remembers."""
+
+
+@dataclass
+class GuidedVertex(Vertex):
+    """A vertex that chooses a direction by a guide."""
+
+    cell: UInt32 = field(default_factory=UInt32)
+    """The cell of the vertex."""
+    square: UInt32 = field(default_factory=UInt32)
+    """The square of the chosen direction."""
+    density: Float = field(default_factory=Float)
+    """The density of the choice per area of the map; 0 where there was nothing to choose, as at mirrors."""
+
+
+@dataclass
+class Choice:
+    """A choice of a direction, as a path remembers it."""
+
+    square: UInt32
+    density: Float
+    throughput: Float
+    """That of the path before the choice, mean of the channels."""
+    radiance: Float
+    """What the path had found by then, mean of the channels."""
+
+
+@dataclass
+class Lane:
+    """Loop state of a path."""
+
+    o: Point3f
+    d: Vector3f
+    medium: UInt32 | None
+    times: Any
+    sampler: Any
+    state: Any
+    radiance: Color3f
+    choices: Any
+    """In local memory."""
+    count: UInt32
+    active: Bool
+
+
+@dataclass
+class Notes:
+    """What practice has found."""
+
+    sums: NDArray[np.float64]
+    """(leaves, SQUARES): the sums of C^2 p, in units of their own."""
+    visits: NDArray[np.uint32]
+    """The choices in each cell."""
+    mean: float
+    """The mean of C^2 p over all choices."""
+
+
+def practise(
+    integrator: PathIntegrator, scene: Scene, sampler: SampleStream, ray: Ray3f, leaves: int, cells: int, unit: float
+) -> Notes:
+    """Follow one path per lane, without an image.
+
+    Args:
+        integrator: One whose vertices are `GuidedVertex`.
+        scene: The scene.
+        sampler: Random numbers.
+        ray: Camera rays.
+        leaves: The number of leaves of the integrator's guide.
+        cells: The number of its cells.
+        unit: A usual value of C^2 p.
+    """
+    lanes = dr.width(ray, sampler)
+    visits, sums = dr.zeros(UInt32, cells), dr.zeros(Int64, leaves * SQUARES)
+    dr.eval(visits, sums)
+    start = Lane(
+        o=wide(ray.o, lanes),
+        d=wide(ray.d, lanes),
+        medium=wide(ray.medium, lanes),
+        times=wide(ray.times, lanes),
+        sampler=sampler,
+        state=wide(integrator.begin(scene, sampler), lanes),
+        radiance=dr.zeros(Color3f, lanes),
+        choices=dr.alloc_local(Choice, REMEMBERED),
+        count=dr.zeros(UInt32, lanes),
+        active=dr.full(Bool, True, lanes),
+    )
+
+    def body(lane: Lane) -> tuple[Lane]:
+        way = Ray3f(lane.o, lane.d, maxt=dr.select(lane.state.depth == 0, ray.maxt, dr.inf), medium=lane.medium)
+        way.times = lane.times
+        si = integrator.trace(scene, lane.state, way)
+        v: Any = integrator.advance(scene, lane.sampler, lane.state, way, si)
+        radiance = lane.radiance + v.emitted + integrator.arriving(scene, lane.sampler, v)
+        chosen = v.active & (v.density > 0) & (lane.count < REMEMBERED)
+        choice = Choice(v.square, v.density, dr.mean(lane.state.throughput), dr.mean(radiance))
+        lane.choices.write(choice, lane.count, chosen)
+        dr.scatter_add(visits, UInt32(1), v.cell, chosen)
+        count = dr.select(chosen, lane.count + 1, lane.count)
+        on = v.ray
+        return (Lane(on.o, on.d, on.medium, on.times, lane.sampler, v.state, radiance, lane.choices, count, v.active),)
+
+    (end,) = loop_traced_once(start, lambda lane: lane.active, body, "practice")
+    found, scale = dr.mean(end.radiance), dr.rcp(as_float(unit))
+
+    def note(i: UInt32, choices: Any) -> tuple[UInt32, Any]:
+        choice = choices.read(i)
+        light = (found - choice.radiance) * dr.rcp(choice.throughput)
+        summand = minimum(dr.square(light) * choice.density * scale, MOST)
+        good = (choice.throughput > 0) & (summand > 0)
+        dr.scatter_add(sums, Int64(dr.round(summand * 2.0**DIGITS)), choice.square, good)
+        return i + 1, choices
+
+    last, _ = while_loop(
+        (dr.zeros(UInt32, lanes), end.choices), lambda i, choices: i < end.count, note, label="practice notes"
+    )
+    dr.eval(last, visits, sums)
+    whole = sums.numpy().astype(np.float64).reshape(leaves, SQUARES) * (unit / 2.0**DIGITS)
+    seen = visits.numpy()
+    return Notes(whole, seen, float(whole.sum() / max(int(seen.sum()), 1)))

@@ -1,0 +1,1 @@
+"""Parts of Metropolis light transport: Markov chains and their mutations."""

@@ -1,0 +1,61 @@
+"""The base of integrators that render others along with channels of their own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from djpt.core.records import Ray3f
+from djpt.description.plugin import TraversalCallback
+from djpt.description.properties import Properties
+from djpt.errors import SceneError
+from djpt.integrators.base import Integrator
+from djpt.integrators.guiding.learning import LearningIntegrator
+from djpt.jit.types import Bool, Color3f, Float
+from djpt.samplers.base import SampleStream
+
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+    from djpt.sensors.base import Sensor
+
+__all__ = ["NestingIntegrator"]
+
+
+class NestingIntegrator(Integrator):
+    """An integrator with others nested in it, under any keys; each keeps its parameters, `emitter_choice` included.
+
+    The colour of the image is that of the first.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.nested: list[tuple[str, Integrator]] = props.children("integrator")
+        integrators = [integrator for _, integrator in self.nested]
+        for name, integrator in self.nested:
+            if integrator.starts_at_lights:
+                raise SceneError(f"{props.node}.{name}: an integrator that traces rays from lights can't be nested")
+            if isinstance(integrator, LearningIntegrator):
+                raise SceneError(f"{props.node}.{name}: an integrator that learns about the scene can't be nested")
+        self.needs_light = any(integrator.needs_light for integrator in integrators)
+        # Path replay is for path tracers that stand alone, and their `sample` has no derivative.
+        self.differentiable = all(integrator.differentiable and not integrator.stepwise for integrator in integrators)
+
+    def traverse(self, callback: TraversalCallback) -> None:
+        for i, (_, integrator) in enumerate(self.nested):
+            callback.put(f"integrator_{i}", integrator)
+
+    def check_scene(self, scene: Scene, sensor: Sensor) -> None:
+        # It has no blind spots of its own, only those of the nested integrators.
+        for _, integrator in self.nested:
+            integrator.check_scene(scene, sensor)
+
+    def fits_any_frame(self) -> bool:
+        return super().fits_any_frame() and all(integrator.fits_any_frame() for _, integrator in self.nested)
+
+    def samples(
+        self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
+    ) -> list[tuple[Color3f, Bool, list[Float]]]:
+        """One sample of each nested integrator, from the random numbers that it would draw alone."""
+        return [
+            integrator.sample(scene.choosing_emitters(integrator.emitter_choice), sampler.clone(), ray, None, active)
+            for _, integrator in self.nested
+        ]

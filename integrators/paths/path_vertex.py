@@ -1,0 +1,237 @@
+"""Places where paths of both ends scatter light: points of surfaces, and points in media."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.core.records import (
+    BSDFContext,
+    BSDFFlags,
+    BSDFSample3f,
+    PhaseFunctionContext,
+    Ray3f,
+    Reference,
+    SurfaceInteraction3f,
+    has_flag,
+)
+from djpt.core.records.media import MediumInteraction3f
+from djpt.integrators.paths.transmittance import light_through_null
+from djpt.integrators.volpath import vertex_of
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.materials.adjoint import eval_pdf_light, sample_light
+from djpt.materials.base import BSDF
+from djpt.materials.pointer import at_fixed_direction
+from djpt.media.flight import of_channel
+from djpt.samplers.base import SampleStream
+
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+
+__all__ = ["Matter", "Place", "Reached", "Scattering", "arriving", "arriving_between", "is_half_open", "reach"]
+
+
+@dataclass
+class Matter:
+    """What scatters light at a place in a medium, where there is one."""
+
+    inside: Bool
+    """True at places in a medium, else the place is on a surface."""
+    medium: UInt32
+    """The medium of the ray that has come there."""
+    wi: Vector3f
+    """The direction back along that ray, in world space."""
+
+
+@dataclass
+class Scattering:
+    """What a path asks of a place."""
+
+    value: Color3f
+    """f abs(cos) towards the given direction, or the phase function."""
+    pdf: Float
+    back: Float
+    """The density of the way back: `BSDF.eval_pdf_both`."""
+    sample: BSDFSample3f
+    weight: Color3f
+    back_of_sample: Float
+    """The density of the way back from the sampled direction."""
+    d: Vector3f | None = None
+    """In media, the sampled direction in world space where that is a place in one; None in scenes without."""
+
+
+Evaluated = tuple[Color3f, Float, Float]
+"""A value, the density of its direction, and that of the way back."""
+
+
+@dataclass
+class Place:
+    """A point where light is scattered."""
+
+    si: SurfaceInteraction3f
+    """The point; in media the fields of a surface mean nothing, but for the normal, which is 0."""
+    matter: Matter | None
+    """None in scenes whose media don't scatter light."""
+
+    @property
+    def reference(self) -> Reference:
+        """The place as the reference point of light sampling."""
+        return Reference(self.si.p, self.si.n)
+
+    def is_smooth(self) -> Bool:
+        """Whether other paths can be joined there."""
+        smooth = has_flag(self.si.bsdf().flags(), BSDFFlags.Smooth)
+        return smooth if self.matter is None else smooth | self.matter.inside
+
+    def cos(self, d: Vector3f) -> Float:
+        """The cosine of a direction with the normal, without its sign; 1 in media."""
+        cos = dr.abs(dr.dot(self.si.n, d))
+        return cos if self.matter is None else dr.select(self.matter.inside, 1, cos)
+
+    def ray(self, d: Vector3f) -> Ray3f:
+        """The ray that leaves in a world direction."""
+        return self.in_medium(self.si.spawn_ray(d))
+
+    def ray_to(self, p: Point3f) -> Ray3f:
+        """The ray to another place, of which maxt = 1."""
+        return self.in_medium(self.si.spawn_ray_to(p))
+
+    def in_medium(self, ray: Ray3f) -> Ray3f:
+        """A ray that leaves the place, in its medium."""
+        if self.matter is not None and ray.medium is not None:
+            ray.medium = dr.select(self.matter.inside, self.matter.medium, ray.medium)
+        return ray
+
+    def direction(self, s: Scattering) -> Vector3f:
+        """The sampled direction in world space."""
+        d = self.si.to_world(s.sample.wo)
+        return d if self.matter is None or s.d is None else dr.select(self.matter.inside, s.d, d)
+
+    def passes(self, s: Scattering) -> Bool:
+        """Where the sampled direction goes straight through a surface."""
+        return self._on_surface() & has_flag(s.sample.sampled_type, BSDFFlags.Null)
+
+    def _on_surface(self) -> Bool:
+        valid = self.si.is_valid()
+        return valid if self.matter is None else valid & ~self.matter.inside
+
+    # ---- scattering --------------------------------------------------------------------
+
+    def evaluate(self, scene: Scene, from_camera: bool, d: Vector3f) -> Evaluated:
+        """The value f abs(cos) of a path from the camera, or its adjoint, and the densities of both ways."""
+        wo = self.si.to_local(d)
+        found: Evaluated = self.si.bsdf().visit(lambda bsdf: evaluated(bsdf, self.si, from_camera, wo, True))
+        if self.matter is None:
+            return found
+        both: Evaluated = dr.select(self.matter.inside, self._of_phase(scene, d), found)
+        return both
+
+    def scatter(
+        self, scene: Scene, from_camera: bool, d: Vector3f | None, sampler: SampleStream, active: Bool
+    ) -> Scattering:
+        """Evaluate towards a world direction and sample another one, with the densities of both ways.
+
+        Without a direction the value means nothing.
+        """
+        wo = self.si.wi if d is None else self.si.to_local(d)
+        sample1, sample2 = sampler.next_1d(), sampler.next_2d()
+        on_surface = active if self.matter is None else active & ~self.matter.inside
+
+        def method(bsdf: BSDF) -> tuple[Any, ...]:
+            if from_camera:
+                bs, weight = bsdf.sample(BSDFContext(), self.si, sample1, sample2, on_surface)
+            else:
+                bs, weight = sample_light(bsdf, self.si, sample1, sample2, on_surface)
+            bs = dr.detach(bs)
+            towards = evaluated(bsdf, self.si, from_camera, wo, on_surface)
+            there, _, back = evaluated(bsdf, self.si, from_camera, bs.wo, on_surface)
+            return (*towards, bs, at_fixed_direction(bs, weight, there), back)
+
+        s = Scattering(*self.si.bsdf().visit(method, on_surface))
+        if self.matter is None:
+            return s
+        return self._scattered_by_matter(scene, s, self.matter.wi if d is None else d, sample1, sample2)
+
+    def _scattered_by_matter(
+        self, scene: Scene, s: Scattering, d: Vector3f, sample1: Float, sample2: Point2f
+    ) -> Scattering:
+        """What a path asks of a place, be it on a surface, as `s` says, or in a medium."""
+        assert self.matter is not None
+        inside, mei = self.matter.inside, self._point(self.matter.wi)
+        phase = scene.media.phases(self.matter.medium, scene.lookup)
+        wo, weight, pdf = phase.sample(PhaseFunctionContext(None), mei, sample1, sample2, inside)
+        sample = BSDFSample3f.of(s.sample.wo, pdf, BSDFFlags.GlossyReflection)
+        here = (*self._of_phase(scene, d), sample, weight, self._of_phase(scene, wo)[2])
+        there = (s.value, s.pdf, s.back, s.sample, s.weight, s.back_of_sample)
+        return Scattering(*dr.select(inside, here, there), wo)
+
+    def _of_phase(self, scene: Scene, d: Vector3f) -> Evaluated:
+        """The phase function towards a world direction, and the densities of both ways: it is the same for light."""
+        assert self.matter is not None
+        phase = scene.media.phases(self.matter.medium, scene.lookup)
+        value, pdf = phase.eval_pdf(PhaseFunctionContext(None), self._point(self.matter.wi), d, self.matter.inside)
+        _, back = phase.eval_pdf(PhaseFunctionContext(None), self._point(d), self.matter.wi, self.matter.inside)
+        return value, pdf, back
+
+    def _point(self, wi: Vector3f) -> MediumInteraction3f:
+        """The point in the medium, for light that comes from a direction."""
+        return MediumInteraction3f.on(Ray3f(self.si.p, -wi), Float(0), self.si.p)
+
+
+def evaluated(bsdf: BSDF, si: SurfaceInteraction3f, from_camera: bool, wo: Vector3f, active: Bool | bool) -> Evaluated:
+    """The value f abs(cos) of a path from the camera, or its adjoint, and the densities of both ways."""
+    if from_camera:
+        return bsdf.eval_pdf_both(BSDFContext(), si, wo, active)
+    return eval_pdf_light(bsdf, si, wo, active)
+
+
+# ---- ways between places ---------------------------------------------------------------------
+
+
+@dataclass
+class Reached:
+    """Where a ray has got to."""
+
+    place: Place
+    passed: Color3f
+    """What media leave of the light, over the density of having come that far."""
+    glow: Color3f | None
+    """The light that media have added on the way; None if none of them glows."""
+
+
+def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3f, sampler: SampleStream) -> Reached:
+    """How far a ray gets on its way to the surface `si`, with light of a throughput."""
+    if not scene.media.scatter:
+        return Reached(Place(si, None), scene.transmittance(ray, si.t), None)
+    length = dr.select(si.is_valid(), si.t, ray.maxt)
+    flight = scene.media.fly(ray, length, None, throughput, sampler, scene.lookup)
+    assert ray.medium is not None
+    matter = Matter(flight.scattered, ray.medium, -ray.d)
+    passed = flight.value * dr.rcp(of_channel(flight.pdf, None))
+    return Reached(Place(vertex_of(ray, si, flight), matter), passed, flight.emitted if scene.media.emit else None)
+
+
+def arriving(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None) -> Color3f:
+    """The part of `light` of a light sample that arrives along a shadow ray; among media, through null surfaces."""
+    if scene.media.scatter:
+        return light_through_null(scene, sampler, ray, light, lit)
+    return scene.light_through(ray, light, lit)
+
+
+def arriving_between(
+    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None, lamps_hide: bool = True
+) -> Color3f:
+    """The same between two places, or to the camera; if lamps hide nothing, there must be no media that scatter."""
+    if scene.media.scatter:
+        return light_through_null(scene, sampler, ray, light, lit)
+    return scene.light_between(ray, light, not lamps_hide, lit)
+
+
+def is_half_open(scene: Scene) -> bool:
+    """Whether paths go straight through surfaces that scatter light, too, without a vertex."""
+    return scene.media.scatter and any(
+        has_flag(bsdf.flags(), BSDFFlags.Null) and has_flag(bsdf.flags(), BSDFFlags.Smooth)
+        for bsdf in scene.bsdfs.plugins
+    )

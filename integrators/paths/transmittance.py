@@ -1,0 +1,273 @@
+"""Shadow rays through null surfaces and media."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+
+from djpt.core.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
+from djpt.core.records.media import MediumInteraction3f
+from djpt.geometry.null_surfaces import PassableSurfaces
+from djpt.jit.kernels import wide
+from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.media.differentials import own_stream
+from djpt.media.flight import FAR
+from djpt.samplers.base import SampleStream, go_on_with
+from djpt.samplers.independent import IndependentStream
+
+if TYPE_CHECKING:
+    from djpt.scene.scene import Scene
+
+__all__ = ["Aim", "light_through_null", "passable_surfaces"]
+
+
+@dataclass
+class Passage:
+    """What a shadow ray has passed of media so far, as derivatives need it: loop state."""
+
+    lengths: list[Float]
+    """The length so far through each medium."""
+    tracked: Float
+    """The length so far within the boxes of tracked media."""
+    o: Point3f
+    """The origin of a uniform point of that length."""
+    at: Float
+    """The distance of that point from there."""
+    medium: UInt32
+    """The medium at that point."""
+    stream: IndependentStream
+    """What takes the point."""
+
+
+@dataclass
+class Shadow:
+    """A shadow ray on its way: loop state."""
+
+    o: Point3f
+    medium: UInt32 | None
+    t: Float
+    """The distance of the next surface; infinite if there is none."""
+    face: UInt32
+    near: Any
+    light: Color3f
+    passage: Passage | None
+    """What it has passed so far; None unless there are derivatives."""
+    sampler: Any
+    active: Bool
+
+
+def light_through_null(
+    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None
+) -> Color3f:
+    """The part of `light` that arrives along a shadow ray, through null surfaces and whatever media lie between.
+
+    Unlike `Scene.light_through` it leaves out no shape: a point in a medium may lie behind a wall that stands around
+    everything else. It has derivatives with respect to the media and `light`; those with respect to null surfaces are
+    left out. Where `lit`, the way is followed although `light` is black.
+    """
+    shines = dr.max(light) > 0
+    lit = shines if lit is None else shines | lit
+    if not scene.has_null:
+        # What stands in the way needs no light in the medium.
+        way = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
+        free = ~scene.geometry.any_hit(way, lit)
+        return dr.select(free, light * left_over(scene, sampler, way, lit & free), 0)
+    differentiable = any(
+        scene.lookup.attaches(leaf) for ensemble in scene.media.ensembles for leaf in ensemble.leaves()
+    )
+    # No loop can be differentiated here; the transmittance is computed again behind it.
+    with dr.suspend_grad():
+        # Leaves that are made in a loop can't be used behind it.
+        plain = scene.with_lookup(scene.lookup.plain())
+        end = Way(plain, dr.detach(ray)).walked(sampler, dr.detach(lit), differentiable)
+    go_on_with(sampler, end.sampler)
+    arrives = dr.select(lit, end.light, 0)
+    if end.passage is not None:
+        arrives = reattached(scene, sampler, ray, arrives, end.passage)
+    return light * arrives
+
+
+class Way:
+    """The way of a shadow ray through null surfaces.
+
+    If they can be told apart from all others, whether anything opaque stands in the way is known before.
+    """
+
+    def __init__(self, scene: Scene, ray: Ray3f) -> None:
+        self._scene, self._ray = scene, ray
+        self._surfaces = passable_surfaces(scene)
+
+    def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
+        """The end of the ray, whose `light` is the share that arrives; with its passage if `measured`.
+
+        Where not `lit`, the result means nothing.
+        """
+        ray, lanes = self._ray, dr.width(self._ray, lit, sampler)
+        way = aimed(ray, ray.o, ray.medium)
+        free = ~self._surfaces.blocked(way, lit) if self._surfaces.are_apart else Bool(True)
+        t, face, near = self._next(way)
+        start = Shadow(
+            o=ray.o,
+            medium=ray.medium,
+            t=t,
+            face=face,
+            near=near,
+            light=dr.select(free, Color3f(1), 0),
+            passage=begun(self._scene, ray) if measured else None,
+            sampler=sampler,
+            active=lit & free,
+        )
+        # Most shadow rays end within their medium: the loop is for the others.
+        first = wide(self._pass_medium(start), lanes)
+        (end,) = dr.while_loop((first,), lambda shadow: shadow.active, self._go_on, label="shadow")
+        return end
+
+    def _next(self, ray: Ray3f) -> tuple[Float, UInt32, Any]:
+        """The distance of the next surface, its face, and what else is known of the hit."""
+        hit = self._surfaces.closest(ray) if self._surfaces.are_apart else self._scene.closest_hit(ray)
+        return hit.t, hit.face, hit.near
+
+    def _go_on(self, shadow: Shadow) -> tuple[Shadow]:
+        """Go through a surface, and on to the next one."""
+        return (self._pass_medium(self._pass_surface(shadow)),)
+
+    def _pass_medium(self, shadow: Shadow) -> Shadow:
+        """Go on to the next surface, where `active`; afterwards true where it is to be passed."""
+        scene, segment, active = self._scene, aimed(self._ray, shadow.o, shadow.medium), shadow.active
+        hit, stopped = shadow.t < dr.inf, Bool(False)
+        segment.maxt = dr.select(hit, shadow.t, segment.maxt)
+        if not self._surfaces.are_apart:
+            stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
+        sampler = shadow.sampler
+        left = shadow.light * left_over(scene, sampler, segment, active & ~stopped)
+        light = dr.select(active, dr.select(stopped, 0, left), shadow.light)
+        passage = shadow.passage
+        if passage is not None:
+            passage = longer(scene, passage, segment, active & ~stopped)
+        goes_on = active & hit & (dr.max(light) > 0)
+        return replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
+
+    def _pass_surface(self, shadow: Shadow) -> Shadow:
+        """Go through a surface, and find the next one."""
+        scene, ray = self._scene, self._ray
+        segment = aimed(ray, shadow.o, shadow.medium)
+        hit = PreliminaryIntersection3f.found(shadow.t, shadow.face, scene.geometry.shape_of(shadow.face), shadow.near)
+        si = scene.surface_interaction(segment, hit, full=scene.needs_uv)
+        on = si.spawn_ray(segment.d)
+        # Where the light lies on the surface, the ray has been moved past it.
+        ahead = (ray.maxt == dr.inf) | (dr.dot(ray.o + ray.d - on.o, segment.d) > 0)
+        t, face, near = self._next(aimed(ray, on.o, on.medium))
+        return replace(
+            shadow,
+            o=on.o,
+            medium=on.medium,
+            t=t,
+            face=face,
+            near=near,
+            light=shadow.light * si.bsdf().eval_null_transmission(si),
+            active=shadow.active & ahead,
+        )
+
+
+def begun(scene: Scene, ray: Ray3f) -> Passage:
+    """That of a shadow ray that hasn't left."""
+    lengths = [Float(0) for _ in scene.media.plugins]
+    return Passage(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
+
+
+def longer(scene: Scene, passage: Passage, segment: Ray3f, active: Bool) -> Passage:
+    """A passage with one more segment: its uniform point moves there in proportion to the length."""
+    lengths = [
+        total + dr.select(active & (segment.medium == number), segment.maxt, 0)
+        for number, total in enumerate(passage.lengths)
+    ]
+    assert segment.medium is not None
+    start, end = scene.media.in_box(segment, segment.maxt, scene.lookup)
+    length = dr.select(active & (end < FAR), end - start, 0)
+    place = passage.stream.next_1d() * (passage.tracked + length)
+    here = (place < length) & (length > 0)
+    return Passage(
+        lengths=lengths,
+        tracked=passage.tracked + length,
+        o=dr.select(here, segment.o, passage.o),
+        at=dr.select(here, start + place, passage.at),
+        medium=dr.select(here, segment.medium, passage.medium),
+        stream=passage.stream,
+    )
+
+
+def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, passage: Passage) -> Color3f:
+    """The share of light that arrives, with its derivatives by what the way through each medium leaves."""
+    sigma_t = passage.tracked * scene.media.extinction_at(
+        passage.medium,
+        MediumInteraction3f.on(aimed(ray, passage.o, passage.medium), passage.at),
+        passage.stream.next_1d(),
+        scene.lookup,
+        passage.tracked > 0,
+    )
+    attached = arrives * (1 + (dr.detach(sigma_t) - sigma_t))
+    for number, length in enumerate(passage.lengths):
+        if scene.media.plugins[number].is_tracked:
+            continue
+        segment = aimed(ray, ray.o, UInt32(number))
+        segment.maxt = length
+        left = left_over(scene, sampler, segment, Bool(False))
+        fixed = dr.detach(left)
+        attached = attached * dr.select(fixed > 0, left * dr.rcp(fixed), 1)
+    return dr.replace_grad(arrives, attached)  # type: ignore[func-returns-value, return-value]
+
+
+def passable_surfaces(scene: Scene) -> PassableSurfaces:
+    """Queries of a scene that tell its null surfaces from all others."""
+    null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
+    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+
+
+@dataclass
+class Aim:
+    """What a shadow ray is aimed at."""
+
+    place: Point3f
+    """The light's place, or the direction to it."""
+    finite: Bool
+    """True if it is a place."""
+
+    @staticmethod
+    def of(ray: Ray3f) -> Aim:
+        """That of a shadow ray of light sampling."""
+        finite = ray.maxt < dr.inf
+        return Aim(Point3f(dr.select(finite, ray.o + ray.d, ray.d)), finite)
+
+    def ray_from(self, o: Point3f, medium: UInt32 | None) -> Ray3f:
+        """The way to the light from a point `o`, with a unit direction: see `aimed`."""
+        return toward(o, Vector3f(self.place - o), self.finite, Vector3f(self.place), medium)
+
+    def lies_ahead(self, ray: Ray3f, d: Vector3f) -> Bool:
+        """True unless the light lies on the surface that `ray` has just left, in the direction `d`."""
+        return ~self.finite | (dr.dot(self.place - ray.o, d) > 0)
+
+
+def aimed(ray: Ray3f, o: Point3f, medium: UInt32 | None) -> Ray3f:
+    """The rest of a shadow ray from a point `o` on, with a unit direction.
+
+    It is aimed again at the light: `o` was moved off a surface, and at a grazing angle the former direction would end
+    behind the light.
+    """
+    return toward(o, ray.o + ray.d - o, ray.maxt < dr.inf, ray.d, medium)
+
+
+def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UInt32 | None) -> Ray3f:
+    """The ray from `o` to a light: over the vector `to_light` if that is `finite`, else in the direction `d`."""
+    squared = dr.squared_norm(to_light)
+    inverse = dr.rsqrt(squared)
+    maxt = dr.select(finite, squared * inverse * (1 - SHADOW_EPSILON), dr.inf)
+    return Ray3f(o, dr.select(finite, to_light * inverse, d), maxt=maxt, medium=medium)
+
+
+def left_over(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> Color3f:
+    """The share of light that a medium leaves on a ray, up to its end."""
+    if not scene.media or ray.medium is None:
+        return Color3f(1)
+    return scene.media.transmittance(ray, ray.maxt, scene.lookup, sampler, active)

@@ -1,0 +1,159 @@
+"""Photons and the memory that a pass fills with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.process.memory import RESERVE, shortage
+from djpt.errors import RenderError
+from djpt.integrators.photons import directions
+from djpt.jit.types import ArrayXf, Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector2f, Vector3f
+
+__all__ = ["WORDS", "Photon", "PhotonStore", "bytes_of", "memory_for", "require_memory", "unpacked"]
+
+WORDS = 8
+"""The words of 32 bits that a photon takes, and one packet of memory."""
+
+WEIGHTS = 2
+"""Further ones of photons that have weights."""
+
+FOUND = 8
+"""The words per photon, at most, that it takes to find its cell: its hash value and its number among those that have
+it, and three for each hash value, of which there are less than two to a photon."""
+
+PER_PATH = 6
+"""Photons of a path that there is memory for at first."""
+
+NORMAL_DIGITS, EDGES_DIGITS = 8, 16
+"""Binary digits of a coordinate of a photon's normal, and of its number of edges: together they make a word."""
+
+MOST_EDGES = 2**EDGES_DIGITS - 1
+"""The largest number of edges that a photon keeps; longer paths count as if they had as many."""
+
+MOST = 2**27
+"""The most photons of a pass: their numbers are counted in 32 bits, with room for those that don't fit."""
+
+
+@dataclass
+class Photon:
+    """A vertex of a light path: where light of a certain power arrives on a surface."""
+
+    p: Point3f
+    n: Normal3f
+    """The surface's geometric normal, which is kept to about a degree."""
+    edges: Float
+    """The number of edges of the light path until there: a whole number, of which `MOST_EDGES` are kept."""
+    d: Vector3f
+    """The direction in which it travels."""
+    flux: Color3f
+    """The power that it carries, of all light paths together, as if there were no others."""
+    vcm: Float = field(default_factory=lambda: Float(0))
+    vc: Float = field(default_factory=lambda: Float(0))
+    """Both are the light path's, for weights: see `djpt.integrators.bidirectional.subpath.End`; 0 where there are
+    none."""
+
+
+def bytes_each(weighted: bool) -> int:
+    """The bytes that a photon takes: as it was stored, once more in its cell, and what is needed to find the cell."""
+    return 4 * (2 * (WORDS + WEIGHTS * weighted) + FOUND)
+
+
+def bytes_of(paths: int, weighted: bool) -> int:
+    """An estimate of the memory that the photons of some light paths take, with weights or without."""
+    return PER_PATH * paths * bytes_each(weighted)
+
+
+def require_memory(owner: str, paths: int, weighted: bool, photons: int = 0) -> None:
+    """Raise `RenderError` if the photons of a pass are more than memory holds.
+
+    Args:
+        owner: the name of the integrator.
+        paths: light paths of the pass.
+        weighted: whether photons have weights.
+        photons: their photons; 0: an estimate.
+    """
+    photons = photons or PER_PATH * paths
+    missing = shortage(photons * bytes_each(weighted) + RESERVE)
+    if photons > MOST or missing is not None:
+        problem = missing or f"has more than {MOST}"
+        raise RenderError(
+            f"{owner}: the map of {photons} photons of {paths} light paths {problem}; lower 'photon_count'"
+        )
+
+
+class PhotonStore:
+    """Memory that the lanes of a light walk fill with photons, in any order."""
+
+    def __init__(self, owner: str, paths: int, weighted: bool) -> None:
+        """Room for the photons of some light paths.
+
+        Args:
+            owner: the integrator's name, for messages.
+            paths: light paths of a pass.
+            weighted: whether photons have weights; else theirs are lost.
+
+        Raises:
+            RenderError: They take more memory than is free.
+        """
+        self._owner, self._paths, self.weighted = owner, paths, weighted
+        self._make_room(PER_PATH * paths)
+
+    def _make_room(self, photons: int) -> None:
+        require_memory(self._owner, self._paths, self.weighted, photons)
+        self._room, self._limit = photons, dr.opaque(UInt32, photons)
+        self.photons, self.weights = memory_for(photons, self.weighted)
+
+    def clear(self) -> None:
+        """Forget all photons."""
+        self._count = dr.opaque(UInt32, 0, 1)
+
+    @property
+    def sinks(self) -> Any:
+        """What kernels that add photons write to."""
+        return self._count, self.photons, self.weights
+
+    def add(self, photon: Photon, active: Bool) -> None:
+        """Keep a photon. Those for which there is no room are counted only."""
+        place: Any = dr.scatter_inc(self._count, UInt32(0), active)
+        active = active & (place < self._limit)
+        dr.scatter(self.photons, packed(photon), place, active)
+        if self.weighted:
+            dr.scatter(self.weights, Vector2f(photon.vcm, photon.vc), place, active)
+
+    def count(self) -> int | None:
+        """The number of photons, once the walk has ended; None if there was no room: then there is, to walk again.
+
+        Raises:
+            RenderError: There can't be.
+        """
+        found = int(self._count[0])
+        if found <= self._room:
+            return found
+        self._make_room(found + found // 4)
+        return None
+
+
+def memory_for(photons: int, weighted: bool) -> tuple[Float, Float]:
+    """Memory for the packets of some photons, and for their weights: none, if they have none."""
+    return dr.empty(Float, WORDS * photons), dr.empty(Float, WEIGHTS * photons if weighted else 0)
+
+
+def packed(photon: Photon) -> ArrayXf:
+    """A photon as a packet, without its weights."""
+    p, flux = photon.p, photon.flux
+    edges = dr.minimum(UInt32(photon.edges), MOST_EDGES)
+    word: Any = dr.reinterpret_array(Float, edges | (directions.coded(photon.n, NORMAL_DIGITS) << EDGES_DIGITS))
+    return ArrayXf([p.x, p.y, p.z, Float(word), flux.x, flux.y, flux.z, directions.packed(photon.d)])
+
+
+def unpacked(packet: ArrayXf, weights: Vector2f | None) -> Photon:
+    """The photon of a packet, and of weights if it has some."""
+    x, y, z, word, red, green, blue, way = packet
+    bits: Any = dr.reinterpret_array(UInt32, word)
+    n = Normal3f(directions.decoded(UInt32(bits) >> EDGES_DIGITS, NORMAL_DIGITS))
+    edges = Float(UInt32(bits) & MOST_EDGES)
+    photon = Photon(Point3f(x, y, z), n, edges, directions.unpacked(way), Color3f(red, green, blue))
+    return photon if weights is None else replace(photon, vcm=weights.x, vc=weights.y)

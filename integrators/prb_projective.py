@@ -1,0 +1,198 @@
+"""Paths, with derivatives by the shapes that move."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import BSDFContext, BSDFFlags, DirectionSample3f, Interaction3f, Ray3f, TransportMode, has_flag
+from djpt.description.properties import Properties
+from djpt.description.registry import register_integrator
+from djpt.integrators.projective.projective_sampling import PSIntegrator
+from djpt.integrators.projective.reattach import attached_light, attached_wi, bsdf_weight
+from djpt.integrators.projective.weights import mis_weight
+from djpt.jit.kernels import opaque
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
+from djpt.shapes.silhouettes.foreground import foreground
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["PathProjectiveIntegrator"]
+
+SMOOTH, DELTA = int(BSDFFlags.Smooth), int(BSDFFlags.Delta)
+
+
+class PathProjectiveIntegrator(PSIntegrator):
+    """Paths with light sampling, differentiable by the place of shapes.
+
+    The derivative within surfaces replays paths: D. Vicini, S. Speierer and W. Jakob, "Path Replay Backpropagation",
+    ACM Trans. Graph. 40(4), 2021; see `docs/theory/path-replay.md`. Those at silhouettes are `PSIntegrator`'s: a path
+    is begun at the silhouette, and continued to the sensor and to the emitters. What is said of shadows at
+    `djpt.ad.integrators.direct_projective` holds here, too.
+
+    Parameters: those of `PSIntegrator`; `project_seed` (`both`, `bsdf` or `emitter`, default `both`): the rays that are
+    projected to guide samples.
+    """
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.project_seed = props.string("project_seed", "both", choices=("both", "bsdf", "emitter"))
+
+    @dr.syntax
+    def sample(  # type: ignore[no-untyped-def, override]
+        self, mode, scene, sampler, ray, depth, δL, state_in, active, project=False, si_shade=None, **kwargs
+    ):
+        primal = mode == dr.ADMode.Primal
+        ctx = BSDFContext()
+        # The state of loops is an array from the start: what seems constant at first may not stay so.
+        zero = dr.opaque(Float, 0, sampler.wavefront_size())
+        # Inputs of the kernel, which is that of all depths.
+        longest, roulette_from = dr.opaque(UInt32, self.max_depth), dr.opaque(UInt32, self.rr_depth)
+        L = Color3f(0 if state_in is None else state_in) + zero
+        δL = Color3f(0 if δL is None else δL) + zero
+        β, η = Color3f(1) + zero, Float(1) + zero
+        depth = UInt32(depth) + UInt32(zero)
+        o, d = Point3f(dr.detach(ray.o)) + zero, Vector3f(dr.detach(ray.d)) + zero
+        # Where the path was before; of its first ray nothing is asked.
+        o_before, d_before, p_before = Point3f(zero), Vector3f(zero) + 1, Point3f(zero)
+        pdf_before, delta_before = Float(1) + zero, Bool(zero == 0)
+        active = Bool(active) & (zero == 0)
+        covered, first = Bool(zero != 0), Bool(zero == 0)
+        seeds = UInt32(zero)
+        o_seed, d_seed, seeded = Point3f(zero), Vector3f(zero), Bool(zero != 0)
+
+        while dr.hint(active, label="vertices"):
+            here = Ray3f(o, d)
+            with dr.resume_grad(when=not primal):
+                si = self.first_hit(scene, here, active, first & (depth == 0))
+                if dr.hint(not primal, mode="scalar"):
+                    before = scene.ray_intersect(Ray3f(o_before, d_before), active & ~first)
+                    si.wi = dr.select(first, si.wi, attached_wi(si, before))
+            if dr.hint(si_shade is not None, mode="scalar"):
+                si = dr.select(first, si_shade, si)
+            still = dr.detach(si)
+            covered |= active & first & still.is_valid()
+            bsdf = si.bsdf()
+
+            # Light that the vertex emits.
+            visible = active & (still.is_valid() | ~first | (depth > 0) if self.hide_emitters else True)
+            ds = DirectionSample3f(scene, still, Interaction3f(0, 0, [], p_before))
+            known = scene.pdf_emitter_direction(Interaction3f(0, 0, [], p_before), ds, ~delta_before)
+            mis = dr.select(delta_before, 1, mis_weight(pdf_before, known))
+            with dr.resume_grad(when=not primal):
+                Le = β * mis * dr.select(visible, si.emitter(scene).eval(si, visible), 0)
+
+            # Light of emitters.
+            onward = active & still.is_valid() & (depth + 1 < longest)
+            by_light = onward & has_flag(bsdf.flags(), SMOOTH)
+            ds, weight = scene.sample_emitter_direction(still, sampler.next_2d(), True, by_light)
+            by_light &= ds.pdf != 0
+            with dr.resume_grad(when=not primal):
+                toward = ds.d
+                if dr.hint(not primal, mode="scalar"):
+                    toward, weight = attached_light(scene, si, ds, weight, by_light)
+                value, pdf = bsdf.eval_pdf(ctx, si, si.to_local(toward), by_light)
+                chance = dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
+                Lr = β * dr.select(by_light, value * weight * chance, 0)
+
+            # The way onward.
+            bs, scattered = bsdf.sample(ctx, still, sampler.next_1d(), sampler.next_2d(), onward)
+            scattered = dr.detach(scattered)
+            onward_ray = dr.detach(still.spawn_ray(still.to_world(bs.wo)))
+            L = L + dr.detach(Le + Lr) if primal else L - dr.detach(Le + Lr)
+
+            if dr.hint(project, mode="scalar"):
+                to_light = dr.detach(still.spawn_ray_to(ds.p))
+                front = dr.dot(still.n, to_light.d) * dr.dot(still.n, still.to_world(still.wi)) > 0
+                front |= has_flag(bsdf.flags(), int(BSDFFlags.Transmission))
+                by_emitter = self.project_seed == "emitter"
+                if dr.hint(self.project_seed == "both", mode="scalar"):
+                    by_emitter = front & (sampler.next_1d() > 0.5)
+                candidate = onward & (front | ~Bool(by_emitter))
+                seeds += dr.select(candidate, UInt32(1), 0)
+                chosen = candidate & (sampler.next_1d() * Float(seeds) <= 1)
+                o_seed = dr.select(chosen, dr.select(by_emitter, to_light.o, onward_ray.o), o_seed)
+                d_seed = dr.select(chosen, dr.select(by_emitter, to_light.d, onward_ray.d), d_seed)
+                seeded |= chosen
+
+            throughput = dr.select(onward, β * scattered, 0)
+            if dr.hint(not primal, mode="scalar"):
+                target = dr.detach(scene.ray_intersect(onward_ray, onward))
+                delta = has_flag(bs.sampled_type, DELTA)
+                with dr.resume_grad():
+                    change = bsdf_weight(bsdf, si, onward_ray.d, target, onward & ~delta)
+                    Lo = Le + Lr + dr.select(onward, L * change, 0)
+                    if dr.hint(mode == dr.ADMode.Backward, mode="scalar"):
+                        dr.backward_from(δL * Lo)
+                    else:
+                        δL = δL + dr.forward_to(Lo)
+
+            o_before, d_before, p_before = Point3f(o), Vector3f(d), Point3f(still.p)
+            o, d = Point3f(onward_ray.o), Vector3f(onward_ray.d)
+            pdf_before, delta_before = Float(bs.pdf), has_flag(bs.sampled_type, DELTA)
+            η = dr.select(onward, η * bs.eta, η)
+            β, first = Color3f(throughput), first & False
+            depth += dr.select(still.is_valid(), UInt32(1), 0)
+            # Russian roulette.
+            largest = dr.max(β)
+            survival = dr.minimum(largest * dr.square(η), 0.95)
+            roulette = depth > roulette_from
+            β = dr.select(roulette, β / survival, β)
+            active = onward & (largest > 0) & (~roulette | (sampler.next_1d() < survival))
+
+        seed_rays = Ray3f(o_seed, d_seed)
+        return (L if primal else δL), covered, [], ((seed_rays, seeded) if project else L)
+
+    def sample_radiance_difference(
+        self, scene: Any, ss: SilhouetteSample3f, curr_depth: Any, sampler: Any, wavelengths: Any, active: Any
+    ) -> tuple[Color3f, Bool]:
+        ray = ss.spawn_ray(wavelengths)
+        si, active = foreground(scene, scene.silhouette_shapes(), ss, active)
+        back = self.shade(scene, sampler, ray, curr_depth, None, active)
+        front = self.shade(scene, sampler, ray, curr_depth, si, active)
+        difference = Color3f(dr.select(active, front - back, 0))
+        return difference, active & dr.any(difference != 0)
+
+    @dr.syntax
+    def sample_importance(  # type: ignore[no-untyped-def]
+        self, scene, sensor, ss, max_depth, sampler, wavelengths, active
+    ):
+        ctx = BSDFContext(TransportMode.Importance)
+        back = SilhouetteSample3f(ss)
+        back.d = -ss.d
+        start = back.spawn_ray(wavelengths)
+        # The state of loops is an array from the start: what seems constant at first may not stay so.
+        zero, longest = dr.opaque(Float, 0, sampler.wavefront_size()), opaque(UInt32(max_depth))
+        o, d = Point3f(start.o) + zero, Vector3f(start.d) + zero
+        active = Bool(active) & (zero == 0)
+        β, W, place = Color3f(1) + zero, Color3f(zero), Point2f(zero)
+        edges, found, count = UInt32(1) + UInt32(zero), UInt32(zero), UInt32(zero)
+
+        while dr.hint(active, label="vertices to the sensor"):
+            si = scene.ray_intersect(Ray3f(o, d), active)
+            active &= si.is_valid()
+            bsdf = si.bsdf()
+            it = Interaction3f(0, 0, [], si.p)
+            ds, importance = sensor.sample_direction(it, sampler.next_2d(), active)
+            edges += dr.select(active, UInt32(1), 0)
+            connects = active & has_flag(bsdf.flags(), SMOOTH) & dr.any(importance != 0)
+            connects &= ~scene.ray_test(si.spawn_ray_to(ds.p), connects)
+            count += dr.select(connects, UInt32(1), 0)
+            # Of all connections of a path one is kept, each with the same probability.
+            chosen = connects & (sampler.next_1d() * Float(count) <= 1)
+            value = bsdf.eval(ctx, si, si.to_local(ds.d), chosen)
+            W = dr.select(chosen, β * value * importance, W)
+            place = dr.select(chosen, ds.uv, place)
+            found = dr.select(chosen, edges, found)
+
+            active &= edges + 1 < longest
+            bs, scattered = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d(), active)
+            β = dr.select(active, β * scattered, β)
+            active &= dr.any(β != 0)
+            onward = si.spawn_ray(si.to_world(bs.wo))
+            o, d = Point3f(onward.o), Vector3f(onward.d)
+
+        return W * Float(count), place, found, dr.any(W != 0)
+
+
+register_integrator("prb_projective", PathProjectiveIntegrator)

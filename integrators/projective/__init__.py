@@ -1,0 +1,1 @@
+"""Parts of projective sampling: derivatives of what moving shapes hide and show."""

@@ -1,0 +1,261 @@
+"""The parts of projective sampling: silhouettes that the camera sees, and those that other surfaces see.
+
+Z. Zhang, N. Roussel and W. Jakob, "Projective Sampling for Differentiable Rendering of Geometry", ACM Trans. Graph.
+42(6), 2023.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import SHADOW_EPSILON, DiscontinuityFlags, Interaction3f, RayFlags, SurfaceInteraction3f
+from djpt.distributions.distributions_1d import DiscreteDistribution
+from djpt.errors import RenderError
+from djpt.integrators.projective.guiding import BaseGuidingDistr, GridDistr, OcSpaceDistr, UniformDistr, places_of
+from djpt.integrators.projective.projection import ProjectOperation
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
+from djpt.sensors.perspective import Perspective
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["ProjectiveDetail"]
+
+FEW_SAMPLES = 1 << 20
+"""Of fewer samples that count, all teach the octree."""
+
+
+class ProjectiveDetail:
+    """What a `PSIntegrator`, `parent`, needs for the derivatives at silhouettes."""
+
+    ProjectOperation = ProjectOperation
+
+    def __init__(self, parent: Any) -> None:
+        self.parent = parent
+        self.primary_indices: list[UInt32] = []
+        self.primary_distributions: list[DiscreteDistribution] = []
+        self.primary_shape_distribution: DiscreteDistribution | None = None
+        self.guiding_distr: BaseGuidingDistr | None = None
+
+    # ---- silhouettes that the camera sees ----------------------------------------------------
+
+    def init_primarily_visible_silhouette(self, scene: Any, sensor: Any) -> None:
+        """Find the silhouettes as the sensor sees them, of all shapes that move."""
+        shapes = scene.silhouette_shapes()
+        viewpoint = sensor.world_transform().transform_point([0, 0, 0])
+        parts = [shape.precompute_silhouette(viewpoint) for shape in shapes]
+        self.primary_indices = [indices for indices, _ in parts]
+        self.primary_distributions = [
+            DiscreteDistribution(weights if dr.width(weights) else Float(0)) for _, weights in parts
+        ]
+        seen = [float(dr.width(weights) > 0) for _, weights in parts]
+        weights = [s * shape.silhouette_sampling_weight() for s, shape in zip(seen, shapes, strict=True)]
+        self.primary_shape_distribution = DiscreteDistribution(Float(weights))
+
+    def sample_primarily_visible_silhouette(
+        self, scene: Any, viewpoint: Any, sample2: Point2f, active: Bool | bool
+    ) -> SilhouetteSample3f:
+        """A point of the silhouettes as seen from `viewpoint`; `pdf` is per unit length."""
+        assert self.primary_shape_distribution is not None
+        number, u, chance = self.primary_shape_distribution.sample_reuse_pmf(sample2.x, active)
+        result = SilhouetteSample3f()
+        for k, shape in enumerate(scene.silhouette_shapes()):
+            if not dr.width(self.primary_indices[k]):
+                continue
+            mine = active & (number == k)
+            place, part_chance = self.primary_distributions[k].sample_pmf(u, mine)
+            part = dr.gather(UInt32, self.primary_indices[k], place, mine)
+            valid = mine & (part_chance > 0) & (chance > 0)
+            ss = shape.sample_precomputed_silhouette(viewpoint, part, sample2.y, valid)
+            ss.pdf, ss.scene_index = ss.pdf * part_chance * chance, UInt32(k)
+            result = dr.select(valid, ss, result)
+        return result
+
+    def sensor_jacobian(self, sensor: Any, ss: SilhouetteSample3f) -> Float:
+        """The area on the film, which is a unit square, of the unit square of `silhouette_d` and `n` at silhouettes."""
+        with dr.resume_grad():
+            steps = [Float(0), Float(0)]
+            dr.enable_grad(steps)
+            places = []
+            for step, direction in zip(steps, (ss.silhouette_d, ss.n), strict=True):
+                it = dr.zeros(Interaction3f)
+                it.p = dr.fma(direction, step, dr.detach(ss.p))
+                places.append(sensor.sample_direction(it, Point2f(0))[0].uv)
+                dr.set_grad(step, 1)
+                dr.enqueue(dr.ADMode.Forward, step)
+            dr.traverse(dr.ADMode.Forward)
+            a, b = (dr.grad(place) / Point2f(sensor.film().crop_size()) for place in places)
+        return dr.abs(a.x * b.y - a.y * b.x)
+
+    def eval_primary_silhouette_radiance_difference(
+        self, scene: Any, sampler: Any, ss: SilhouetteSample3f, sensor: Any, active: Bool | bool = True
+    ) -> tuple[Color3f, list[Float]]:
+        """The difference of radiance at silhouettes that the sensor sees, and no wavelengths; 0 where it doesn't.
+
+        Raises:
+            RenderError: the sensor isn't a perspective camera.
+        """
+        if not isinstance(sensor, Perspective):
+            raise RenderError(f"silhouettes are followed for perspective cameras only, found '{sensor.id()}'")
+        with dr.suspend_grad():
+            center = Point3f(sensor.world_transform().transform_point([0, 0, 0]))
+            back = SilhouetteSample3f(ss)
+            back.d = -ss.d
+            ray = back.spawn_ray()
+            ray.maxt = dr.norm(center - ray.o) * (1 - SHADOW_EPSILON)
+            it = dr.zeros(Interaction3f)
+            it.p = ss.p
+            _, importance = sensor.sample_direction(it, Point2f(0), Bool(active))
+            visible = active & ~scene.ray_test(ray, active) & dr.any(importance != 0)
+            difference, found = self.parent.sample_radiance_difference(scene, ss, 0, sampler, [], visible)
+            return dr.select(visible & found, difference, 0), []
+
+    # ---- silhouettes that other surfaces see ---------------------------------------------------
+
+    def get_projected_points(self, scene: Any, sensor: Any, sampler: Any) -> tuple[Point3f, Bool]:
+        """The points of the space of silhouettes that rays of paths are projected to, and where there are any."""
+        parent = self.parent
+        operation = ProjectOperation(parent.proj_mesh_algo, parent.proj_mesh_max_walk, parent.proj_mesh_max_jump)
+        rays, active = parent.seed_rays(scene, sensor, sampler)
+        partials = RayFlags.dNSdUV if parent.proj_mesh_algo == "jump" else RayFlags.Empty
+        si = scene.ray_intersect(rays, RayFlags.All | partials, active=active)
+        active = active & si.is_valid()
+        ss, active = operation.eval(scene, rays, si, sampler, active)
+        return scene.invert_silhouette_sample(ss, active), active
+
+    def init_indirect_silhouette(self, scene: Any, sensor: Any, seed: Any) -> None:
+        """Learn where indirect silhouettes matter, in the way that the parent's `guiding` says."""
+        parent = self.parent
+        if parent.guiding == "none":
+            self.guiding_distr = UniformDistr()
+        elif parent.guiding == "octree":
+            self.init_indirect_silhouette_octree(scene, sensor, seed)
+        elif parent.guiding_proj:
+            self.init_indirect_silhouette_grid_proj(scene, sensor, seed)
+        else:
+            self.init_indirect_silhouette_grid_unif(scene, sensor, seed)
+
+    def init_indirect_silhouette_grid_unif(self, scene: Any, sensor: Any, seed: Any) -> None:
+        """Learn a grid from a random point in each cell and round."""
+        parent, grid = self.parent, self._grid()
+        sampler = sensor.sampler().clone()
+        total = dr.zeros(Float, grid.num_cells)
+        for k in range(parent.guiding_rounds):
+            sampler.seed(k + seed, grid.num_cells)
+            total += self._mass(scene, sensor, grid.random_cell_sample(sampler), sampler)
+            dr.eval(total)
+        self._use(grid, total / parent.guiding_rounds)
+
+    def init_indirect_silhouette_grid_proj(self, scene: Any, sensor: Any, seed: Any) -> None:
+        """Learn a grid from projected paths: the mass of a cell is the mean of its samples."""
+        parent, grid = self.parent, self._grid()
+        spp = self._seed_spp(sensor, grid.num_cells)
+        total = dr.zeros(Float, grid.num_cells)
+        for k in range(parent.guiding_rounds):
+            sampler, _ = parent.prepare(sensor, k + (seed ^ 0x5555AAAA), spp, parent.aov_names())
+            points, active = self.get_projected_points(scene, sensor, sampler)
+            cell = grid.sample_to_cell_idx(points, active)
+            mass = self._mass(scene, sensor, points, sampler, active)
+            sums, counts = dr.zeros(Float, grid.num_cells), dr.zeros(Float, grid.num_cells)
+            dr.scatter_add(sums, mass, cell, active)
+            dr.scatter_add(counts, Float(1), cell, active)
+            total += sums / dr.maximum(counts, 1)
+            dr.eval(total)
+        self._use(grid, total / parent.guiding_rounds)
+
+    def _grid(self) -> GridDistr:
+        parent = self.parent
+        return GridDistr(parent.guiding_grid_reso, parent.clamp_mass_thres, parent.scale_mass)
+
+    def _use(self, grid: GridDistr, mass: Float) -> None:
+        """Guide by a grid, unless nothing was found."""
+        self.guiding_distr = None
+        if dr.any(mass > 0):
+            grid.set_mass(mass)
+            self.guiding_distr = grid
+
+    def _seed_spp(self, sensor: Any, cells: int) -> int:
+        """The samples per pixel that are projected: `proj_seed_spp`, or if that is 0 one per cell."""
+        width, height = sensor.film().crop_size()
+        return self.parent.proj_seed_spp or cells // (width * height) + 1
+
+    def init_indirect_silhouette_octree(self, scene: Any, sensor: Any, seed: Any) -> None:
+        """Learn an octree from projected paths, or from uniform points of the space of silhouettes."""
+        parent = self.parent
+
+        def integrand(points: Point3f, sampler: Any) -> Any:
+            return self.eval_indirect_integrand(scene, sensor, points, sampler, preprocess=True)
+
+        tree = OcSpaceDistr(
+            parent.octree_max_depth,
+            parent.octree_max_leaf_cnt,
+            parent.octree_extra_leaf_sample,
+            integrand,
+            parent.octree_construction_mean_mult,
+            parent.clamp_mass_thres,
+            parent.octree_highres_x_slices,
+            parent.octree_scatter_inc,
+            parent.scale_mass,
+        )
+        nx, ny, nz = parent.guiding_grid_reso
+        if parent.guiding_proj:
+            spp = self._seed_spp(sensor, nx * ny * nz) * parent.guiding_rounds
+            sampler, _ = parent.prepare(sensor, seed ^ 0x5555AAAA, spp, parent.aov_names())
+            points, active = self.get_projected_points(scene, sensor, sampler)
+        else:
+            sampler = sensor.sampler().clone()
+            sampler.seed(seed ^ 0x5555AAAA, nx * ny * nz)
+            points, active = Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d()), Bool(True)
+        mass = self._mass(scene, sensor, points, sampler, active)
+        dr.eval(points, mass)
+        self.guiding_distr = None
+        count = dr.width(places_of(mass > 0))
+        if not count:
+            return
+        if parent.octree_contruction_thres == 0 and count >= FEW_SAMPLES:
+            mean = float(dr.sum(mass)[0]) / count
+            parent.octree_contruction_thres = mean * parent.octree_construction_mean_mult
+        tree.mass_contruction_thres = parent.octree_contruction_thres
+        try:
+            tree.set_points(points, mass, seed)
+        except RenderError:
+            # What random points of the leaves can't find isn't worth a guide.
+            return
+        self.guiding_distr = tree
+
+    def _mass(self, scene: Any, sensor: Any, points: Any, sampler: Any, active: Bool | bool = True) -> Float:
+        """What a guide learns: the largest channel of the integrand, without the speed; finite."""
+        value, _, _ = self.eval_indirect_integrand(scene, sensor, points, sampler, preprocess=True, active=active)
+        mass = dr.max(value)
+        return dr.select(dr.isfinite(mass), mass, 0)
+
+    def eval_indirect_integrand(
+        self, scene: Any, sensor: Any, sample: Any, sampler: Any, preprocess: bool, active: Bool | bool = True
+    ) -> tuple[Color3f, list[Float], Point2f]:
+        """The integrand of the derivative by indirect silhouettes at points of the unit cube.
+
+        Returns the value, no wavelengths, and the place on the film in pixels. The value is attached to the parameters
+        of shapes, or, for `preprocess`, the absolute value without the speed of silhouettes.
+        """
+        parent = self.parent
+        with dr.suspend_grad():
+            lune = DiscontinuityFlags.DirectionLune if parent.guiding == "none" else DiscontinuityFlags.DirectionSphere
+            ss = scene.sample_silhouette(Point3f(sample), int(DiscontinuityFlags.AllTypes | lune), active)
+            active = active & ss.is_valid()
+            importance, place, depth, reached = parent.sample_importance(
+                scene, sensor, ss, parent.max_depth, sampler, [], active
+            )
+            active = active & reached
+            difference, differs = parent.sample_radiance_difference(scene, ss, depth - 1, sampler, [], active)
+            active = active & differs
+            value = dr.select(active, importance * difference * (ss.foreshortening * dr.rcp(ss.pdf)), 0)
+            if preprocess:
+                return dr.abs(value), [], Point2f(0)
+        return Color3f(value) * self.speed(scene, ss, active), [], place
+
+    def speed(self, scene: Any, ss: SilhouetteSample3f, active: Bool | bool) -> Float:
+        """The speed of silhouettes along their normals: 0, attached to the parameters of the shapes."""
+        si = dr.zeros(SurfaceInteraction3f)
+        si.p, si.prim_index, si.uv = dr.detach(ss.p), ss.prim_index, ss.uv
+        followed = scene.silhouette_shape(ss.scene_index).differential_motion(si, active)
+        return dr.select(active, dr.dot(followed - dr.detach(followed), dr.detach(ss.n)), 0)

@@ -1,0 +1,270 @@
+"""The base of integrators that sample silhouettes for the derivatives by geometry."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from djpt.core.records import DirectionSample3f, Interaction3f, SurfaceInteraction3f
+from djpt.description.properties import Properties
+from djpt.films.base import FilmFlags
+from djpt.integrators.ad_integrator import RBIntegrator, attached, modes, propagate
+from djpt.integrators.projective.detail import ProjectiveDetail
+from djpt.jit.types import Bool, Color3f, Float, Point2f, TensorXf, UInt32
+from djpt.samplers.base import Sampler
+from djpt.scene.arguments import find_sensor
+from djpt.scene.scene import Scene
+from djpt.sensors.base import Sensor
+from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["PSIntegrator"]
+
+PRIMARY_SEED, GUIDING_SEED, INDIRECT_SEED = 0xFFFFFFFF, 0xAFAFAFAF, 0xAA00AA00
+"""Combined with the seed of the image, for samples of their own."""
+
+
+class PSIntegrator(RBIntegrator):
+    """An integrator whose derivative is a sum of three estimates: within surfaces, at silhouettes, behind silhouettes.
+
+    The first is that of `RBIntegrator`, or, if the class clears `radiative_backprop`, of `ADIntegrator`. The second
+    comes from silhouettes as the camera sees them, the third from those that other surfaces see, which shadows and
+    reflections show: see `djpt.ad.projective`. A subclass overrides `sample`, `sample_radiance_difference` and
+    `sample_importance`.
+
+    Parameters: those of `ADIntegrator`; `sppc`, `sppp`, `sppi`: the samples per pixel of the three estimates if the
+    call doesn't tell (default: the sampler's; 0: none, whatever the call tells); `guiding` (`none`, `grid` or `octree`,
+    the default): how samples of the third are guided; `guiding_proj` (default true): whether the guide learns from
+    projected paths or from uniform samples; `guiding_rounds` (default 1).
+
+    More settings are attributes: `proj_seed_spp`, samples per pixel that are projected; `guiding_grid_reso`,
+    `octree_max_depth`, `octree_max_leaf_cnt`, `octree_extra_leaf_sample`, `octree_highres_x_slices`,
+    `octree_contruction_thres`, `octree_construction_mean_mult`, `clamp_mass_thres`, `scale_mass`: see
+    `djpt.ad.guiding`; `proj_mesh_algo` (`hybrid`, `walk` or `jump`), `proj_mesh_max_walk`, `proj_mesh_max_jump`.
+    """
+
+    follows_silhouettes = True
+    radiative_backprop = True
+    """Whether the derivative within surfaces is computed in a second run of `sample`."""
+
+    def __init__(self, props: Properties) -> None:
+        super().__init__(props)
+        self.sppc, self.sppp, self.sppi = (optional(props, name) for name in ("sppc", "sppp", "sppi"))
+        self.guiding = props.string("guiding", "octree", choices=("none", "grid", "octree"))
+        self.guiding_proj = props.boolean("guiding_proj", True)
+        self.guiding_rounds = props.integer("guiding_rounds", 1, low=1)
+        self.guiding_grid_reso = [10000, 100, 100]
+        self.proj_seed_spp = 512
+        self.clamp_mass_thres = 1e-8
+        self.scale_mass = 0.0
+        self.proj_mesh_algo = "hybrid"
+        self.proj_mesh_max_walk = 30
+        self.proj_mesh_max_jump = 2
+        self.octree_max_depth = 9
+        self.octree_max_leaf_cnt = 2**24
+        self.octree_extra_leaf_sample = 256
+        self.octree_highres_x_slices = 100
+        self.octree_contruction_thres = 0.0
+        self.octree_construction_mean_mult = 0.1
+        self.octree_scatter_inc = True
+        self.proj_detail = ProjectiveDetail(self)
+
+    # ---- what subclasses override ------------------------------------------------------
+
+    def sample(  # type: ignore[override]
+        self,
+        mode: dr.ADMode,
+        scene: Scene,
+        sampler: Sampler,
+        ray: Any,
+        depth: Any,
+        δL: Any,
+        δaovs: Any,
+        state_in: Any,
+        active: Any,
+        project: bool = False,
+        si_shade: Any = None,
+    ) -> Any:
+        """The result of all samples: see `ADIntegrator.sample`.
+
+        Two more keywords may be given. With `project` true, the fourth result is (rays, mask): one ray per path that
+        hits a surface, to be projected onto silhouettes. If `si_shade` is given, the path starts at these surface
+        points, whatever `ray` is.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs a method sample(mode, scene, sampler, ray, ..)")
+
+    def sample_radiance_difference(
+        self,
+        scene: Scene,
+        ss: SilhouetteSample3f,
+        curr_depth: Any,
+        sampler: Sampler,
+        wavelengths: Any,
+        active: Bool | bool,
+    ) -> tuple[Color3f, Bool]:
+        """The radiance of the surface at silhouettes less that of what is behind, along -`ss.d`, and where it isn't 0.
+
+        `curr_depth` edges of the path lie between the sensor and the silhouette.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs a method sample_radiance_difference(scene, ss, ..)")
+
+    def sample_importance(
+        self,
+        scene: Scene,
+        sensor: Sensor,
+        ss: SilhouetteSample3f,
+        max_depth: Any,
+        sampler: Sampler,
+        wavelengths: Any,
+        active: Bool | bool,
+    ) -> tuple[Color3f, Point2f, UInt32, Bool]:
+        """The importance that arrives at silhouettes along `ss.d`, by a path of at most `max_depth` edges.
+
+        Returns the importance, the place on the film in pixels, the number of edges from the sensor to the silhouette,
+        that along `ss.d` included, and where there is such a path.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs a method sample_importance(scene, sensor, ss, ..)")
+
+    # ---- derivatives ---------------------------------------------------------------------
+
+    def override_spp(self, integrator_spp: int | None, runtime_spp: int, sampler_spp: int) -> int:
+        """The samples per pixel of an estimate: what call, setting or sampler say; 0 if the setting is 0."""
+        if integrator_spp == 0:
+            return 0
+        return runtime_spp or integrator_spp or sampler_spp
+
+    def _counts(self, sensor: Sensor, spp: int) -> tuple[int, int, int]:
+        """The samples per pixel of the three estimates."""
+        own = sensor.sampler().sample_count()
+        within, primary, indirect = (self.override_spp(n, spp, own) for n in (self.sppc, self.sppp, self.sppi))
+        return within, primary, indirect
+
+    def render_forward(self, scene: Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
+        camera = find_sensor(scene, sensor)
+        with attached(self, scene, dr.ADMode.Forward) as scene:
+            total = dr.zeros(TensorXf, self._shape(camera))
+            within, _, _ = self._counts(camera, spp)
+            if self.radiative_backprop and within:
+                total += super().render_forward(scene, params, camera, seed, within)
+            with dr.resume_grad():
+                image = self.render_ad(scene, camera, seed, spp, dr.ADMode.Forward)
+                if dr.grad_enabled(image):
+                    dr.forward_to(image)
+                    total += dr.grad(image)
+            return total
+
+    def render_backward(
+        self, scene: Scene, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
+    ) -> None:
+        camera = find_sensor(scene, sensor)
+        with attached(self, scene, dr.ADMode.Backward) as scene:
+            within, _, _ = self._counts(camera, spp)
+            if self.radiative_backprop and within:
+                super().render_backward(scene, params, grad_in, camera, seed, within)
+            with dr.resume_grad():
+                image = self.render_ad(scene, camera, seed, spp, dr.ADMode.Backward)
+                if dr.grad_enabled(image):
+                    propagate(image, grad_in)
+        dr.eval()
+
+    def _shape(self, sensor: Sensor) -> tuple[int, int, int]:
+        """The shape of the image."""
+        film = sensor.film()
+        width, height = film.crop_size()
+        return height, width, len(film.channel_names()) + len(self.aov_names())
+
+    def render_ad(self, scene: Scene, sensor: Any, seed: Any, spp: int, mode: dr.ADMode) -> TensorXf:
+        """An image whose derivative is what `radiative_backprop` leaves to be computed; its values mean nothing."""
+        camera = find_sensor(scene, sensor)
+        within, primary, indirect = self._counts(camera, spp)
+        total = dr.zeros(TensorXf, self._shape(camera))
+        if scene.silhouette_shapes():
+            if primary:
+                with dr.suspend_grad():
+                    self.proj_detail.init_primarily_visible_silhouette(scene, camera)
+                    sampler, count = self.prepare(camera, PRIMARY_SEED ^ seed, primary, self.aov_names())
+                total += self.render_primarily_visible_silhouette(scene, camera, sampler, count)
+            if indirect:
+                with dr.suspend_grad():
+                    self.proj_detail.init_indirect_silhouette(scene, camera, GUIDING_SEED ^ seed)
+                    sampler, count = self.prepare(camera, INDIRECT_SEED ^ seed, indirect, self.aov_names())
+                total += self.render_indirect_silhouette(scene, camera, sampler, count)
+        if within and not self.radiative_backprop:
+            total += self._attached_image(scene, camera, seed, within, mode)
+        return total
+
+    def render_primarily_visible_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
+        """The image of the silhouettes that the sensor sees, attached to the parameters of shapes.
+
+        The derivative is an integral over the curve on the film, of the difference of radiance times the speed of the
+        curve across itself (Li et al. 2018).
+        """
+        detail = self.proj_detail
+        with dr.suspend_grad():
+            center = sensor.world_transform().transform_point([0, 0, 0])
+            ss = detail.sample_primarily_visible_silhouette(scene, center, sampler.next_2d(), Bool(True))
+            active = ss.is_valid() & (ss.pdf > 0)
+            jacobian = detail.sensor_jacobian(sensor, ss)
+            difference, _ = detail.eval_primary_silhouette_radiance_difference(scene, sampler, ss, sensor, active)
+            weight = dr.select(active, difference * jacobian * dr.rcp(ss.pdf), 0)
+            ds, _ = on_film(sensor, ss)
+        return self._splatted(sensor, sampler, ds.uv, weight * detail.speed(scene, ss, active), active)
+
+    def render_indirect_silhouette(self, scene: Scene, sensor: Sensor, sampler: Sampler, spp: int) -> TensorXf:
+        """The image of the silhouettes that other surfaces see, attached to the parameters of shapes; guided."""
+        guide = self.proj_detail.guiding_distr
+        if guide is None:
+            return dr.zeros(TensorXf, self._shape(sensor))
+        with dr.suspend_grad():
+            point, inverse = guide.sample(sampler)
+        value, _, place = self.proj_detail.eval_indirect_integrand(scene, sensor, point, sampler, preprocess=False)
+        return self._splatted(sensor, sampler, place, value * inverse, Bool(True))
+
+    def _splatted(
+        self, sensor: Sensor, sampler: Sampler, place: Point2f, value: Color3f, active: Bool | bool
+    ) -> TensorXf:
+        """The image of samples of the whole film, at places in pixels; their mean is the mean of the image."""
+        film = sensor.film()
+        film.prepare(list(self.aov_names()))
+        block = film.create_block(normalize=True)
+        width, height = film.crop_size()
+        color = Color3f(value) * (width * height / sampler.wavefront_size())
+        alpha = [Float(0)] if film.flags() & FilmFlags.Alpha else []
+        aovs = [Float(0) for _ in self.aov_names()]
+        block.put(place, [color.x, color.y, color.z, *alpha, Float(0), *aovs], active)
+        film.put_block(block)
+        return film.develop()
+
+    def first_hit(self, scene: Scene, ray: Any, active: Bool, from_sensor: Bool | bool = True) -> SurfaceInteraction3f:
+        """The first surface point along rays, which pass through emitters `from_sensor` if these are hidden."""
+        if not self.hide_emitters:
+            return scene.ray_intersect(ray, active=active)
+        return scene.surface_interaction_of(scene.closest_hit(ray, active, through_lights=Bool(from_sensor)), ray)
+
+    def seed_rays(self, scene: Scene, sensor: Sensor, sampler: Sampler) -> tuple[Any, Bool]:
+        """The rays of paths that `sample` offers for projection."""
+        ray, _, _ = self.sample_rays(scene, sensor, sampler)
+        options = modes(dr.ADMode.Primal, scene, sampler, ray)
+        rays, active = self.sample(**options, δL=None, δaovs=None, state_in=None, project=True)[3]
+        return rays, active
+
+    def shade(
+        self, scene: Scene, sampler: Sampler, ray: Any, depth: Any, si: SurfaceInteraction3f | None, active: Any
+    ) -> Color3f:
+        """The radiance along rays, or from surface points."""
+        options = {**modes(dr.ADMode.Primal, scene, sampler, ray), "depth": depth, "active": Bool(active)}
+        return Color3f(self.sample(**options, δL=None, δaovs=None, state_in=None, si_shade=si)[0])
+
+
+def optional(props: Properties, name: str) -> int | None:
+    """A whole number, or None if it isn't given."""
+    found = props.integer(name, -1, low=-1)
+    return None if found < 0 else found
+
+
+def on_film(sensor: Sensor, ss: SilhouetteSample3f) -> tuple[DirectionSample3f, Color3f]:
+    """The way from silhouettes to the sensor, with the place on the film in pixels, and the importance."""
+    it = dr.zeros(Interaction3f)
+    it.p = ss.p
+    found: tuple[DirectionSample3f, Color3f] = sensor.sample_direction(it, Point2f(0))
+    return found

@@ -1,0 +1,228 @@
+"""Scene descriptions found by name, and changed before they are loaded: image size, filter, integrator.
+
+For command lines and comparisons, which take a scene as it is and vary one thing. Works on dicts of
+Mitsuba's schema, so the same change reaches djpt and Mitsuba.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from djpt.core.files import require_regular
+from djpt.description.document import Document
+from djpt.errors import FileError, SceneError, near_miss, nearest
+
+__all__ = ["described", "integrator_name", "override", "reduced", "rfilter_name"]
+
+SENSORS = frozenset(
+    {"perspective", "thinlens", "orthographic", "radiancemeter", "irradiancemeter", "distant", "batch"},
+)
+"""The types of nodes that hold a film."""
+
+WIDTH, HEIGHT = 768, 576
+"""The pixels of a film that doesn't say how many it has."""
+
+METERS = frozenset({"radiancemeter", "irradiancemeter", "distant"})
+"""The types of sensors that measure numbers and take no pictures."""
+
+INTEGRATORS = frozenset(
+    {"path", "direct", "depth", "aov", "moment", "ptracer", "stokes", "volpath", "volpathmis"}
+    | {"prb", "prb_basic", "prbvolpath", "direct_projective", "prb_projective", "volprim_rf_basic"}
+    | {"raycast", "whitted", "distributed", "path_naive", "path_nee", "bdpt"},
+)
+
+KEPT: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("depth", "aov", "moment"), ()),
+    # The depth of a tree of rays isn't the depth of a path.
+    **dict.fromkeys(("direct", "raycast", "whitted", "distributed"), ("hide_emitters",)),
+    **dict.fromkeys(("path_nee", "prb_basic"), ("max_depth", "hide_emitters")),
+}
+"""The settings that an integrator takes over from the scene's, by name; djpt's others take over `COMMON`."""
+
+OTHER_FILES = {
+    "a picture": frozenset(
+        {".exr", ".hdr", ".pfm", ".npy", ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".ppm", ".tif", ".tiff", ".webp"}
+    ),
+    "a movie": frozenset({".gif", ".mp4", ".webm", ".mov", ".avi"}),
+    "a mesh, which a scene holds as a shape,": frozenset({".obj", ".ply", ".serialized", ".stl", ".gltf", ".glb"}),
+    "a file of Blender, which Mitsuba's add-on exports as XML,": frozenset({".blend"}),
+    "a checkpoint, which 'djpt merge' reads,": frozenset({".djpt"}),
+}
+"""What files with these extensions are that somebody may take for a scene."""
+
+COMMON = ("max_depth", "rr_depth", "hide_emitters")
+
+
+def described(
+    scene: Mapping[str, Any] | str | os.PathLike[str], parameters: Mapping[str, str] | None = None
+) -> tuple[str, dict[str, Any]]:
+    """The name and the description of a scene: a dict, a built-in name, or an XML file.
+
+    `parameters` are values for the ``$name`` of a file. Raises `SceneError` for unknown names, with those that
+    there are, and the errors of `djpt.load_file`.
+    """
+    if isinstance(scene, os.PathLike) or (isinstance(scene, str) and scene.lower().endswith(".xml")):
+        # Before Dr.Jit and NumPy are imported: a misspelt name is found out at once.
+        if not os.path.lexists(scene):
+            raise FileError(f"can't read '{os.fspath(scene)}': there is no such file{scene_like(os.fspath(scene))}")
+        require_regular(scene)
+        from djpt.description.xml.reading import read_file
+
+        document = read_file(scene, trusted=True, root=None, **(parameters or {}))
+        return document.name, document
+    from djpt import scenes
+
+    if parameters:
+        from djpt.core.numeric import describe
+
+        what = f"'{scene}'" if isinstance(scene, str) else describe(scene)
+        raise SceneError(f"only scene files (XML) have parameters, found {', '.join(parameters)} for {what}")
+    if isinstance(scene, Document):
+        return scene.name, scene.copy()
+    if isinstance(scene, Mapping):
+        return "scene", dict(scene)
+    if not isinstance(scene, str):
+        raise SceneError(f"a scene is a dict, a file or the name of a built-in scene, found {type(scene).__name__}")
+    if scene not in scenes.NAMES:
+        raise SceneError(f"{not_a_scene(scene)}{near_miss(scene, scenes.NAMES)}")
+    return scene, getattr(scenes, scene)()
+
+
+def not_a_scene(name: str) -> str:
+    """What a name is that is neither a built-in scene nor an XML file, as far as it tells."""
+    suffix = os.path.splitext(name)[1].lower()
+    for kind, suffixes in OTHER_FILES.items():
+        if suffix in suffixes:
+            return f"'{name}' is {kind} and not a scene; a scene is an XML file, such as 'scene.xml', or built-in"
+    file = f"; the file would be '{name}.xml'" if os.path.exists(f"{name}.xml") else ""
+    return f"unknown scene '{name}'{file}"
+
+
+def scene_like(missing: str) -> str:
+    """A suggestion for the name of a scene file that doesn't exist: a file beside it, or a built-in scene."""
+    from djpt import scenes
+
+    folder, name = os.path.split(missing)
+    try:
+        files = [entry for entry in os.listdir(folder or ".") if entry.lower().endswith(".xml")]
+    except OSError:
+        return ""
+    beside = nearest(name, files)
+    if beside is not None:
+        return f"; did you mean '{os.path.join(folder, beside)}'?"
+    built_in = nearest(os.path.splitext(name)[0], scenes.NAMES)
+    return f"; did you mean the built-in scene '{built_in}'?" if built_in else ""
+
+
+def override(
+    scene: Mapping[str, Any],
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    rfilter: str | Mapping[str, Any] | None = None,
+    integrator: str | Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """A copy of `scene` with changes for all of its sensors; `None` changes nothing.
+
+    * `width`, `height`: pixels of the film, except that of meters. With one given, the other keeps the shape of
+      the image.
+    * `rfilter`: the reconstruction filter, by name or as a dict.
+    * `integrator`: by name or as a dict; replaces the scene's. A name keeps the other settings of the
+      scene's integrator that both have: `max_depth`, `rr_depth`, `hide_emitters`.
+
+    The given dicts are not modified. Raises `SceneError` if there is no sensor to change, if it is a
+    plugin object already, or if a film whose size shall change has a crop window.
+    """
+    result = scene.copy() if isinstance(scene, Document) else dict(scene)
+    if integrator is not None:
+        _set_integrator(result, integrator)
+    if width is None and height is None and rfilter is None:
+        return result
+    sensors = [key for key, node in result.items() if isinstance(node, Mapping) and node.get("type") in SENSORS]
+    if not sensors:
+        raise SceneError("the scene has no sensor described by a dict, so its film can't be changed")
+    for key in sensors:
+        sensor = dict(result[key])
+        name = _film_key(sensor)
+        film = dict(sensor.get(name, {"type": "hdrfilm"}))
+        if (width is not None or height is not None) and sensor["type"] not in METERS:
+            _set_size(film, f"{key}.{name}", width, height)
+        if rfilter is not None:
+            for other in [k for k, node in film.items() if isinstance(node, Mapping) and k != "rfilter"]:
+                del film[other]
+            film["rfilter"] = {"type": rfilter} if isinstance(rfilter, str) else dict(rfilter)
+        sensor[name] = film
+        result[key] = sensor
+    return result
+
+
+def reduced(scene: Mapping[str, Any], side: int) -> dict[str, Any]:
+    """A copy of `scene` whose pictures are at most `side` pixels wide and high; they keep their aspect ratio.
+
+    Smaller pictures stay as they are, as do films with a crop window and sensors that aren't described by a dict.
+    """
+    result = scene.copy() if isinstance(scene, Document) else dict(scene)
+    for key, node in scene.items():
+        if not isinstance(node, Mapping) or node.get("type") not in SENSORS - METERS:
+            continue
+        name = _film_key(dict(node))
+        film = dict(node.get(name, {"type": "hdrfilm"}))
+        width, height = film.get("width", WIDTH), film.get("height", HEIGHT)
+        if max(width, height) > side and not any(entry.startswith("crop_") for entry in film):
+            _set_size(film, f"{key}.{name}", *((side, None) if width >= height else (None, side)))
+            result[key] = {**node, name: film}
+    return result
+
+
+def rfilter_name(scene: Mapping[str, Any]) -> str:
+    """The type of the first sensor's reconstruction filter; Mitsuba's default is `gaussian`."""
+    for sensor in scene.values():
+        if isinstance(sensor, Mapping) and sensor.get("type") in SENSORS:
+            film = sensor.get(_film_key(sensor), {})
+            nodes = [node for node in film.values() if isinstance(node, Mapping)] if isinstance(film, Mapping) else []
+            return str(nodes[0].get("type")) if nodes else "gaussian"
+    return "gaussian"
+
+
+def integrator_name(scene: Mapping[str, Any]) -> str:
+    """The type of the scene's integrator; the default is `path`."""
+    for key, node in scene.items():
+        if isinstance(node, Mapping) and (key == "integrator" or node.get("type") in INTEGRATORS):
+            return str(node.get("type"))
+    return "path"
+
+
+def _film_key(sensor: Mapping[str, Any]) -> str:
+    for key, node in sensor.items():
+        if isinstance(node, Mapping) and str(node.get("type", "")).endswith("film"):
+            return key
+    return "film"
+
+
+def _set_size(film: dict[str, Any], node: str, width: int | None, height: int | None) -> None:
+    if any(key.startswith("crop_") for key in film):
+        raise SceneError(f"{node}: the film has a crop window, so its size can't be changed from outside")
+    old_width, old_height = film.get("width", WIDTH), film.get("height", HEIGHT)
+    if width is None:
+        assert height is not None
+        width = max(1, round(old_width * height / old_height))
+    elif height is None:
+        height = max(1, round(old_height * width / old_width))
+    film["width"], film["height"] = width, height
+
+
+def _set_integrator(scene: dict[str, Any], integrator: str | Mapping[str, Any]) -> None:
+    key, old = "integrator", {}
+    for name, node in scene.items():
+        if isinstance(node, Mapping) and node.get("type") in INTEGRATORS:
+            key, old = name, dict(node)
+            break
+    if not isinstance(integrator, str):
+        scene[key] = dict(integrator)
+        return
+    # Integrators of others are only known to accept this one.
+    takes = KEPT.get(integrator, COMMON if integrator in INTEGRATORS else ("hide_emitters",))
+    kept = {name: old[name] for name in takes if name in old}
+    scene[key] = {"type": integrator, **kept}
