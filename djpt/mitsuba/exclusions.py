@@ -8,9 +8,7 @@ __all__ = ["REASONS", "reason"]
 
 POLARISATION = "Polarisation: djpt computes with unpolarised light."
 SPECTRAL = "Spectral rendering: djpt computes with red, green and blue."
-LOADER = (
-    "The stages of the C++ scene loader: `djpt.mitsuba.xml.read_file` gives a description as a dict that can be edited."
-)
+LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a description as a dict that can be edited."
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."

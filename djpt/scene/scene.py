@@ -28,7 +28,7 @@ from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.emitters import Emitter
 from djpt.emitters.pointer import EmitterPtr
-from djpt.errors import SceneError
+from djpt.errors import RenderError, SceneError
 from djpt.geometry.aggregate import Geometry
 from djpt.geometry.parity import is_inside
 from djpt.jit.frozen import recording, require_editable
@@ -85,9 +85,9 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
     """Of a scene in a working frame: what lengths and points are in its description
     (`djpt.scene.normalization.units`)."""
 
-    def __init__(self, props: Properties, renderer: Renderer) -> None:
+    def __init__(self, props: Properties, renderer: Renderer | None = None) -> None:
         super().__init__(props)
-        self.renderer = renderer
+        self._renderer = renderer
         for setting in WITHOUT_EFFECT:
             props.boolean(setting, False)
         self.named = [(key, plugin) for kind in KINDS for key, plugin in props.children(kind)]
@@ -117,6 +117,17 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
             return [plugin for _, plugin in self.named]
         existed = [plugin for key, plugin in self.named if key not in merging.keys]
         return existed + merged_last((plugin for key, plugin in self.named if key in merging.keys), merging.alike)
+
+    @property
+    def renderer(self) -> Renderer:
+        """What renders the scene.
+
+        Raises:
+            RenderError: The scene wasn't made by `load_dict`.
+        """
+        if self._renderer is None:
+            raise RenderError("a scene is rendered if load_dict made it; this one was made without")
+        return self._renderer
 
     def _of_kind(self, kind: str) -> list[Any]:
         return [plugin for _, plugin in self.named if plugin.kind == kind]

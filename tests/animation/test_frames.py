@@ -70,7 +70,7 @@ def test_a_folder_holds_one_animation(tmp_path: Path, change: dict[str, Any]) ->
 
 def test_a_note_that_is_damaged(tmp_path: Path) -> None:
     (tmp_path / JOB).write_text("[]")
-    with pytest.raises(FileError, match="isn't readable"):
+    with pytest.raises(FileError, match="can't be read"):
         render_frames(scene(), {KEY: TRACK}, 1, tmp_path)
 
 

@@ -303,7 +303,7 @@ def test_errors_have_exit_codes(
 def test_no_usable_backend_is_exit_code_3() -> None:
     done = process("render", *SMALL, environment={"DJPT_VARIANT": "llvm_mono"})
     assert done.returncode == ExitCode.UNUSABLE
-    assert "the variant 'llvm_mono' can't be had" in done.stderr
+    assert "the variant 'llvm_mono' isn't available" in done.stderr
     assert "Traceback" not in done.stderr
 
 

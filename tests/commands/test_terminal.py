@@ -122,7 +122,7 @@ def test_values_of_options(asked: Asked, command: str) -> None:
 def test_commands_that_are_unknown(asked: Asked) -> None:
     text = asked(EVIL)
     assert_only_shown(text)
-    assert "No such command" in text
+    assert "unknown command" in text
 
 
 def test_the_help(asked: Asked) -> None:

@@ -226,7 +226,7 @@ def test_contradictory_edits_are_taken_back() -> None:
     [
         ({"type": "cone", "angle": 90}, "'angle' must lie in"),
         ({"type": "cone", "axis": [0, 0, 0]}, "'axis' has length 0"),
-        ({"type": "cone", "to_world": T().scale([1, 2, 1])}, "'to_world' of a cone may scale uniformly"),
+        ({"type": "cone", "to_world": T().scale([1, 2, 1])}, "'to_world' of a cone may only scale uniformly"),
         ({"type": "cuboid", "min": [0, 0, 2]}, "'max' must be greater than 'min'"),
         ({"type": "torus", "minor": 1.5}, "'minor' must be less than 'major'"),
         ({"type": "metaballs"}, "needs the key 'balls'"),

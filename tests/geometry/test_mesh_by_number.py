@@ -120,7 +120,7 @@ def test_a_filled_mesh_is_the_mesh_of_its_arrays() -> None:
     filled_image = image(mesh)
     assert filled_image[..., 0].max() > 0.5 > filled_image[..., 1].min()
     np.testing.assert_array_equal(filled_image, image(other))
-    with pytest.raises(ParameterError, match="add_attribute comes before load_dict"):
+    with pytest.raises(ParameterError, match="add_attribute must be called before load_dict"):
         mesh.add_attribute("vertex_color", 3, [0.5] * 15)
 
 

@@ -165,7 +165,7 @@ def test_volume_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"nothing", "isn't a file of a volume"),
+        (b"nothing", "isn't a volume file"),
         (volume(ball(4, 4, 4), version=2), "version 3"),
         (volume(ball(4, 4, 4), kind=2), "numbers of type 2"),
         (volume(np.zeros((3, 3, 3, 3), np.float32)), "found 3"),

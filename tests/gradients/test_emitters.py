@@ -32,6 +32,7 @@ class EmitterSlopes(Slopes):
             if key.startswith("light.emitter." if "emitter" in entry(name) else "light.")
             and self.params.flags(key).differentiable
             and key not in JUMPS.get(name, ())
+            and not (key == "light.sun_direction" and entry(name).get("sun_scale", 1))  # refused with a reason
         ]
         rng = np.random.default_rng(3)
         for key in self.keys:

@@ -161,7 +161,7 @@ def test_an_edit_compiles_no_kernel() -> None:
 def test_an_edit_is_a_new_description() -> None:
     edited = djpt.load_dict({"type": "sunsky", "turbidity": 2.0, "hour": 9.5})
     params = djpt.traverse(edited)
-    with pytest.raises(djpt.ParameterError, match="follows from other parameters"):
+    with pytest.raises(djpt.ParameterError, match="is computed from other parameters"):
         params["sun_direction"] = [0, 0, 1]
     with pytest.raises(djpt.ParameterError, match=r"turbidity: must lie in \[1, 10\], found 0.5"):
         params["turbidity"] = 0.5

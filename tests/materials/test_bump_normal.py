@@ -114,6 +114,12 @@ def described(map_: str, nested: str, **keys: Any) -> dict[str, Any]:
     return {**maps()[map_], "nested": NESTED[nested], **keys}
 
 
+def misspelt_scale() -> dict[str, Any]:
+    description = {**described("heights", "diffuse"), "scael": 1.0}
+    description.pop("scale", None)
+    return description
+
+
 # ---------------------------------------------------------------- against Mitsuba
 
 
@@ -332,7 +338,7 @@ def test_gradients_by_maps(map_: str, name: str, index: tuple[int, ...]) -> None
         ),
         (described("heights", "diffuse", second=NESTED["diffuse"]), "'bumpmap' takes one nested BSDF, found 2"),
         (described("heights", "diffuse", scale="big"), "'scale' must be a float"),
-        (described("heights", "diffuse", scael=1.0), "unknown key 'scael' of bsdf 'bumpmap'; did you mean 'scale'"),
+        (misspelt_scale(), "unknown key 'scael' of bsdf 'bumpmap'; did you mean 'scale'"),
     ],
 )
 def test_wrong_descriptions(description: dict[str, Any], message: str) -> None:

@@ -315,7 +315,7 @@ def test_gradients_of_what_is_nested(description: dict[str, Any], name: str) -> 
         ({**mask(RED), "more": BLUE}, "'mask' takes one nested BSDF, found 2"),
         ({"type": "blendbsdf", "a": RED}, "'blendbsdf' takes two nested BSDFs, found 1"),
         ({**blend(RED, BLUE), "third": RED}, "'blendbsdf' takes two nested BSDFs, found 3"),
-        ({**blend(RED, BLUE), "wieght": 0.5}, r"unknown key 'wieght'.*weight"),
+        ({"type": "blendbsdf", "a": RED, "b": BLUE, "wieght": 0.5}, "unknown key 'wieght'.*weight"),
         ({**mask(RED), "opacity": "half"}, "'opacity' must be a number or a texture"),
         (two_sided(mask(RED)), "a transmitting BSDF can't be made two-sided"),
         (two_sided(blend(RED, GLASS)), "a transmitting BSDF can't be made two-sided"),

@@ -195,7 +195,7 @@ def test_a_search_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
 
     with pytest.raises(Ended):
         optimize(grey(floor()), KEY, targets, checkpoint=file, callback=end, **options)
-    with pytest.raises(FileError, match="another search"):
+    with pytest.raises(FileError, match="another optimisation"):
         optimize(grey(floor()), KEY, targets, checkpoint=file, **{**options, "optimizer": "adam"})
     resumed = optimize(grey(floor()), KEY, targets, checkpoint=file, **options)
     assert np.array_equal(np.array(resumed.values[KEY]), np.array(whole.values[KEY]))

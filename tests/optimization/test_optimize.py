@@ -137,10 +137,10 @@ def test_a_search_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
     assert np.array_equal(np.array(resumed.values[KEY]), np.array(whole.values[KEY]))
     assert resumed.losses == whole.losses
     assert np.array_equal(resumed.average[KEY], whole.average[KEY])
-    with pytest.raises(FileError, match="another search"):
+    with pytest.raises(FileError, match="another optimisation"):
         optimize(grey(floor()), "ball.bsdf.reflectance.value", targets, checkpoint=file, **options)
     file.write_bytes(b"PK")
-    with pytest.raises(FileError, match="can't go on"):
+    with pytest.raises(FileError, match="can't continue from"):
         optimize(grey(floor()), KEY, targets, checkpoint=file, **options)
 
 

@@ -60,8 +60,8 @@ def test_broken_files_are_told_apart(tmp_path: Path) -> None:
     djpt.VolumeGrid(NUMBERS).write(path)
     whole = path.read_bytes()
     for content, message in [
-        (b"LOV" + whole[3:], "isn't a file of a volume"),
-        (whole[:20], "isn't a file of a volume"),
+        (b"LOV" + whole[3:], "isn't a volume file"),
+        (whole[:20], "isn't a volume file"),
         (whole[:3] + b"\2" + whole[4:], "has version 2 and numbers of type 1"),
         (whole[:-1], "ends too early for 4 x 3 x 2 points with 3 numbers each"),
     ]:

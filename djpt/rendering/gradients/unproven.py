@@ -147,8 +147,9 @@ def shadows_on_moving(rendering: Rendering) -> Iterator[str]:
 def hidden_lamps(rendering: Rendering) -> Iterator[str]:
     """An integrator that hides emitters of the scene."""
     if rendering.integrator.hide_emitters:
-        for emitter in rendering.emitters(EmitterFlags.Surface | EmitterFlags.Infinite):
-            yield f"'hide_emitters' hides {named(emitter)}"
+        for flags in (EmitterFlags.Surface, EmitterFlags.Infinite):
+            for emitter in rendering.emitters(flags):
+                yield f"'hide_emitters' hides {named(emitter)}"
 
 
 def without_silhouettes(rendering: Rendering) -> Iterator[str]:

@@ -41,6 +41,15 @@ REPEATED = 2**20
 """The numbers of rounds end here; those of a tile that a round samples again follow."""
 
 
+TILED = frozenset({"flat", "wave"})
+"""The schedules that can render some tiles of an image."""
+
+
+def in_tiles(integrator: Any) -> bool:
+    """Whether an integrator, or a class of integrators, has a schedule that renders tiles."""
+    return not TILED.isdisjoint(getattr(integrator, "schedules", ()))
+
+
 class AdaptiveRounds:
     """The rounds of one image over tiles.
 
@@ -54,8 +63,8 @@ class AdaptiveRounds:
     def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
         self._scene, self._sensor, self._integrator = scene, sensor, integrator
         self._spp, self._schedule = spp, schedule
-        if type(integrator).render is not Integrator.render or "flat" not in integrator.schedules:
-            able = (name for name, kind in registered("integrator").items() if "flat" in getattr(kind, "schedules", ()))
+        if type(integrator).render is not Integrator.render or not in_tiles(integrator):
+            able = (name for name, kind in registered("integrator").items() if in_tiles(kind))
             name = name_of(type(integrator)) or type(integrator).__name__
             raise RenderError(f"the integrator '{name}' can't render adaptively{near_miss('', able)}")
         require_still(scene)

@@ -13,6 +13,7 @@ from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback, is_plain
 from djpt.films import Film
 from djpt.integrators.base import Integrator
+from djpt.integrators.termination import Terminating
 from djpt.samplers import Sampler
 from djpt.scene.scene import Scene
 from djpt.sensors import Sensor
@@ -100,6 +101,9 @@ def described(plugin: Plugin) -> dict[str, Any]:
         for name, value in vars(plugin).items():
             if is_setting(name, value) or (isinstance(plugin, Integrator) and holds_plugins(value)):
                 found.setdefault(f"attribute {name}", value)
+    if isinstance(plugin, Terminating):
+        found["attribute max_depth"] = plugin.max_depth
+        found["attribute rr_depth"] = getattr(plugin, "_rr_depth", None)  # some have no roulette
     if isinstance(plugin, Sensor):
         return {name: value for name, value in found.items() if not isinstance(value, (Film, Sampler))}
     if isinstance(plugin, Film):
