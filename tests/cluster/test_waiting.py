@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import drjit as dr
 import pytest
 
 from tests.kit.commands import run
@@ -17,6 +18,14 @@ distributed = pytest.importorskip("distributed")
 
 IMPORTING = 10
 """Seconds that a process may take before it asks anybody, on a machine with other work."""
+
+
+@pytest.fixture(autouse=True)
+def threads_stay() -> Iterator[None]:
+    """A worker sets the number of threads of its process, which here goes on with other tests."""
+    count = dr.thread_count()
+    yield
+    dr.set_thread_count(count)
 
 
 @contextlib.contextmanager
