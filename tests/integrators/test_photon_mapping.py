@@ -256,10 +256,13 @@ def test_edges_are_not_dark() -> None:
 # ---------------------------------------------------------------- contracts
 
 
+@pytest.mark.parametrize("radius", [0.1, 0.0])  # 0: the default
 @pytest.mark.parametrize("kind", KINDS)
-def test_image_is_the_same_for_any_threads_passes_and_memory(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_image_is_the_same_for_any_threads_passes_and_memory(
+    kind: str, radius: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = djpt.load_dict(box(8, "gaussian"))
-    plugin = djpt.load_dict({"type": kind, "max_depth": 5, "photon_count": 500, "initial_radius": 0.1})
+    plugin = djpt.load_dict({"type": kind, "max_depth": 5, "photon_count": 500, "initial_radius": radius})
 
     def render(**arguments: Any) -> np.ndarray:
         return np.array(djpt.render(scene, integrator=plugin, spp=6, **{"seed": 4, **arguments}))
