@@ -47,7 +47,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     and all ways are weighted against each other: mergings count little where connections do well.
 
     Parameters: those of `bdpt` (without `strategies`) and of all `PhotonMapping`; a camera path has one
-    light path.
+    light path at most.
 
     I. Georgiev, J. Křivánek, T. Davidovič and P. Slusallek, "Light Transport Simulation with Vertex Connection and
     Merging", 2012; T. Hachisuka, J. Pantaleoni and H. W. Jensen, "A Path Space Extension for Robust Light Transport

@@ -43,13 +43,13 @@ class PhotonMapping(SplattingIntegrator):
     Slowly enough, for 0 < alpha < 1, for the noise to vanish as well. What a pass is depends on the film's size and
     these parameters alone, so an image is a function of (scene, spp, seed).
 
-    Parameters, besides those of the estimator: `photon_count` (light paths of a pass, default 250000),
+    Parameters, besides those of the estimator: `photon_count` (light paths of a pass, default 2^18),
     `initial_radius` (in the scene's units, > 0; default 0: from what the sensor sees, see below), `alpha` (in (0, 1],
     default 2/3; 1 keeps the radius).
 
     The first radius is such that the points that some camera rays see have `crowd` photons about them on average, but
-    at most a hundredth of the median of their distances (`djpt.rendering.schedules.first_radius`). It doesn't depend
-    on the seed or on the samples per pixel.
+    at most 1/72 of the width of what the picture shows there (`djpt.rendering.schedules.first_radius`). It doesn't
+    depend on the seed or on the samples per pixel.
 
     T. Hachisuka and H. W. Jensen, "Stochastic Progressive Photon Mapping", 2009; C. Knaus and M. Zwicker, "Progressive
     Photon Mapping: A Probabilistic Approach", 2011; A. Kaplanyan and C. Dachsbacher, "Adaptive Progressive Photon
@@ -60,8 +60,10 @@ class PhotonMapping(SplattingIntegrator):
     starts_at_lights = True
     holds_sums: ClassVar[bool] = True
 
-    default_photon_count: ClassVar[int] = 250_000
-    """The light paths of a pass, unless a description says something else."""
+    default_photon_count: ClassVar[int] = 2**18
+    """The light paths of a pass, unless a description says something else; a power of two, as films and samples often
+    are: a last pass of a few samples would take as many light paths as the others.
+    """
 
     paths_per_sample: ClassVar[int] = 4
     """The light paths of a pass for each of its camera paths, at most."""

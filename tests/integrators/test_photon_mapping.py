@@ -184,10 +184,12 @@ def test_point_light_beside_a_mirror(kind: str) -> None:
     assert found.mean() == pytest.approx(expected, rel=5e-3)
 
 
-def first_radius_in(scene: dict[str, Any], kind: str, monkeypatch: pytest.MonkeyPatch, seed: int = 0) -> float:
+def first_radius_in(
+    scene: dict[str, Any], kind: str, monkeypatch: pytest.MonkeyPatch, seed: int = 0, **keys: Any
+) -> float:
     """The first radius that an image is made with."""
     found: list[float] = []
-    plugin = djpt.load_dict({"type": kind, "max_depth": 4})
+    plugin = djpt.load_dict({"type": kind, "max_depth": 4, **keys})
     monkeypatch.setattr(type(plugin), "radius", lambda self, first, number: found.append(first) or first)
     djpt.render(djpt.load_dict(scene), integrator=plugin, spp=1, seed=seed)
     return found[0]
@@ -202,6 +204,47 @@ def test_first_radius_follows_from_what_is_seen(kind: str, monkeypatch: pytest.M
     assert first_radius_in(mirrored_lamp(5000.0), kind, monkeypatch) == pytest.approx(near, rel=0.05)
 
 
+def test_largest_radius_follows_from_the_width_of_what_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not from how far away it is: a distant camera with a long lens sees the same."""
+
+    def radius(sensor: dict[str, Any]) -> float:
+        scene = mirrored_lamp()
+        scene["sensor"] = {**scene["sensor"], **sensor}
+        return first_radius_in(scene, "sppm", monkeypatch, photon_count=1)
+
+    def look_from(distance: float) -> Any:
+        return T().look_at(origin=[0, 0, distance], target=[0, 0, 0], up=[0, 1, 0])
+
+    near = radius({})
+    assert near == pytest.approx(6 * math.tan(math.radians(15)) / 72, rel=0.1)
+    lens = 2 * math.degrees(math.atan(math.tan(math.radians(15)) / 10))
+    assert radius({"fov": lens, "to_world": look_from(30.0)}) == pytest.approx(near, rel=0.1)
+    parallel = mirrored_lamp()["sensor"]
+    del parallel["fov"]
+    parallel["type"] = "orthographic"
+    assert radius({}) == near
+    first, second = (
+        first_radius_in(
+            {**mirrored_lamp(), "sensor": {**parallel, "to_world": look_from(distance).scale([0.5, 0.5, 1])}},
+            "sppm",
+            monkeypatch,
+            photon_count=1,
+        )
+        for distance in (3.0, 30.0)
+    )
+    assert first == second == pytest.approx(1 / 72, rel=0.01)
+
+
+@pytest.mark.parametrize(("kind", "passes"), [("sppm", 4), ("vcm", 1)])
+def test_light_paths_of_no_pass_are_wasted(kind: str, passes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A last pass of a few samples would trace as many light paths as the others: films are often powers of two."""
+    numbers: set[int] = set()
+    plugin = djpt.load_dict({"type": kind, "max_depth": 4})
+    monkeypatch.setattr(type(plugin), "radius", lambda self, first, number: numbers.add(number) or first)
+    djpt.render(djpt.load_dict(mirrored_lamp(size=16)), integrator=plugin, spp=1024)
+    assert numbers == set(range(passes))
+
+
 def test_edges_are_not_dark() -> None:
     """Half of the disk about a point near a wall holds no photons: with a wide one that is several per cent."""
     scene = djpt.load_dict(box(16))
@@ -213,10 +256,13 @@ def test_edges_are_not_dark() -> None:
 # ---------------------------------------------------------------- contracts
 
 
+@pytest.mark.parametrize("radius", [0.1, 0.0])  # 0: the default
 @pytest.mark.parametrize("kind", KINDS)
-def test_image_is_the_same_for_any_threads_passes_and_memory(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_image_is_the_same_for_any_threads_passes_and_memory(
+    kind: str, radius: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = djpt.load_dict(box(8, "gaussian"))
-    plugin = djpt.load_dict({"type": kind, "max_depth": 5, "photon_count": 500, "initial_radius": 0.1})
+    plugin = djpt.load_dict({"type": kind, "max_depth": 5, "photon_count": 500, "initial_radius": radius})
 
     def render(**arguments: Any) -> np.ndarray:
         return np.array(djpt.render(scene, integrator=plugin, spp=6, **{"seed": 4, **arguments}))

@@ -2,8 +2,8 @@
 
 Some camera rays are followed to the first surfaces that scatter light, and some light paths leave photons. The radius
 is such that a ball about a point that is seen holds a certain number of photons on average: more of them take time
-for little, and a wider ball blurs more. Where photons are few, how far away that is which is seen sets the limit. So
-neither the size of the scene nor anything that stands outside of the picture counts, and nothing depends on the seed.
+for little, and a wider ball blurs more. Where photons are few, the width of what is seen sets the limit. So neither the
+size of the scene nor anything that stands outside of the picture counts, and nothing depends on the seed.
 """
 
 from __future__ import annotations
@@ -30,11 +30,17 @@ __all__ = ["Seen", "radius_of_crowd", "seen_from"]
 SIDE = 32
 """Rows and columns of the camera rays."""
 
+ASIDE = 1 / SIDE
+"""From a ray to that of the next column, in shares of the picture."""
+
 MOST_EDGES = 32
 """Edges up to the first surface that scatters; paths with more see nothing."""
 
-SHARE = 0.01
-"""The largest radius in relation to the median of the distances to what is seen."""
+OF_WIDTH = 1 / 72
+"""The largest radius in relation to the width of what is seen."""
+
+OF_DISTANCE = 0.01
+"""The largest radius in relation to the distance of what is seen, if all rays are one."""
 
 TRIES = 8
 """Guesses at a radius, at most: the first one counts too many photons, and each of the others fewer."""
@@ -54,13 +60,18 @@ class Seen:
     n: Normal3f
     distance: Float
     """The length of the way from where the ray begins."""
+    beside: Float
+    """How far away the camera ray of the next column is after the same way, mirrors aside."""
     there: Bool
     """False where a ray leads to no such point."""
 
     def largest_radius(self) -> float:
         """The largest radius for these points; 0 if there are none."""
-        distances = np.array(self.distance, np.float64)[np.array(self.there)]
-        return SHARE * float(np.median(distances)) if distances.size else 0.0
+        there = np.array(self.there)
+        if not there.any():
+            return 0.0
+        column, distance = (float(np.median(np.array(x, np.float64)[there])) for x in (self.beside, self.distance))
+        return OF_WIDTH * SIDE * column if column > 0 else OF_DISTANCE * distance
 
 
 @dataclass
@@ -80,9 +91,11 @@ def seen_from(job: Job) -> Seen:
     number = dr.arange(UInt32, SIDE * SIDE) + dr.opaque(UInt32, 0)
     row = number // SIDE
     place = Point2f(Float(number - row * SIDE) + 0.5, Float(row) + 0.5) / SIDE
-    sampler = IndependentStream.seeded(*sample_tea_32(dr.opaque(UInt32, 0), number))
-    ray = job.ray_at(place, sampler)
-    nothing = Seen(Point3f(0), Normal3f(0, 0, 1), Float(0), Bool(False))
+    seeds = sample_tea_32(dr.opaque(UInt32, 0), number)
+    # By the same random numbers: through the same point of a lens.
+    sampler = IndependentStream.seeded(*seeds)
+    ray, beside = job.ray_at(place, sampler), job.ray_at(place + Point2f(ASIDE, 0), IndependentStream.seeded(*seeds))
+    nothing = Seen(Point3f(0), Normal3f(0, 0, 1), Float(0), Float(0), Bool(False))
     state = wide(Look(ray, sampler, nothing, Bool(True), UInt32(0)), SIDE * SIDE)
 
     def body(look: Look) -> tuple[Look]:
@@ -90,7 +103,7 @@ def seen_from(job: Job) -> Seen:
         on = look.active & si.is_valid()
         distance = look.seen.distance + dr.select(on, si.t, 0)
         ends = on & scatters(si)
-        seen = Seen(si.p, si.n, distance, ends)
+        seen = Seen(si.p, si.n, distance, Float(0), ends)
         bs, _ = si.bsdf().sample(BSDFContext(), si, look.sampler.next_1d(), look.sampler.next_2d(), on)
         return (
             Look(
@@ -104,6 +117,7 @@ def seen_from(job: Job) -> Seen:
 
     (done,) = loop_traced_once(state, lambda look: look.active, body, "seen")
     found: Seen = done.seen
+    found.beside = dr.norm(dr.fma(beside.d - ray.d, found.distance, beside.o - ray.o))
     dr.eval(found)
     return found
 
