@@ -7,10 +7,12 @@ import sys
 
 import box
 import cards
+import chains
 import comparison
 import ends
 import estimators
 import experiments
+import house
 import illumination
 import mist
 import observers
@@ -26,7 +28,7 @@ FIGURES = {
     name: getattr(module, name)
     for module in (
         *(proof, box, surfaces, illumination, mist, vapour, observers, estimators, ends, slopes),
-        *(experiments, rounds, window, comparison, cards),
+        *(experiments, rounds, window, comparison, house, chains, cards),
     )
     for name in module.__all__
 }

@@ -2,93 +2,92 @@
 
 from __future__ import annotations
 
-import ast
-from pathlib import Path
+import pkgutil
+import re
+from typing import Any
 
 import pytest
 
+from tests.kit.figures import figures
 from tests.kit.processes import ROOT
 
 SUBPACKAGES = ("integrators", "materials", "scenes", "validation")
 LARGEST_CIRCLE = 4
+MOST_MUTUAL_PAIRS = 6
+MOST_ROOMS = 32
 LONGEST_FILE = 420
 
+PAGE = ROOT / "docs" / "architecture.md"
 
-def files() -> dict[str, Path]:
-    """All modules of the package, by name."""
-    found = {}
-    for folder in ("djpt", *SUBPACKAGES):
-        package = folder if folder == "djpt" else f"djpt.{folder}"
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            inside = path.relative_to(ROOT / folder).with_suffix("").parts
-            if folder == "djpt" and inside[0] in SUBPACKAGES:
-                continue  # a link to the folder at the top
-            if inside[-1] == "__init__":
-                inside = inside[:-1]
-            found[".".join((package, *inside))] = path
+Graph = dict[str, set[str]]
+
+
+@pytest.fixture(scope="module")
+def reading() -> Any:
+    """What reads imports, shared with the picture of the house."""
+    return figures("imports")
+
+
+@pytest.fixture(scope="module")
+def graph(reading: Any) -> Graph:
+    found: Graph = reading.imports({name: path.read_text() for name, path in reading.modules(ROOT).items()})
+    assert len(found) > 500
     return found
 
 
-def imported(path: Path, known: dict[str, Path]) -> set[str]:
-    """The modules of the package that a file imports anywhere: for types and inside functions, too."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            whole = {f"{node.module}.{alias.name}" for alias in node.names}
-            names |= {name if name in known else node.module for name in whole}
-    return names & set(known)
+@pytest.fixture(scope="module")
+def rooms(reading: Any, graph: Graph) -> Graph:
+    found: Graph = reading.rooms(graph)
+    return found
 
 
-def circles(graph: dict[str, set[str]]) -> list[set[str]]:
-    """The sets of more than one module that all import each other, directly or by way of others."""
-
-    def reached(start: str) -> set[str]:
-        seen: set[str] = set()
-        waiting = [start]
-        while waiting:
-            fresh = graph[waiting.pop()] - seen
-            seen |= fresh
-            waiting += fresh
-        return seen
-
-    reach = {module: reached(module) for module in graph}
-    found = {frozenset(m for m in reach[module] if module in reach[m]) for module in graph if module in reach[module]}
-    return [set(circle) for circle in found if len(circle) > 1]
-
-
-def test_circles_of_imports_are_small() -> None:
-    known = files()
-    graph = {name: imported(path, known) - {name} for name, path in known.items()}
-    large = [sorted(circle) for circle in circles(graph) if len(circle) > LARGEST_CIRCLE]
+def test_circles_of_imports_are_small(reading: Any, graph: Graph) -> None:
+    large = [circle for circle in reading.circles(graph) if len(circle) > LARGEST_CIRCLE]
     assert not large, large
 
 
-def test_circles_are_found() -> None:
+def test_few_rooms_import_each_other(rooms: Graph) -> None:
+    mutual = sorted((a, b) for a in rooms for b in rooms[a] if a < b and a in rooms[b])
+    assert len(mutual) <= MOST_MUTUAL_PAIRS, mutual
+    assert len(rooms) <= MOST_ROOMS, sorted(rooms)
+
+
+def test_circles_are_found(reading: Any) -> None:
     graph = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": {"e"}, "e": {"d"}, "f": {"a"}}
-    assert sorted(map(sorted, circles(graph))) == [["a", "b", "c"], ["d", "e"]]
+    assert reading.circles(graph) == [["a", "b", "c"], ["d", "e"]]
 
 
-def test_the_renderer_needs_no_names_for_scripts() -> None:
-    """Only public modules at the top, the package of names `ad`, and the check of names may import `djpt.mitsuba`."""
-    known = files()
+def test_every_way_to_import_counts(reading: Any) -> None:
+    """For types, inside functions, by a string, and through packages that hand names on."""
+    sources = {
+        "djpt": "",
+        "djpt.shapes": "from djpt.shapes.mesh import Mesh as Mesh\nfrom djpt.shapes.ball import Ball as Sphere",
+        "djpt.shapes.mesh": "class Mesh: pass",
+        "djpt.shapes.ball": "class Ball: pass",
+        "djpt.scene": "if TYPE_CHECKING:\n    from djpt.shapes import Mesh",
+        "djpt.films": "def f():\n    from djpt.shapes import Sphere",
+        "djpt.media": "importlib.import_module('djpt.shapes.mesh')\nimport djpt",
+        "djpt.phase": "from djpt import shapes\nimport djpt.media",
+    }
+    found = reading.imports(sources)
+    assert {name: found[name] for name in ("djpt.scene", "djpt.films", "djpt.media", "djpt.phase")} == {
+        "djpt.scene": {"djpt.shapes.mesh"},
+        "djpt.films": {"djpt.shapes.ball"},
+        "djpt.media": {"djpt.shapes.mesh"},
+        "djpt.phase": {"djpt.shapes", "djpt.media"},
+    }
+    assert reading.rooms(found)["phase"] == {"shapes", "media"}
+
+
+def test_the_renderer_needs_no_names_for_scripts(graph: Graph) -> None:
+    """Only the public names and the check of names may import `djpt.mitsuba`."""
     users = {
         name
-        for name, path in known.items()
-        if not name.startswith(("djpt.mitsuba", "djpt.ad.", "djpt.validation.names"))
-        and any(module.startswith("djpt.mitsuba") for module in imported(path, known))
+        for name, targets in graph.items()
+        if not name.startswith(("djpt.mitsuba", "djpt.validation.names"))
+        and any(module.startswith("djpt.mitsuba") for module in targets)
     }
-    tops = {"djpt", *(f"djpt.{path.stem}" for path in (ROOT / "djpt").glob("*.py"))}
-    needed = (
-        "djpt.scene.scene",
-        "djpt.core.records",
-        "djpt.types",
-        "djpt.rendering",
-        "djpt.description.parameters",
-        "djpt.core.transforms",
-    )
-    assert users <= tops - set(needed), users - tops
+    assert users <= {"djpt"}, users
 
 
 def test_the_top_of_the_package_is_small() -> None:
@@ -105,9 +104,38 @@ def test_files_are_short(folder: str) -> None:
     assert not long, long
 
 
-def test_every_folder_is_described() -> None:
-    """The table of docs/architecture.md names all folders of the engine."""
-    text = (ROOT / "docs" / "architecture.md").read_text()
-    folders = [path.name for path in (ROOT / "djpt").iterdir() if path.is_dir() and not path.is_symlink()]
-    missing = [name for name in folders if name != "__pycache__" and f"`djpt/{name}/`" not in text]
-    assert not missing, missing
+def test_every_folder_is_described(rooms: Graph) -> None:
+    """The tables of docs/architecture.md have a row for each room and no other, and the picture a box."""
+    folders = {f"djpt/{path.name}/" for path in (ROOT / "djpt").iterdir() if path.is_dir() and path.name in rooms}
+    folders = {folder.removeprefix("djpt/") if folder[5:-1] in SUBPACKAGES else folder for folder in folders}
+    files = {f"djpt/{path.name}" for path in (ROOT / "djpt").glob("*.py")}
+    described = re.findall(r"^\| `([\w/.]+)` \|", PAGE.read_text(), re.MULTILINE)
+    assert sorted(described) == sorted(folders | files)
+    assert len(described) == len(rooms)
+    assert sorted(figures("house").ORDER) == sorted(rooms)
+
+
+def test_imports_go_down(rooms: Graph) -> None:
+    """All but those that docs/architecture.md lists, with the reason of each."""
+    listed = set(re.findall(r"^\| `(\w+)` to `(\w+)` \|", PAGE.read_text(), re.MULTILINE))
+    found = set(figures("house").upward(rooms))
+    assert found and found <= listed, found - listed
+
+
+def test_the_picture_of_the_house_is_current(rooms: Graph) -> None:
+    """Else: python docs/figures house."""
+    picture = figures("house")
+    assert (ROOT / "docs" / "images" / "house.svg").read_text(encoding="utf-8") == picture.drawn(rooms)
+    fewer = {name: targets - {"rendering"} for name, targets in rooms.items()}
+    assert picture.drawn(fewer) != picture.drawn(rooms)
+
+
+@pytest.mark.parametrize("name", ["ray_query", "gradient"])
+def test_the_pictures_of_calls_are_current(name: str) -> None:
+    """What they name exists. Else: python docs/figures ray_query gradient."""
+    chains = figures("chains")
+    calls = [step.call for row in chains.CHAINS[name][1] for step in row if step is not None and step.call]
+    for call in calls:
+        pkgutil.resolve_name(call)
+    assert len(calls) > 5
+    assert (ROOT / "docs" / "images" / f"{name}.svg").read_text(encoding="utf-8") == chains.drawn(name)
