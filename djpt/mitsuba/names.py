@@ -102,7 +102,7 @@ SUBMODULES: dict[str, str] = {
     "math_py": "djpt.mitsuba.statistics",
     "misc": "djpt.mitsuba.misc",
     "quad": "djpt.mitsuba.quad",
-    "spline": "djpt.mitsuba.splines",
+    "spline": "djpt.mitsuba.spline",
     "tensor_io": "djpt.mitsuba.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""

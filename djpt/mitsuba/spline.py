@@ -14,10 +14,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.forms import forms
+from djpt.distributions.search import find_interval
 from djpt.errors import ArgumentError
 from djpt.jit.kernels import while_loop
 from djpt.jit.types import Bool, Float, Int32, UInt32, converting
-from djpt.mitsuba.mathematics import find_interval
 
 __all__ = [
     "eval_1d",
