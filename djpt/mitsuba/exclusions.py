@@ -8,10 +8,10 @@ __all__ = ["REASONS", "reason"]
 
 POLARISATION = "Polarisation: djpt computes with unpolarised light."
 SPECTRAL = "Spectral rendering: djpt computes with red, green and blue."
-LOADER = (
-    "The stages of the C++ scene loader: `djpt.mitsuba.xml.read_file` gives a description as a dict that can be edited."
-)
+LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a description as a dict that can be edited."
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
+COMMAND_LINES = "Command lines: Python has `argparse`."
+COMPRESSION = "Streams that compress: Python has `zlib` and `gzip`, which take any stream of djpt."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 
@@ -35,6 +35,10 @@ REASONS: dict[str, str] = {
     "set_property": MACHINERY,
     "*Transform3?.extract": PLANAR,
     "misc.trap_debugger": DEBUGGER,
+    "ArgParser": COMMAND_LINES,
+    "ArgParser.*": COMMAND_LINES,
+    "ZStream": COMPRESSION,
+    "ZStream.*": COMPRESSION,
 }
 """Reasons by pattern. ``*`` stands for any characters, as in file names."""
 

@@ -31,10 +31,8 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.ad_integrator": "CppADIntegrator",
     "djpt.mitsuba.adjoint_integrators": "AdjointIntegrator",
     "djpt.mitsuba.angles": "dir_to_sph sph_to_dir",
-    "djpt.mitsuba.arguments": "ArgParser",
     "djpt.mitsuba.arrays": " ".join(ARRAYS),
     "djpt.images.bitmap": "Bitmap",
-    "djpt.mitsuba.compressed_stream": "ZStream",
     "djpt.mitsuba.constants": (
         "DEBUG MI_AUTHORS MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION MI_ENABLE_CUDA "
         "MI_ENABLE_EMBREE MI_ENABLE_METAL MI_FILTER_RESOLUTION MI_VERSION MI_VERSION_MAJOR MI_VERSION_MINOR "
@@ -52,10 +50,9 @@ EXPORTS: dict[str, str] = {
         "fresnel fresnel_conductor fresnel_diffuse_reflectance fresnel_polarized lookup_ior reflect refract"
     ),
     "djpt.mitsuba.log": (
-        "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender log_level logger set_log_level "
-        "set_logger"
+        "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender Thread log_level logger "
+        "set_log_level set_logger"
     ),
-    "djpt.mitsuba.memory_mapping": "MemoryMappedFile",
     "djpt.mitsuba.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
     "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback",
     "djpt.mitsuba.plugin_kinds": "register_phasefunction",
@@ -75,10 +72,9 @@ EXPORTS: dict[str, str] = {
         "spectrum_from_file spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
     "djpt.mitsuba.spiral": "Spiral",
-    "djpt.mitsuba.streams": "DummyStream FileStream MemoryStream Stream",
+    "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream",
     "djpt.images.structs": "Struct",
-    "djpt.mitsuba.tensor_file": "TensorFile",
-    "djpt.mitsuba.thread": "Thread",
+    "djpt.mitsuba.tensor_io": "TensorFile",
     "djpt.core.transforms.projective": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
         "ProjectiveTransform4f ScalarAffineTransform3d ScalarAffineTransform3f ScalarAffineTransform4d "
