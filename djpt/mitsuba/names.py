@@ -38,7 +38,6 @@ EXPORTS: dict[str, str] = {
         "MI_ENABLE_EMBREE MI_ENABLE_METAL MI_FILTER_RESOLUTION MI_VERSION MI_VERSION_MAJOR MI_VERSION_MINOR "
         "MI_VERSION_PATCH MI_YEAR"
     ),
-    "djpt.images.conversion": "StructConverter",
     "djpt.mitsuba.denoiser": "OptixDenoiser",
     "djpt.distributions.distributions_1d": (
         "ContinuousDistribution DiscreteDistribution IrregularContinuousDistribution"
@@ -73,7 +72,7 @@ EXPORTS: dict[str, str] = {
     ),
     "djpt.mitsuba.spiral": "Spiral",
     "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream",
-    "djpt.images.structs": "Struct",
+    "djpt.images.structs": "Struct StructConverter",
     "djpt.mitsuba.tensor_io": "TensorFile",
     "djpt.core.transforms.projective": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
