@@ -42,9 +42,10 @@ EXPORTS: dict[str, str] = {
     "djpt.distributions.distributions_1d": (
         "ContinuousDistribution DiscreteDistribution IrregularContinuousDistribution"
     ),
-    "djpt.mitsuba.distributions_2d": "DiscreteDistribution2D",
-    "djpt.mitsuba.distributions_conditional": "ConditionalIrregular1D ConditionalRegular1D",
-    "djpt.mitsuba.distributions_hierarchical": "Hierarchical2D0 Hierarchical2D1 Hierarchical2D2 Hierarchical2D3",
+    "djpt.mitsuba.distributions": (
+        "ConditionalIrregular1D ConditionalRegular1D DiscreteDistribution2D Hierarchical2D0 Hierarchical2D1 "
+        "Hierarchical2D2 Hierarchical2D3"
+    ),
     "djpt.mitsuba.fresnel": (
         "fresnel fresnel_conductor fresnel_diffuse_reflectance fresnel_polarized lookup_ior reflect refract"
     ),
