@@ -54,13 +54,11 @@ EXPORTS: dict[str, str] = {
         "set_log_level set_logger"
     ),
     "djpt.mitsuba.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
-    "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback",
-    "djpt.mitsuba.plugin_kinds": "register_phasefunction",
+    "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback register_phasefunction",
     "djpt.sensors.projection_matrices": "orthographic_projection parse_fov perspective_projection",
-    "djpt.mitsuba.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.mitsuba.random_numbers": (
-        "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
-        "sample_tea_float32 sample_tea_float64"
+        "Philox4x32 RadicalInverse ScalarPCG32 permute permute_kensler radical_inverse_2 sample_tea_32 sample_tea_64 "
+        "sample_tea_float sample_tea_float32 sample_tea_float64 sobol_2"
     ),
     "djpt.core.records.ray_variants": (
         "Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f"
