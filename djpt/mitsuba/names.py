@@ -69,7 +69,6 @@ EXPORTS: dict[str, str] = {
         "cie1931_xyz cie1931_y cie_d65 depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum "
         "spectrum_from_file spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
-    "djpt.mitsuba.spiral": "Spiral",
     "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream",
     "djpt.images.structs": "Struct StructConverter",
     "djpt.mitsuba.tensor_io": "TensorFile",

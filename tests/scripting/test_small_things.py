@@ -31,8 +31,10 @@ def test_text(function: str, value: Any, precise: bool) -> None:
     assert getattr(djpt.misc, function)(value, precise) == getattr(mi.misc, function)(value, precise)
 
 
-@pytest.mark.parametrize(("name", "instead"), [("ArgParser", "argparse"), ("ZStream", "gzip")])
-def test_names_that_python_has_say_where(name: str, instead: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "instead"), [("ArgParser", "argparse"), ("ZStream", "gzip"), ("Spiral", "djpt.render_passes")]
+)
+def test_names_that_are_left_out_say_what_to_use(name: str, instead: str) -> None:
     with pytest.raises(AttributeError, match=f"is left out: .*`{instead}`"):
         getattr(djpt, name)
 
