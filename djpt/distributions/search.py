@@ -1,15 +1,17 @@
-"""Searches in sorted numbers, lane by lane, and the points of a grid around some numbers."""
+"""The nodes of grids, and searches in them, lane by lane."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from djpt.jit.types import Bool, Float, UInt32
 
-__all__ = ["Corners", "corners_around", "find_interval", "first_without", "segment_of"]
+__all__ = ["Corners", "corners_around", "equidistant", "find_interval", "first_without", "segment_of", "within"]
 
 Corners = list[tuple[UInt32, Float]]
 """Points of a grid, by number, with weights that add up to 1."""
@@ -23,6 +25,17 @@ def find_interval(size: int, pred: Callable[[UInt32], Bool]) -> UInt32:
 def first_without(start: int, end: int, pred: Callable[[UInt32], Bool]) -> UInt32:
     """The first index from `start` on without `pred(i)`, or `end`; `pred` is first true and then false."""
     return UInt32(dr.binary_search(start, end, lambda i: pred(UInt32(i))))
+
+
+def equidistant(ends: Any, count: int) -> Float:
+    """`count` nodes from the first of two numbers to the second one."""
+    low, high = ends
+    return Float(np.linspace(float(low), float(high), count, dtype=np.float32))
+
+
+def within(nodes: Float, x: Float) -> Bool:
+    """Whether a number lies between the first node and the last."""
+    return (x >= dr.gather(Float, nodes, UInt32(0))) & (x <= dr.gather(Float, nodes, UInt32(len(nodes) - 1)))
 
 
 def segment_of(nodes: Float, x: Float, active: Bool | bool = True) -> UInt32:

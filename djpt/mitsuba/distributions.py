@@ -18,7 +18,7 @@ from djpt.core.forms import forms
 from djpt.core.warp import bilinear_to_square, square_to_bilinear
 from djpt.distributions.distributions_1d import invert_line
 from djpt.distributions.interpolated_2d import Cell, Interpolated2D, Numbers, Slices, WithParameters, table_of
-from djpt.distributions.search import Corners, corners_around, first_without, segment_of
+from djpt.distributions.search import Corners, corners_around, equidistant, first_without, segment_of, within
 from djpt.errors import ArgumentError
 from djpt.jit.types import Bool, Float, Point2f, TensorXf, UInt32, backend, converting
 
@@ -191,19 +191,6 @@ class Conditional(ABC):
         return f"{type(self).__name__}[\n  shape = {tuple(self._pdf.shape)}\n]"
 
 
-def within(nodes: Float, x: Float) -> Bool:
-    """Whether a number lies between the first node and the last."""
-    return (x >= dr.gather(Float, nodes, UInt32(0))) & (x <= dr.gather(Float, nodes, UInt32(len(nodes) - 1)))
-
-
-def equidistant(between: Any, count: int) -> Float:
-    """`count` nodes from a first one to a last one."""
-    low, high = between
-    index = dr.arange(UInt32, count)
-    nodes = dr.fma(Float(index), (high - low) / max(1, count - 1), low)
-    return dr.select(index == count - 1, Float(high), nodes)
-
-
 class ConditionalIrregular1D(Conditional):
     """A density with nodes of any distances, under conditions whose nodes have any distances.
 
@@ -284,7 +271,7 @@ class ConditionalRegular1D(Conditional):
         return equidistant(self._range, self._pdf.shape[-1])
 
     def _nodes_of_conditions(self) -> list[Float]:
-        return [equidistant(*axis) for axis in zip(self._range_cond, self._pdf.shape[:-1], strict=False)]
+        return [equidistant(ends, count) for ends, count in zip(self._range_cond, self._pdf.shape[:-1], strict=False)]
 
 
 # ---- cells of a grid -------------------------------------------------------------------------
