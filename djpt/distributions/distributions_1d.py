@@ -10,7 +10,7 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.forms import forms
-from djpt.distributions.search import first_without
+from djpt.distributions.search import equidistant, first_without, segment_of, within
 from djpt.errors import ArgumentError
 from djpt.jit.types import Bool, Float, UInt32, converting
 
@@ -158,6 +158,7 @@ class DiscreteDistribution(Table):
 class Interpolant(Table):
     """A density that is linear between nodes."""
 
+    _nodes: Float
     _largest = 0.0
 
     @property
@@ -177,12 +178,8 @@ class Interpolant(Table):
         """The largest entry."""
         return self._largest
 
-    def _place(self, x: Float, active: Bool | bool) -> UInt32:
-        """The segment that a number lies in, or the nearest one."""
-        raise NotImplementedError
-
     def _node(self, index: UInt32, active: Bool | bool = True) -> Float:
-        raise NotImplementedError
+        return dr.gather(Float, self._nodes, index, active)
 
     def _check_values(self) -> None:
         if not dr.all(self._values >= 0):
@@ -204,15 +201,11 @@ class Interpolant(Table):
         y0, y1 = (dr.gather(Float, self._values, i, active) for i in (index, index + 1))
         return x0, self._node(index + 1, active) - x0, y0, y1
 
-    def _inside(self, x: Float) -> Bool:
-        low, high = self._node(UInt32(0)), self._node(UInt32(len(self._values) - 1))
-        return (x >= low) & (x <= high)
-
     @converting
     def eval_pdf(self, x: Float, active: Bool | bool = True) -> Float:
         """The density as it was given, 0 outside of the range."""
-        active = self._inside(x) & active
-        x0, width, y0, y1 = self._segment(self._place(x, active), active)
+        active = within(self._nodes, x) & active
+        x0, width, y0, y1 = self._segment(segment_of(self._nodes, x, active), active)
         return dr.select(active, dr.fma((x - x0) / width, y1 - y0, y0), 0)
 
     def eval_pdf_normalized(self, x: Any, active: Bool | bool = True) -> Float:
@@ -222,7 +215,7 @@ class Interpolant(Table):
     @converting
     def eval_cdf(self, x: Float, active: Bool | bool = True) -> Float:
         """The integral of the density as it was given, up to `x`."""
-        index = self._place(x, active)
+        index = segment_of(self._nodes, x, active)
         x0, width, y0, y1 = self._segment(index, active)
         t = dr.clip((x - x0) / width, 0, 1)
         return dr.fma(t, dr.fma(0.5 * t, y1 - y0, y0) * width, previous(self._cdf, index, active))
@@ -285,21 +278,13 @@ class ContinuousDistribution(Interpolant):
         if not self._range.x < self._range.y:
             self._refuse("invalid range")
         self._check_values()
-        self._low = dr.opaque(Float, self._range.x)
-        self._step = dr.opaque(Float, self.interval_resolution())
+        self._nodes = equidistant(self._range, len(self._values))
         self._accumulate()
 
     def interval_resolution(self) -> float:
         """The distance between neighbouring nodes."""
         step: float = (self._range.y - self._range.x) / (len(self._values) - 1)
         return step
-
-    def _place(self, x: Float, active: Bool | bool) -> UInt32:
-        return UInt32(dr.clip((x - self._low) / self._step, 0, len(self._values) - 2))
-
-    def _node(self, index: UInt32, active: Bool | bool = True) -> Float:
-        last = index == len(self._values) - 1
-        return dr.select(last, Float(self._range.y), dr.fma(Float(index), self._step, self._low))
 
     def __repr__(self) -> str:
         return (
@@ -358,13 +343,6 @@ class IrregularContinuousDistribution(Interpolant):
     def interval_resolution(self) -> float:
         """The smallest distance of neighbouring nodes."""
         return float(dr.min(self._widths())[0])
-
-    def _place(self, x: Float, active: Bool | bool) -> UInt32:
-        found = first_without(0, len(self._nodes), lambda i: dr.gather(Float, self._nodes, i, active) < x)
-        return dr.clip(found, 1, len(self._nodes) - 1) - 1
-
-    def _node(self, index: UInt32, active: Bool | bool = True) -> Float:
-        return dr.gather(Float, self._nodes, index, active)
 
     def __repr__(self) -> str:
         return (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.warp import square_to_bilinear_pdf
-from djpt.distributions.search import find_interval
+from djpt.distributions.search import Corners, corners_around
 from djpt.errors import ArgumentError
 from djpt.jit.types import Bool, Float, Point2f, UInt32, converting
 
@@ -19,8 +18,8 @@ __all__ = ["Cell", "Interpolated2D", "Numbers", "Slices", "WithParameters", "tab
 
 Numbers = NDArray[np.float64]
 
-Slices = list[tuple[UInt32, Float]]
-"""Points of the grid of parameters, by number, with their weights."""
+Slices = Corners
+"""Points of the grid of parameters."""
 
 Cell = tuple[Float, Float, Float, Float]
 """The density at the corners of a cell: (x0, y0), (x1, y0), (x0, y1), (x1, y1)."""
@@ -57,7 +56,6 @@ class Interpolated2D:
         if lengths != values.shape[:-2]:
             raise ArgumentError(f"{self._name}: 'param_values' has {lengths} entries, 'data' {values.shape[:-2]}")
         self._parameters = [Float(np.asarray(axis, np.float32).copy()) for axis in param_values]
-        self._strides = [math.prod(lengths[axis + 1 :]) for axis in range(self.dimension)]
         self._rows, self._columns = values.shape[-2] - 1, values.shape[-1] - 1
         slices = values.reshape(-1, *values.shape[-2:])
         if normalize:
@@ -74,22 +72,9 @@ class Interpolated2D:
     def _slices(self, param: Any, active: Bool | bool) -> Slices:
         """The points of the grid of parameters around some parameters, with weights that add up to 1."""
         given = [Float(value) for value in param]
-        if len(given) != self.dimension:
-            # Parameters that are left out are 0.
-            given += [Float(0)] * (self.dimension - len(given))
-        corners: Slices = [(UInt32(0), Float(1))]
-        for values, stride, value in zip(self._parameters, self._strides, given, strict=True):
-            if len(values) == 1:
-                continue
-            index = below(values, value, active)
-            low, high = (dr.gather(Float, values, index + k, active) for k in (0, 1))
-            share = dr.clip((value - low) / (high - low), 0, 1)
-            corners = [
-                (corner + (index + k) * stride, weight * (share if k else 1 - share))
-                for corner, weight in corners
-                for k in (0, 1)
-            ]
-        return corners
+        # Parameters that are left out are 0.
+        given += [Float(0)] * (self.dimension - len(given))
+        return corners_around(self._parameters, given, active)
 
     def _mean(self, table: Float, size: int, index: Any, slices: Slices, active: Bool | bool) -> Float:
         """Entry `index` of tables of a size, one per slice, interpolated between slices."""
@@ -147,11 +132,6 @@ class WithParameters(Interpolated2D):
         self, data: Any, param_values: Sequence[Sequence[float]], normalize: bool = True, build_hierarchy: bool = True
     ) -> None:
         super().__init__(data, param_values, normalize, build_hierarchy)
-
-
-def below(values: Float, x: Float, active: Bool | bool) -> UInt32:
-    """The last of increasing values that is smaller than `x`, but neither before the first nor the last one itself."""
-    return find_interval(len(values), lambda i: dr.gather(Float, values, i, active) < x)
 
 
 def integrals(slices: Numbers) -> Numbers:

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from djpt.core.files import as_path, check_target, reason, require_regular, writing
+from djpt.core.files import as_path, check_target, reason, require_regular, shortened, writing
+from djpt.core.limits import MAX_NUMBERS, NUMBERS_PER_BYTE
 from djpt.errors import FileError, near_miss
 from djpt.images.exr import RESERVED
 from djpt.images.formats import (
@@ -31,19 +32,32 @@ from djpt.images.formats import (
     Format,
     Labels,
     encode_png,
+    picture_numbers,
 )
 from djpt.images.srgb import from_srgb, shares, to_srgb8
 
 if TYPE_CHECKING:
     from djpt.jit.types import TensorXf
 
-__all__ = ["Image", "check_writable", "checked_labels", "read", "read_metadata", "read_pixels", "reading", "write"]
+__all__ = [
+    "Image",
+    "check_writable",
+    "checked_labels",
+    "read",
+    "read_metadata",
+    "read_pixels",
+    "reading",
+    "require_modest",
+    "write",
+]
 
 MOVIE_FORMATS = frozenset({".gif", ".mp4"})
 """The formats of movies, which `djpt.apps.animation` writes."""
 
 METADATA_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.:-]{0,30}")
 
+FULL_SIZE = frozenset({".hdr", ".pfm", ".npy"})
+"""Formats whose readers compare the size in the header with that of the file: a byte stands for few numbers."""
 
 SHOWN = 256
 """Pixels: images that notebooks show are enlarged up to this size."""
@@ -199,6 +213,36 @@ def reading(source: Path) -> Iterator[None]:
         yield
     except Exception as error:  # decoders of damaged files raise nearly anything
         raise FileError(f"can't read '{source}': {reason(error)}") from error
+
+
+def require_modest(path: Path) -> None:
+    """Raise `FileError` if an image has many more numbers than its file has bytes.
+
+    Up to `MAX_NUMBERS` are fine, and `NUMBERS_PER_BYTE` for each byte. Only the header is read.
+    """
+    suffix = path.suffix.lower()
+    if suffix in FULL_SIZE:
+        return
+    with reading(path):
+        count = exr_numbers(path) if suffix == ".exr" else picture_numbers(path)
+        size = path.stat().st_size
+    if count > max(MAX_NUMBERS, NUMBERS_PER_BYTE * size):
+        raise FileError(
+            f"can't read '{shortened(path)}': by its header its {size} bytes hold {count} numbers, more than an "
+            "untrusted scene may ask for"
+        )
+
+
+def exr_numbers(path: Path) -> int:
+    """The numbers of all parts of an OpenEXR file, by its headers."""
+    import OpenEXR
+
+    total = 0
+    with OpenEXR.File(str(path), header_only=True) as file:
+        for part in file.parts:
+            (left, top), (right, bottom) = part.header["dataWindow"]
+            total += (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1) * len(part.header["channels"])
+    return total
 
 
 def check_writable(path: str | os.PathLike[str]) -> Format:

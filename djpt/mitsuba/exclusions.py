@@ -10,6 +10,9 @@ POLARISATION = "Polarisation: djpt computes with unpolarised light."
 SPECTRAL = "Spectral rendering: djpt computes with red, green and blue."
 LOADER = "The stages of the C++ scene loader: `djpt.xml.read_file` gives a description as a dict that can be edited."
 MACHINERY = "Machinery between C++ and Python that has nothing to connect here."
+BLOCKS = "Blocks of a picture: `djpt.render_to_file` renders pictures band by band, `djpt.render_passes` in rounds."
+COMMAND_LINES = "Command lines: Python has `argparse`."
+COMPRESSION = "Streams that compress: Python has `zlib` and `gzip`, which take any stream of djpt."
 DEBUGGER = "A stop in a C++ debugger: Python has `breakpoint`."
 PLANAR = "Transforms of the line don't exist in Python: Mitsuba raises a TypeError, too."
 
@@ -33,6 +36,12 @@ REASONS: dict[str, str] = {
     "set_property": MACHINERY,
     "*Transform3?.extract": PLANAR,
     "misc.trap_debugger": DEBUGGER,
+    "Spiral": BLOCKS,
+    "Spiral.*": BLOCKS,
+    "ArgParser": COMMAND_LINES,
+    "ArgParser.*": COMMAND_LINES,
+    "ZStream": COMPRESSION,
+    "ZStream.*": COMPRESSION,
 }
 """Reasons by pattern. ``*`` stands for any characters, as in file names."""
 

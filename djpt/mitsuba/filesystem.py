@@ -132,19 +132,12 @@ def absolute(arg: Any, /) -> path:
     return path(os.path.realpath(os.fspath(arg) or "."))
 
 
-def is_regular_file(arg: Any, /) -> bool:
-    """Whether there is a file."""
-    return os.path.isfile(arg)
-
-
-def is_directory(arg: Any, /) -> bool:
-    """Whether there is a folder."""
-    return os.path.isdir(arg)
-
-
-def exists(arg: Any, /) -> bool:
-    """Whether there is anything."""
-    return os.path.exists(arg)
+is_regular_file = os.path.isfile
+"""Whether there is a file."""
+is_directory = os.path.isdir
+"""Whether there is a folder."""
+exists = os.path.exists
+"""Whether there is anything."""
 
 
 def file_size(arg: Any, /) -> int:

@@ -9,8 +9,10 @@ import enum
 import inspect
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+from djpt.description.files import FileResolver, file_resolver, set_file_resolver
 from djpt.errors import DjptError
 
 __all__ = [
@@ -21,6 +23,7 @@ __all__ = [
     "LogLevel",
     "Logger",
     "StreamAppender",
+    "Thread",
     "log_level",
     "logger",
     "set_log_level",
@@ -54,43 +57,29 @@ class Formatter:
         raise NotImplementedError(f"{type(self).__name__}.format")
 
 
+def switch(part: str, doc: str) -> tuple[Callable[..., bool], Callable[..., None]]:
+    """The methods that say whether lines have a part, and change it."""
+
+    def has(self: DefaultFormatter) -> bool:
+        return self._parts[part]
+
+    def set_has(self: DefaultFormatter, value: bool, /) -> None:
+        self._parts[part] = value
+
+    has.__doc__ = set_has.__doc__ = doc
+    return has, set_has
+
+
 class DefaultFormatter(Formatter):
     """The time, the level, the place and the message."""
 
     def __init__(self) -> None:
         self._parts = {"date": True, "thread": True, "log_level": True, "class": True}
 
-    def has_date(self) -> bool:
-        """Whether a line begins with date and time."""
-        return self._parts["date"]
-
-    def set_has_date(self, value: bool, /) -> None:
-        """Let lines begin with date and time, or not."""
-        self._parts["date"] = value
-
-    def has_thread(self) -> bool:
-        """Accepted from scripts, no effect."""
-        return self._parts["thread"]
-
-    def set_has_thread(self, value: bool, /) -> None:
-        """Accepted from scripts, no effect."""
-        self._parts["thread"] = value
-
-    def has_log_level(self) -> bool:
-        """Whether lines name the level."""
-        return self._parts["log_level"]
-
-    def set_has_log_level(self, value: bool, /) -> None:
-        """Let lines name the level, or not."""
-        self._parts["log_level"] = value
-
-    def has_class(self) -> bool:
-        """Whether lines name the class, or the file without one."""
-        return self._parts["class"]
-
-    def set_has_class(self, value: bool, /) -> None:
-        """Let lines name the class, or not."""
-        self._parts["class"] = value
+    has_date, set_has_date = switch("date", "Whether a line begins with date and time.")
+    has_thread, set_has_thread = switch("thread", "Accepted from scripts, no effect.")
+    has_log_level, set_has_log_level = switch("log_level", "Whether lines name the level.")
+    has_class, set_has_class = switch("class", "Whether lines name the class, or the file without one.")
 
     def format(self, level: LogLevel, cname: str | None, fname: str, line: int, msg: str) -> str:
         date = time.strftime("%Y-%m-%d %H:%M:%S") if self.has_date() else ""
@@ -257,3 +246,36 @@ def Log(level: LogLevel, msg: str) -> None:
     caller = inspect.stack()[1]
     name = caller.function if caller.function.startswith("<") else f"{caller.function}()"
     _logger.log(level, f"{name}: {msg}", None, caller.filename, caller.lineno)
+
+
+class Thread:
+    """The process, as scripts for older versions of Mitsuba address it: ``Thread.thread().file_resolver()``."""
+
+    @staticmethod
+    def thread() -> Thread:
+        """The calling thread: all share one resolver and one logger."""
+        return Thread()
+
+    @staticmethod
+    def file_resolver() -> FileResolver:
+        """`djpt.file_resolver`."""
+        return file_resolver()
+
+    @staticmethod
+    def set_file_resolver(resolver: FileResolver, /) -> None:
+        """`djpt.set_file_resolver`."""
+        set_file_resolver(resolver)
+
+    @staticmethod
+    def logger() -> Logger:
+        """`djpt.logger`."""
+        return logger()
+
+    @staticmethod
+    def set_logger(logger: Logger) -> None:
+        """`djpt.set_logger`."""
+        set_logger(logger)
+
+    @staticmethod
+    def wait_for_tasks() -> None:
+        """Return at once: files are complete when the call that writes them returns."""

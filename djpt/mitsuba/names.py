@@ -31,39 +31,34 @@ EXPORTS: dict[str, str] = {
     "djpt.integrators.ad_integrator": "CppADIntegrator",
     "djpt.mitsuba.adjoint_integrators": "AdjointIntegrator",
     "djpt.mitsuba.angles": "dir_to_sph sph_to_dir",
-    "djpt.mitsuba.arguments": "ArgParser",
     "djpt.mitsuba.arrays": " ".join(ARRAYS),
     "djpt.images.bitmap": "Bitmap",
-    "djpt.mitsuba.compressed_stream": "ZStream",
     "djpt.mitsuba.constants": (
         "DEBUG MI_AUTHORS MI_CIE_D65_NORMALIZATION MI_CIE_MAX MI_CIE_MIN MI_CIE_Y_NORMALIZATION MI_ENABLE_CUDA "
         "MI_ENABLE_EMBREE MI_ENABLE_METAL MI_FILTER_RESOLUTION MI_VERSION MI_VERSION_MAJOR MI_VERSION_MINOR "
         "MI_VERSION_PATCH MI_YEAR"
     ),
-    "djpt.images.conversion": "StructConverter",
     "djpt.mitsuba.denoiser": "OptixDenoiser",
     "djpt.distributions.distributions_1d": (
         "ContinuousDistribution DiscreteDistribution IrregularContinuousDistribution"
     ),
-    "djpt.mitsuba.distributions_2d": "DiscreteDistribution2D",
-    "djpt.mitsuba.distributions_conditional": "ConditionalIrregular1D ConditionalRegular1D",
-    "djpt.mitsuba.distributions_hierarchical": "Hierarchical2D0 Hierarchical2D1 Hierarchical2D2 Hierarchical2D3",
+    "djpt.mitsuba.distributions": (
+        "ConditionalIrregular1D ConditionalRegular1D DiscreteDistribution2D Hierarchical2D0 Hierarchical2D1 "
+        "Hierarchical2D2 Hierarchical2D3"
+    ),
     "djpt.mitsuba.fresnel": (
         "fresnel fresnel_conductor fresnel_diffuse_reflectance fresnel_polarized lookup_ior reflect refract"
     ),
     "djpt.mitsuba.log": (
-        "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender log_level logger set_log_level "
-        "set_logger"
+        "Appender DefaultFormatter Formatter Log LogLevel Logger StreamAppender Thread log_level logger "
+        "set_log_level set_logger"
     ),
-    "djpt.mitsuba.memory_mapping": "MemoryMappedFile",
     "djpt.mitsuba.microfacet": "MicrofacetDistribution MicrofacetType eval_reflectance",
-    "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback",
-    "djpt.mitsuba.plugin_kinds": "register_phasefunction",
+    "djpt.mitsuba.objects": "Object ObjectType PluginManager TraversalCallback register_phasefunction",
     "djpt.sensors.projection_matrices": "orthographic_projection parse_fov perspective_projection",
-    "djpt.mitsuba.qmc": "RadicalInverse radical_inverse_2 sobol_2",
     "djpt.mitsuba.random_numbers": (
-        "Philox4x32 ScalarPCG32 permute permute_kensler sample_tea_32 sample_tea_64 sample_tea_float "
-        "sample_tea_float32 sample_tea_float64"
+        "Philox4x32 RadicalInverse ScalarPCG32 permute permute_kensler radical_inverse_2 sample_tea_32 sample_tea_64 "
+        "sample_tea_float sample_tea_float32 sample_tea_float64 sobol_2"
     ),
     "djpt.core.records.ray_variants": (
         "Ray2d Ray2f Ray3d RayDifferential3f ScalarRay2d ScalarRay2f ScalarRay3d ScalarRay3f"
@@ -74,11 +69,9 @@ EXPORTS: dict[str, str] = {
         "cie1931_xyz cie1931_y cie_d65 depolarizer linear_rgb_rec luminance pdf_rgb_spectrum sample_rgb_spectrum "
         "spectrum_from_file spectrum_list_to_srgb spectrum_to_file srgb_to_xyz unpolarized_spectrum xyz_to_srgb"
     ),
-    "djpt.mitsuba.spiral": "Spiral",
-    "djpt.mitsuba.streams": "DummyStream FileStream MemoryStream Stream",
-    "djpt.images.structs": "Struct",
-    "djpt.mitsuba.tensor_file": "TensorFile",
-    "djpt.mitsuba.thread": "Thread",
+    "djpt.mitsuba.streams": "DummyStream FileStream MemoryMappedFile MemoryStream Stream",
+    "djpt.images.structs": "Struct StructConverter",
+    "djpt.mitsuba.tensor_io": "TensorFile",
     "djpt.core.transforms.projective": (
         "AffineTransform3d AffineTransform4d ProjectiveTransform3d ProjectiveTransform3f ProjectiveTransform4d "
         "ProjectiveTransform4f ScalarAffineTransform3d ScalarAffineTransform3f ScalarAffineTransform4d "
@@ -102,7 +95,7 @@ SUBMODULES: dict[str, str] = {
     "math_py": "djpt.mitsuba.statistics",
     "misc": "djpt.mitsuba.misc",
     "quad": "djpt.mitsuba.quad",
-    "spline": "djpt.mitsuba.splines",
+    "spline": "djpt.mitsuba.spline",
     "tensor_io": "djpt.mitsuba.tensor_io",
 }
 """Attributes of `djpt` that are modules, with the modules that they stand for."""

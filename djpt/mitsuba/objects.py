@@ -7,13 +7,15 @@ from typing import Any
 
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.description.registry import home_of, kind_of, lookup
+from djpt.description.registry import home_of, kind_of, lookup, register_phase
 
-__all__ = ["Object", "ObjectType", "PluginManager", "TraversalCallback"]
-
+__all__ = ["Object", "ObjectType", "PluginManager", "TraversalCallback", "register_phasefunction"]
 
 Object = Plugin
 """The base class of all plugins; ``Object()`` is one without a kind."""
+
+register_phasefunction = register_phase
+"""A former name of `register_phase`."""
 
 
 class ObjectType(enum.Enum):

@@ -1,6 +1,6 @@
-"""Streams of bytes as Mitsuba has them: files, memory, and what only counts; with numbers and strings.
+"""Files of bytes as scripts know them: streams with numbers and strings, and files that are mapped into memory.
 
-They are Python's binary files, too: `djpt.Bitmap`, `Mesh.write_ply` and Python's own functions take them.
+Streams are Python's binary files, too: `djpt.Bitmap`, `Mesh.write_ply` and Python's own functions take them.
 """
 
 from __future__ import annotations
@@ -10,15 +10,20 @@ import io
 import os
 import struct
 import sys
+import tempfile
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from djpt.core.files import as_path, errors_of_writing
 from djpt.description.plugin import Plugin
 from djpt.errors import FileError
 
-__all__ = ["DummyStream", "FileStream", "MemoryStream", "Stream"]
+__all__ = ["DummyStream", "FileStream", "MemoryMappedFile", "MemoryStream", "Stream"]
 
 
 class ByteOrder(enum.Enum):
@@ -27,11 +32,6 @@ class ByteOrder(enum.Enum):
     EBigEndian = 0
     ELittleEndian = 1
     ENetworkByteOrder = 0
-
-    @property
-    def text(self) -> str:
-        """The name in messages."""
-        return "big-endian" if self is ByteOrder.EBigEndian else "little-endian"
 
 
 def reading(code: str, kind: str) -> Callable[[Stream], Any]:
@@ -71,7 +71,7 @@ class Stream(Plugin):
     EByteOrder = ByteOrder
     EBigEndian, ELittleEndian = ByteOrder.EBigEndian, ByteOrder.ELittleEndian
 
-    def __init__(self, file: IO[bytes] | None = None) -> None:
+    def __init__(self, file: IO[bytes]) -> None:
         super().__init__()
         self._file = file
         self._order = ByteOrder.ELittleEndian
@@ -86,20 +86,18 @@ class Stream(Plugin):
     @property
     def file(self) -> IO[bytes]:
         """Python's file; raises `FileError` after `close`."""
-        if self._file is None:
+        if self._file.closed:
             raise FileError(f"{self.title}: the stream is closed")
         return self._file
 
     def close(self) -> None:
         """End the use of the stream; a second call does nothing."""
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
+        self._file.close()
 
     @property
     def closed(self) -> bool:
         """Whether `close` was called."""
-        return self._file is None
+        return self._file.closed
 
     def flush(self) -> None:
         """Write out what is held back."""
@@ -107,11 +105,11 @@ class Stream(Plugin):
 
     def can_read(self) -> bool:
         """Whether bytes can be read."""
-        return self._file is not None and self._file.readable()
+        return not self.closed and self._file.readable()
 
     def can_write(self) -> bool:
         """Whether bytes can be written."""
-        return self._file is not None and self._file.writable()
+        return not self.closed and self._file.writable()
 
     readable, writable = can_read, can_write
 
@@ -228,28 +226,11 @@ class Stream(Plugin):
     read_double, write_double = reading("d", "a float64"), writing("d", "a float64")
     read_bool, write_bool = reading("?", "a bool"), writing("?", "a bool")
 
-    # ---- shown ------------------------------------------------------------------------------------
-
     def __repr__(self) -> str:
-        if self._file is None:
-            return f"{self.title}[\n  closed\n]"
-        entries = {
-            **self._details_first(),
-            "host_byte_order": self.host_byte_order().text,
-            "byte_order": self._order.text,
-            "can_read": int(self.can_read()),
-            "can_write": int(self.can_write()),
-            **self._details(),
-            "pos": self.tell(),
-            "size": self.size(),
-        }
-        return f"{self.title}[\n" + ",\n".join(f"  {name} = {value}" for name, value in entries.items()) + "\n]"
-
-    def _details_first(self) -> dict[str, Any]:
-        return {}
-
-    def _details(self) -> dict[str, Any]:
-        return {}
+        state = (
+            "closed" if self.closed else f"byte_order = {self._order.name}, pos = {self.tell()}, size = {self.size()}"
+        )
+        return f"{self.title}[{state}]"
 
 
 class Mode(enum.Enum):
@@ -278,7 +259,7 @@ class FileStream(Stream):
     ERead, EReadWrite, ETruncReadWrite = Mode.ERead, Mode.EReadWrite, Mode.ETruncReadWrite
 
     def __init__(self, p: str | os.PathLike[str], mode: Mode = Mode.ERead) -> None:
-        self._path = str(as_path(p))
+        self._path = as_path(p)
         try:
             file = open(self._path, MODES[Mode(mode)])  # noqa: SIM115 - the stream closes it
         except OSError as error:
@@ -287,14 +268,14 @@ class FileStream(Stream):
 
     def path(self) -> str:
         """The path."""
-        return self._path
+        return str(self._path)
 
     def write(self, arg: bytes, /) -> int:
-        with errors_of_writing(Path(self._path)):
+        with errors_of_writing(self._path):
             return super().write(arg)
 
     def truncate(self, arg: int, /) -> None:
-        with errors_of_writing(Path(self._path)):
+        with errors_of_writing(self._path):
             super().truncate(arg)
 
     def seek(self, arg: int, whence: int = os.SEEK_SET, /) -> int:
@@ -303,22 +284,20 @@ class FileStream(Stream):
         return super().seek(arg, whence)
 
     def flush(self) -> None:
-        with errors_of_writing(Path(self._path)):
+        with errors_of_writing(self._path):
             super().flush()
 
     def close(self) -> None:
-        with errors_of_writing(Path(self._path)):
+        with errors_of_writing(self._path):
             super().close()
-
-    def _details_first(self) -> dict[str, Any]:
-        return {"path": f'"{self._path}"'}
 
 
 class MemoryStream(Stream):
     """Bytes in memory, empty at first; `capacity` is the number of bytes that are expected."""
 
     def __init__(self, capacity: int = 512) -> None:
-        super().__init__(io.BytesIO())
+        self._buffer = io.BytesIO()
+        super().__init__(self._buffer)
         self._capacity = capacity
 
     def capacity(self) -> int:
@@ -331,14 +310,7 @@ class MemoryStream(Stream):
 
     def raw_buffer(self) -> bytes:
         """All bytes."""
-        place = self.tell()
-        self.seek(0)
-        data = self.read()
-        self.seek(place)
-        return data
-
-    def _details(self) -> dict[str, Any]:
-        return {"owns_buffer": 1, "capacity": self.capacity()}
+        return self._buffer.getvalue()
 
 
 class Counter(io.BytesIO):
@@ -353,3 +325,78 @@ class DummyStream(Stream):
 
     def __init__(self) -> None:
         super().__init__(Counter())
+
+
+class MemoryMappedFile(Plugin):
+    """A file as bytes in memory, through `np.array(file, copy=False)` or `file.__array__()`: a `numpy.memmap`.
+
+    ``MemoryMappedFile(filename, size)`` makes a new file of zeros, ``MemoryMappedFile(filename, array)`` one with the
+    bytes of an array; ``MemoryMappedFile(filename, write=False)`` opens a file, which can be changed if `write`.
+
+    Raises:
+        FileError: the file can't be opened, or is empty.
+    """
+
+    def __init__(
+        self, filename: str | os.PathLike[str], size: Any = None, *, write: bool = False, array: Any = None
+    ) -> None:
+        super().__init__()
+        self._path = as_path(filename)
+        if isinstance(size, bool):
+            size, write = None, size
+        content = size if array is None and isinstance(size, np.ndarray) else array
+        count = size if content is None else content.nbytes
+        self._mode: Any = "r" if count is None and not write else "r+"
+        self._map("w+" if count is not None else self._mode, count)
+        if content is not None:
+            self._bytes[:] = np.ascontiguousarray(content).view(np.uint8).ravel()
+
+    def _map(self, mode: Any, count: int | None) -> None:
+        try:
+            self._bytes = np.memmap(self._path, np.uint8, mode, shape=count)
+        except (OSError, ValueError) as error:
+            raise FileError(f"{self._path}: can't be mapped into memory: {error}") from error
+
+    @staticmethod
+    def create_temporary(arg: int, /) -> MemoryMappedFile:
+        """A new file of `arg` bytes in the folder for temporary files, which goes when it is no longer used."""
+        handle, name = tempfile.mkstemp(prefix="djpt_")
+        os.close(handle)
+        made = MemoryMappedFile(name, arg)
+        weakref.finalize(made, Path(name).unlink, missing_ok=True)
+        return made
+
+    def size(self) -> int:
+        """The number of bytes."""
+        return len(self._bytes)
+
+    def filename(self) -> str:
+        """The path."""
+        return str(self._path)
+
+    def can_write(self) -> bool:
+        """Whether changes of the bytes are changes of the file."""
+        return self._bytes.flags.writeable
+
+    def data(self) -> NDArray[np.uint8]:
+        """The bytes."""
+        return self._bytes
+
+    def resize(self, arg: int, /) -> None:
+        """Change the number of bytes; arrays of them from before keep the old ones.
+
+        Raises:
+            FileError: the file was opened for reading only.
+        """
+        if not self.can_write():
+            raise FileError(f"{self._path}: a file that was opened for reading can't be resized")
+        self._bytes.flush()
+        os.truncate(self._path, arg)
+        self._map(self._mode, arg)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """The bytes, not copied unless asked for."""
+        return np.array(self._bytes, dtype, copy=copy)
+
+    def __repr__(self) -> str:
+        return f'{type(self).__name__}[\n  filename = "{self._path}",\n  size = {self.size()}\n]'

@@ -14,10 +14,9 @@ from djpt.core.numeric import describe
 from djpt.description.files import confined, resolve
 from djpt.description.properties import Properties
 from djpt.errors import FileError, SceneError
-from djpt.images.claims import require_modest
 from djpt.images.colorimetry import XYZ_TO_RGB
 from djpt.images.formats import DISPLAY_FORMATS
-from djpt.images.image import read_pixels
+from djpt.images.image import read_pixels, require_modest
 from djpt.images.srgb import decoded, encoded, from_srgb, shares
 from djpt.jit.types import TensorXf
 

@@ -1,4 +1,4 @@
-"""Constants, command lines, stopwatch, versions, numbers as text: as in Mitsuba."""
+"""Constants, stopwatch, versions, numbers as text: as in Mitsuba."""
 
 from __future__ import annotations
 
@@ -31,26 +31,12 @@ def test_text(function: str, value: Any, precise: bool) -> None:
     assert getattr(djpt.misc, function)(value, precise) == getattr(mi.misc, function)(value, precise)
 
 
-def test_a_command_line() -> None:
-    parser = djpt.ArgParser()
-    flag, number, long, rest = (
-        parser.add("-a"),
-        parser.add("-f", True),
-        parser.add(["-l", "--long"], True),
-        parser.add(""),
-    )
-    parser.parse(["program", "-aa", "-f0.25", "x", "--long", "34", "-l", "5"])
-    assert parser.executable_name() == "program" and flag.count() == 2 and number.as_float() == 0.25
-    assert bool(rest) and rest.as_string() == "x" and long.as_int() == 34 and long.next().as_int() == 5
-    with pytest.raises(DjptError, match="the option -f needs a value"):
-        parser.parse(["program", "-f"])
-    with pytest.raises(DjptError, match="unknown argument '--other'; possible: -a, -f, -l/--long"):
-        parser.parse(["program", "--other"])
-    parser.parse(["program", "-f", "x"])
-    with pytest.raises(RuntimeError, match="the option -f needs a number, found 'x'"):
-        number.as_float()
-    with pytest.raises(DjptError, match="the option -a wasn't given"):
-        flag.as_string()
+@pytest.mark.parametrize(
+    ("name", "instead"), [("ArgParser", "argparse"), ("ZStream", "gzip"), ("Spiral", "djpt.render_passes")]
+)
+def test_names_that_are_left_out_say_what_to_use(name: str, instead: str) -> None:
+    with pytest.raises(AttributeError, match=f"is left out: .*`{instead}`"):
+        getattr(djpt, name)
 
 
 def test_versions() -> None:

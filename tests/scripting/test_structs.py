@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from djpt.errors import SceneError
-from djpt.images.conversion import StructConverter
-from djpt.images.structs import ByteOrder, Field, Flags, Struct, Type
+from djpt.images.structs import ByteOrder, Field, Flags, Struct, StructConverter, Type
 
 
 @pytest.fixture

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from djpt.mitsuba.path_replay import BasicPRBIntegrator
+from djpt.mitsuba.ad.integrators.prb import BasicPRBIntegrator
 
 __all__ = ["BasicPRBIntegrator"]

@@ -14,10 +14,10 @@ from typing import Any
 import drjit as dr
 
 from djpt.core.forms import forms
+from djpt.distributions.search import equidistant, find_interval, within
 from djpt.errors import ArgumentError
 from djpt.jit.kernels import while_loop
 from djpt.jit.types import Bool, Float, Int32, UInt32, converting
-from djpt.mitsuba.mathematics import find_interval
 
 __all__ = [
     "eval_1d",
@@ -69,30 +69,19 @@ class Grid:
     """Nodes: `count` equidistant ones from `low` to `high`, or those of an array."""
 
     def __init__(self, low: Any, high: Any, nodes: Any, count: int) -> None:
+        given = "" if nodes is None else f", and {len(Float(nodes))} nodes"
+        if count < 2 or (nodes is not None and len(Float(nodes)) != count):
+            raise ArgumentError(f"splines have at least two nodes and as many values; found {count} values{given}")
+        self.nodes = equidistant((low, high), count) if nodes is None else Float(nodes)
         self.count = count
-        self.nodes = None if nodes is None else Float(nodes)
-        if count < 2 or (self.nodes is not None and len(self.nodes) != count):
-            found = "" if self.nodes is None else f", and {len(self.nodes)} nodes"
-            raise ArgumentError(f"splines have at least two nodes and as many values; found {count} values{found}")
-        self.low = Float(low) if self.nodes is None else self.nodes[0]
-        self.high = Float(high) if self.nodes is None else self.nodes[count - 1]
 
     def at(self, index: Any, active: Bool | bool = True) -> Float:
         """Node number `index`."""
-        if self.nodes is not None:
-            return dr.gather(Float, self.nodes, index, active)
-        return dr.fma(Float(Int32(index)), (self.high - self.low) / (self.count - 1), self.low)
-
-    def inside(self, x: Float) -> Bool:
-        """Whether a number lies between the first node and the last."""
-        return (x >= self.low) & (x <= self.high)
+        return dr.gather(Float, self.nodes, index, active)
 
     def find(self, x: Float) -> UInt32:
         """The segment that a number lies in, the first or last one if it lies outside."""
-        if self.nodes is None:
-            place = (x - self.low) * ((self.count - 1) / (self.high - self.low))
-            return UInt32(dr.clip(place, 0, self.count - 2))
-        return find_interval(self.count, lambda i: dr.gather(Float, self.nodes, i) <= x)
+        return find_interval(self.count, lambda i: self.at(i) <= x)
 
 
 class Segment:
@@ -138,7 +127,7 @@ def eval_1d(*, min: Any = 0, max: Any = 1, nodes: Any = None, values: Any, x: An
     values, x = Float(values), Float(x)
     grid = Grid(min, max, nodes, len(values))
     segment = Segment(grid, values, grid.find(x))
-    return dr.select(grid.inside(x), eval_spline(*segment.cubic, (x - segment.x0) / segment.width), 0)
+    return dr.select(within(grid.nodes, x), eval_spline(*segment.cubic, (x - segment.x0) / segment.width), 0)
 
 
 @forms("min max values", "nodes values")
@@ -160,7 +149,9 @@ def invert_1d(*, min: Any = 0, max_: Any = 1, nodes: Any = None, values: Any, y:
     segment = Segment(grid, values, find_interval(grid.count, lambda i: dr.gather(Float, values, i) <= y))
     t = segment.solve(eval_spline_d, y, Float(0.5), eps * values[grid.count - 1])
     x = dr.fma(t, segment.width, segment.x0)
-    return dr.select(y <= values[0], grid.low, dr.select(y >= values[grid.count - 1], grid.high, x))
+    last = UInt32(grid.count - 1)
+    x = dr.select(y >= dr.gather(Float, values, last), grid.at(last), x)
+    return dr.select(y <= values[0], grid.at(UInt32(0)), x)
 
 
 @forms("min max values cdf sample | eps", "nodes values cdf sample | eps")
@@ -211,7 +202,7 @@ def eval_spline_weights(
     left = dr.select(before, s0 * width / (x1 - grid.at(index - 1, before)), 0)
     right = dr.select(after, s1 * width / (grid.at(index + 2, after) - x0), 0)
     ends = dr.select(before, 0, s0) + dr.select(after, 0, s1)
-    return grid.inside(x), Int32(index) - 1, [-left, w0 - ends - right, w1 + ends + left, right]
+    return within(grid.nodes, x), Int32(index) - 1, [-left, w0 - ends - right, w1 + ends + left, right]
 
 
 @converting
