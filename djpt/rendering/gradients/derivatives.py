@@ -41,7 +41,7 @@ from djpt.rendering.schedules.passes import (
 )
 from djpt.rendering.schedules.reconstruction import add_samples, collected, sample_adjoints
 from djpt.rendering.schedules.sinks import blank_sums, sample_buffers
-from djpt.samplers.seeds import Seed, gradient_seed
+from djpt.rendering.settings import RenderSettings
 
 __all__ = [
     "AttachedDerivative",
@@ -60,21 +60,19 @@ MAX_ATTACHED_SAMPLES = 2**25
 def differentiable(
     job: Job,
     schedule: Schedule,
+    settings: RenderSettings,
     parameters: list[Parameter],
     unused: list[Any],
-    seed_grad: Seed | None,
-    spp_grad: int,
 ) -> TensorXf:
     """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
 
-    Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
-    (0: one derived from that of the image; None: that of the image, which correlates the two).
+    Derivatives use samples of their own, whose number and seed the settings say.
 
     Raises:
         RenderError: The integrator, as it is set up, can't be differentiated.
     """
-    seed = job.seed if seed_grad is None else gradient_seed(job.seed, seed_grad)
-    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0, interruption=None)
+    spp = settings.spp_grad or job.spp
+    samples = replace(job, seed=settings.gradient_seed, spp=spp, progress=None, pass_spp=0, interruption=None)
     derivative = derivative_of(samples, schedule, parameters)
 
     def primal() -> TensorXf:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.core.process.interruption import Interruption
 from djpt.description.registry import name_of, registered
 from djpt.errors import RenderError, near_miss
 from djpt.integrators.base import Integrator
@@ -19,7 +19,6 @@ from djpt.jit.llvm.results import Results
 from djpt.jit.types import Float, UInt32
 from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.image import make_job, require_still
-from djpt.rendering.progress import Progress
 from djpt.rendering.progressive.adaptive import Counts, TileSums
 from djpt.rendering.progressive.rounds import constant_of, inputs, round_seed
 from djpt.rendering.progressive.tile_job import TileJob, film_sums, reason_against
@@ -27,8 +26,8 @@ from djpt.rendering.progressive.tiles import Tiles
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.memory import check_memory
+from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
-from djpt.sensors import Sensor
 
 __all__ = ["AdaptiveRounds"]
 
@@ -51,21 +50,22 @@ class AdaptiveRounds:
         RenderError: The image can't be rendered in tiles.
     """
 
-    def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
-        self._scene, self._sensor, self._integrator = scene, sensor, integrator
-        self._spp, self._schedule = spp, schedule
+    def __init__(self, scene: Scene, settings: RenderSettings) -> None:
+        self._scene, self._settings = scene, settings
+        integrator = settings.integrator
         if type(integrator).render is not Integrator.render or "flat" not in integrator.schedules:
             able = (name for name, kind in registered("integrator").items() if "flat" in getattr(kind, "schedules", ()))
             name = name_of(type(integrator)) or type(integrator).__name__
             raise RenderError(f"the integrator '{name}' can't render adaptively{near_miss('', able)}")
         require_still(scene)
+        begin_trace()
         job = self._job()
         check_memory(job)
         if not job.sampler.has_streams:
             raise RenderError(f"{job.sampler.id()} has no stream for each sample, which adaptive renders need")
-        if choose(schedule, job).name == "machine":
-            self._schedule = "flat"
-        problem = reason_against(job, choose(self._schedule, job))
+        if choose(settings.schedule, job).name == "machine":
+            self._settings = replace(settings, schedule="flat")
+        problem = reason_against(job, choose(self._settings.schedule, job))
         if problem:
             raise RenderError(f"the render can't be adaptive: {problem}")
         border = job.film.border
@@ -89,16 +89,18 @@ class AdaptiveRounds:
         return self.tiles.count <= self._together
 
     def _job(self) -> Job:
-        begin_trace()
-        return make_job(self._scene, self._sensor, self._integrator, 0, self._spp)
+        """The job of a round over the whole image, of which tiles are parts; they have seeds of their own."""
+        return make_job(self._scene, replace(self._settings, seed=0, progress=None, interruption=None))
 
-    def begin(
-        self, seed: int, number: int, places: Counts, progress: Progress | None, interruption: Interruption | None
-    ) -> Callable[[], TileSums]:
-        """Launch the kernels of a round that samples the tiles `places`, in order; the result waits for them."""
+    def begin(self, number: int, places: Counts, watched: bool) -> Callable[[], TileSums]:
+        """Launch the kernels of a round that samples the tiles `places`, in order; the result waits for them.
+
+        If the round is `watched`, progress is shown and signals are noticed meanwhile.
+        """
+        progress, interruption = (self._settings.progress, self._settings.interruption) if watched else (None, None)
         _, first = np.unique(places, return_index=True)
         again = np.arange(len(places)) - np.repeat(first, np.diff(first, append=len(places)))
-        seeds = [round_seed(seed, number + REPEATED * k) for k in again.tolist()]
+        seeds = [round_seed(self._settings.seed, number + REPEATED * k) for k in again.tolist()]
         size, parts = self._together, []
         for start in range(0, len(places), size):
             parts.append(self._launch(places[start : start + size], seeds[start : start + size]))
@@ -134,7 +136,7 @@ class AdaptiveRounds:
                 # The first time they are only traced: what kernels call is compiled then.
                 self._recorded[count] = dr.freeze(self._films, auto_opaque=False)
                 films = self._films([], *numbers)
-                self._inputs = inputs(self._scene, self._sensor, self._integrator)
+                self._inputs = inputs(self._scene, self._settings.sensor, self._settings.integrator)
                 return films
             with without_garbage():
                 return self._recorded[count](self._inputs, *numbers)
@@ -142,14 +144,13 @@ class AdaptiveRounds:
     def _films(self, inputs: list[Any], places: UInt32, seeds: UInt32) -> Any:
         """The films of some tiles by `tile_job.film_sums`; `inputs` is what their kernels read."""
         with dr.suspend_grad():
-            job = make_job(self._scene, self._sensor, self._integrator, 0, self._spp)
-            tiles = TileJob.of(job, self.tiles, places, seeds)
-            return film_sums(tiles, choose(self._schedule, tiles))
+            tiles = TileJob.of(self._job(), self.tiles, places, seeds)
+            return film_sums(tiles, choose(self._settings.schedule, tiles))
 
     def _on_host(self, part: list[Float], results: Results) -> list[Floats]:
         """The films of some tiles: for each channel, the last being the weight, (tiles, height, width)."""
         films = [results.numpy(sums).reshape(-1, *self.tiles.film) for sums in part]
-        return films if self._filters else [*films, np.broadcast_to(np.float32(self._spp), films[0].shape)]
+        return films if self._filters else [*films, np.broadcast_to(np.float32(self._settings.spp), films[0].shape)]
 
 
 def copied(numbers: npt.NDArray[np.uint32]) -> UInt32:
