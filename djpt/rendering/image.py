@@ -49,7 +49,7 @@ def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
     unused = unused_values(job.scene, parameters)
     if parameters or unused:
         require_proven(scene, job.integrator)
-        from djpt.rendering.gradients.derivatives import differentiable
+        from djpt.rendering.gradients.choice import differentiable
 
         image = differentiable(job, how, settings, parameters, unused)
     else:
@@ -66,7 +66,8 @@ def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | No
     Gradients of the image, `grad`, are propagated to the scene's parameters; if it is None, gradients of these are
     propagated to the image, whose gradient (H, W, C) is returned.
     """
-    from djpt.rendering.gradients.derivatives import attached_image, derivative_of
+    from djpt.rendering.gradients.choice import derivative_of
+    from djpt.rendering.gradients.derivatives import attached_image
 
     begin_trace()
     require_still(scene)
