@@ -93,7 +93,7 @@ def render(
 
     def image(settings: RenderSettings) -> TensorXf:
         if adaptive:
-            from djpt.rendering.progressive.adaptive_image import adaptive_image
+            from djpt.rendering.progressive.passes import adaptive_image
 
             rendered = adaptive_image
         elif type(settings.integrator).render is not Integrator.render:

@@ -10,8 +10,7 @@ from djpt.apps.cluster.tasks import InOrder, require_client, warn
 from djpt.apps.cluster.work import rendered
 from djpt.core.numeric import whole
 from djpt.errors import RenderError
-from djpt.rendering.progressive.accumulation import Accumulation
-from djpt.rendering.progressive.even import EvenAccumulation
+from djpt.rendering.progressive.accumulation import Accumulation, EvenAccumulation
 from djpt.rendering.progressive.passes import EvenImage, Goal, begun, rounds
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.settings import RenderSettings

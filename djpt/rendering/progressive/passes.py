@@ -13,19 +13,20 @@ from typing import Any, ClassVar
 
 from djpt.core.process.interruption import Interruption
 from djpt.errors import RenderError
+from djpt.jit.frozen import recording
+from djpt.jit.types import TensorXf
+from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.image import channel_names
 from djpt.rendering.progress import Progress
-from djpt.rendering.progressive.accumulation import Accumulation, versions
-from djpt.rendering.progressive.adaptive import AdaptiveAccumulation
+from djpt.rendering.progressive.accumulation import Accumulation, AdaptiveAccumulation, EvenAccumulation, versions
 from djpt.rendering.progressive.adaptive_rounds import AdaptiveRounds
-from djpt.rendering.progressive.allocation import FIRST, is_survey
-from djpt.rendering.progressive.even import EvenAccumulation
 from djpt.rendering.progressive.fingerprint import fingerprint
 from djpt.rendering.progressive.rounds import Rounds, round_seed
+from djpt.rendering.progressive.tiles import FIRST, is_survey
 from djpt.rendering.settings import RenderSettings, check_count
 from djpt.scene.scene import Scene
 
-__all__ = ["ROUND_SPP", "Goal", "render_passes"]
+__all__ = ["ROUND_SPP", "EvenImage", "Goal", "adaptive_image", "begun", "render_passes", "rounds"]
 
 ROUND_SPP = 64
 """Samples per pixel of a round, unless fewer are asked for."""
@@ -133,7 +134,7 @@ def render_passes(
         time_budget: Stop when the next round would end later than this many seconds after the start; one round
             is always rendered if none exists.
         adaptive: Take more samples in tiles of 8 x 8 pixels that have more noise, without bias: see
-            `djpt.rendering.progressive.allocation`. The numbers of samples are means over the image then; `samples`
+            `djpt.rendering.progressive.tiles`. The numbers of samples are means over the image then; `samples`
             says how many each pixel has. By default a round has a sixteenth of the `spp`; the first four are whole.
             Only integrators that follow paths from the camera can.
         resume_from: What to go on with: of the same scene, seed, sensor, integrator and schedule, by the same versions
@@ -157,6 +158,35 @@ def render_passes(
     goal = Goal.of(settings, round_spp, target_error, time_budget, adaptive)
     image = (AdaptiveImage if adaptive else EvenImage)(scene, settings, goal)
     return rounds(begun(image, resume_from), goal, image)
+
+
+def adaptive_image(scene: Scene, settings: RenderSettings) -> TensorXf:
+    """The image of `render` with ``adaptive=True``; the film keeps it, too.
+
+    Raises:
+        RenderError: Gradients are enabled, a frozen function is recorded, or the integrator can't render adaptively.
+    """
+    if recording():
+        raise RenderError("a frozen function can't render adaptively: the host decides where samples are taken")
+    if attached_parameters(scene):
+        raise RenderError(
+            "adaptive images have no derivatives: render with adaptive=False, or without gradients enabled"
+        )
+    film = settings.sensor.film()
+    names = channel_names(scene, settings.sensor, settings.integrator)
+    goal = Goal.of(settings, adaptive=True)
+    progress, interruption = settings.progress, settings.interruption
+    # Rounds are short: nobody is told of their passes.
+    image = AdaptiveImage(scene, replace(settings, progress=None, pass_spp=0), goal)
+    width, height = film.crop_size()
+    for found in rounds(begun(image, None), goal, image):
+        if progress is not None:
+            progress(min(found.spp, goal.spp) * width * height, goal.spp * width * height)
+        if interruption is not None and interruption.requested:
+            break
+    result = found.image()
+    film.keep(result, names)
+    return result
 
 
 def usual_spp(spp: int, adaptive: bool) -> int:
