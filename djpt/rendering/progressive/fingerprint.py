@@ -13,6 +13,7 @@ from djpt.core.transforms import ScalarTransform4f
 from djpt.description.plugin import ParamFlags, Plugin, TraversalCallback, is_plain
 from djpt.films import Film
 from djpt.integrators.base import Integrator
+from djpt.integrators.termination import Terminating
 from djpt.samplers import Sampler
 from djpt.scene.scene import Scene
 from djpt.sensors import Sensor
@@ -100,6 +101,8 @@ def described(plugin: Plugin) -> dict[str, Any]:
         for name, value in vars(plugin).items():
             if is_setting(name, value) or (isinstance(plugin, Integrator) and holds_plugins(value)):
                 found.setdefault(f"attribute {name}", value)
+    if isinstance(plugin, Terminating):
+        found.update((name, getattr(plugin, f"_{name}", None)) for name in ("max_depth", "rr_depth"))
     if isinstance(plugin, Sensor):
         return {name: value for name, value in found.items() if not isinstance(value, (Film, Sampler))}
     if isinstance(plugin, Film):
