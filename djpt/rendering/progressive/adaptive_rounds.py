@@ -44,6 +44,9 @@ __all__ = ["AdaptiveRounds", "TileJob"]
 
 Floats = npt.NDArray[np.float32]
 
+IN_TILES = frozenset({"flat", "wave"})
+"""The schedules that compute pixels apart from each other; an integrator that has one of them can render tiles."""
+
 PIXELS = 2**16
 """The pixels of the tiles that are computed at once: a film's sums are up to half a kilobyte for each."""
 
@@ -67,8 +70,9 @@ class AdaptiveRounds:
     def __init__(self, scene: Scene, settings: RenderSettings) -> None:
         self._scene, self._settings = scene, settings
         integrator = settings.integrator
-        if type(integrator).render is not Integrator.render or "flat" not in integrator.schedules:
-            able = (name for name, kind in registered("integrator").items() if "flat" in getattr(kind, "schedules", ()))
+        if type(integrator).render is not Integrator.render or not IN_TILES & {*integrator.schedules}:
+            kinds = registered("integrator").items()
+            able = (name for name, kind in kinds if IN_TILES & {*getattr(kind, "schedules", ())})
             name = name_of(type(integrator)) or type(integrator).__name__
             raise RenderError(f"the integrator '{name}' can't render adaptively{near_miss('', able)}")
         require_still(scene)
