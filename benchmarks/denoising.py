@@ -19,6 +19,7 @@ import numpy as np
 
 from djpt.rendering.denoising.filtering import METHODS, Guides, denoise_pixels
 from djpt.rendering.denoising.guides import render_guides
+from djpt.rendering.settings import RenderSettings
 from djpt.scenes.gallery import panels
 
 SCENES = ("cornell_box", "shader_ball", "stage", "gallery")
@@ -74,7 +75,8 @@ def main() -> None:
             reference = np.array(djpt.render(scene, spp=options.reference, seed=1))[..., :3]
             for spp, row in rows.items():
                 noisy = np.array(djpt.render(scene, spp=spp))[..., :3]
-                row.append([errors(image, reference) for image in versions(noisy, render_guides(scene))])
+                guides = render_guides(scene, RenderSettings.of(scene))
+                row.append([errors(image, reference) for image in versions(noisy, guides)])
         for spp, row in rows.items():
             cells = [f"{a:.2g} / {b:.3f}" for a, b in np.mean(row, 0)]
             print(f"| `{name}` | {spp} | {' | '.join(cells)} |", flush=True)

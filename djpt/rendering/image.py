@@ -6,23 +6,19 @@ from typing import Any
 
 import drjit as dr
 
-from djpt.core.process.interruption import Interruption
 from djpt.errors import RenderError
-from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import TensorXf
-from djpt.rendering.arguments import check_count, check_seed, find_integrator
 from djpt.rendering.gradients.leaves import attached_parameters, prepare_tables, unused_values
 from djpt.rendering.gradients.unproven import require_proven
-from djpt.rendering.progress import Progress
 from djpt.rendering.schedules.base import Schedule
 from djpt.rendering.schedules.called_sums import prepare_sums
 from djpt.rendering.schedules.canvas import picture
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job, image_channels
 from djpt.rendering.schedules.memory import check_memory
+from djpt.rendering.settings import RenderSettings, find_integrator
 from djpt.samplers import Sampler
-from djpt.samplers.seeds import Seed
 from djpt.scene.arguments import find_sensor, require_scene
 from djpt.scene.normalization.normalized_scene import carried, twin
 from djpt.scene.scene import Scene
@@ -39,67 +35,51 @@ __all__ = [
 ]
 
 
-def film_image(
-    scene: Scene,
-    sensor: Any,
-    integrator: Integrator,
-    seed: Seed,
-    spp: int,
-    seed_grad: Seed | None = 0,
-    spp_grad: int = 0,
-    schedule: str = "auto",
-    pass_spp: int = 0,
-    progress: Progress | None = None,
-    interruption: Interruption | None = None,
-) -> TensorXf:
-    """The image of an integrator that djpt runs by a schedule; the film keeps it, too.
-
-    Arguments as for `render`; the `seed_grad` None is that of the image.
-    """
+def film_image(scene: Scene, settings: RenderSettings) -> TensorXf:
+    """The image of an integrator that djpt runs by a schedule; the film keeps it, too."""
     require_still(scene)
-    job = make_job(scene, sensor, integrator, seed, spp, check_count("pass_spp", pass_spp), progress, interruption)
-    how = choose(schedule, job)
+    job, names = make_job(scene, settings), channel_names(scene, settings.sensor, settings.integrator)
+    how = choose(settings.schedule, job)
     parameters = attached_parameters(job.scene)
     check_memory(job, attached=bool(parameters))
     if not job.channel_names():
         image = centres(job)
-        job.film.keep(image, channel_names(scene, sensor, integrator))
+        job.film.keep(image, names)
         return image
     unused = unused_values(job.scene, parameters)
     if parameters or unused:
         require_proven(scene, job.integrator)
-        from djpt.rendering.gradients.derivatives import differentiable
+        from djpt.rendering.gradients.choice import differentiable
 
-        image = differentiable(job, how, parameters, unused, seed_grad, spp_grad)
+        image = differentiable(job, how, settings, parameters, unused)
     else:
         image = primal(job, how)
     if job.integrator.unfiltered_names():
         image = dr.concat([image, centres(job)], axis=2)
-    job.film.keep(image, channel_names(scene, sensor, integrator))
+    job.film.keep(image, names)
     return image
 
 
-def image_derivative(
-    scene: Scene, integrator: Integrator, sensor: Any, seed: Seed, spp: int, grad: TensorXf | None
-) -> TensorXf:
+def image_derivative(scene: Scene, settings: RenderSettings, grad: TensorXf | None) -> TensorXf:
     """The derivative of an image by samples of the seed itself, for `Integrator.render_forward` and `.._backward`.
 
     Gradients of the image, `grad`, are propagated to the scene's parameters; if it is None, gradients of these are
     propagated to the image, whose gradient (H, W, C) is returned.
     """
-    from djpt.rendering.gradients.derivatives import attached_image, derivative_of
+    from djpt.rendering.gradients.choice import derivative_of
+    from djpt.rendering.gradients.derivatives import attached_image
 
     begin_trace()
     require_still(scene)
-    job = make_job(scene, sensor, integrator, seed, spp)
+    job = make_job(scene, settings)
     width, height = job.film.crop_size()
     shape = (height, width, job.channel_count())
     parameters = attached_parameters(job.scene)
     check_memory(job, attached=True)
     if not parameters:
         return dr.zeros(TensorXf, shape)
-    require_proven(scene, integrator)
-    derivative = derivative_of(job, choose("auto", job), parameters)
+    require_proven(scene, settings.integrator)
+    derivative = derivative_of(job, choose(settings.schedule, job), parameters)
     image = attached_image(parameters, [], lambda: dr.zeros(TensorXf, shape), derivative)
     if grad is None:
         dr.forward_to(image)
@@ -157,20 +137,14 @@ def prepare_to_record(scene: Scene) -> None:
 # ---- what is rendered -------------------------------------------------------------------------
 
 
-def make_job(
-    scene: Scene,
-    sensor: Any,
-    integrator: Any,
-    seed: Seed,
-    spp: int,
-    pass_spp: int = 0,
-    progress: Progress | None = None,
-    interruption: Interruption | None = None,
-) -> Job:
-    """Check the arguments of `render` and put the pieces together: views of the scene, never a change to it."""
-    sensor, integrator = find_sensor(scene, sensor), find_integrator(scene, integrator)
+def make_job(scene: Scene, settings: RenderSettings) -> Job:
+    """Put the pieces of a render together: views of the scene, never a change to it.
+
+    Raises:
+        RenderError: The integrator can't render the scene, or there would be nothing to see.
+    """
+    sensor, integrator = settings.sensor, settings.integrator
     sampler = sensor.sampler()
-    spp, seed = check_count("spp", spp), check_seed("seed", seed)
     shines = scene.emitters() or (integrator.follows_media and scene.every_medium.emit)
     if integrator.needs_light and not shines:
         raise RenderError("the scene has no emitter: the image would be black")
@@ -178,14 +152,22 @@ def make_job(
     integrator.resume()
     if integrator.fits_any_frame():
         scene, sensor = carried(scene, sensor)
-    spp = sampler.round_count(spp or sampler.sample_count())
     if integrator.follows_media:
         scene = scene.with_media()
     scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
     if integrator.measures_distance:
         scene = scene.measured_from(sensor)
     return job_of(sampler)(
-        scene, sensor, sensor.film(), integrator, sampler, seed, spp, progress, pass_spp, interruption
+        scene,
+        sensor,
+        sensor.film(),
+        integrator,
+        sampler,
+        settings.seed,
+        settings.sample_count,
+        settings.progress,
+        settings.pass_spp,
+        settings.interruption,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -11,13 +12,11 @@ from djpt.errors import RenderError
 from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
 from djpt.jit.types import TensorXf
-from djpt.rendering.arguments import check_count, check_seed, find_integrator
 from djpt.rendering.image import film_image
 from djpt.rendering.progress import Progress, watched
+from djpt.rendering.settings import RenderSettings
 from djpt.samplers.seeds import Seed
-from djpt.scene.arguments import find_sensor
 from djpt.scene.scene import Scene
-from djpt.sensors.base import Sensor
 
 __all__ = ["render"]
 
@@ -79,41 +78,38 @@ def render(
     """
     if dr.flag(dr.JitFlag.SymbolicScope):
         raise RenderError("no image can be rendered within a loop, a call or a condition that Dr.Jit records")
+    begin_trace()
+    settings = RenderSettings.of(
+        scene,
+        sensor,
+        integrator,
+        seed=seed,
+        spp=spp,
+        schedule=schedule,
+        pass_spp=pass_spp,
+        seed_grad=seed_grad,
+        spp_grad=spp_grad,
+    )
+
+    def image(settings: RenderSettings) -> TensorXf:
+        if adaptive:
+            from djpt.rendering.progressive.passes import adaptive_image
+
+            rendered = adaptive_image
+        elif type(settings.integrator).render is not Integrator.render:
+            from djpt.rendering.gradients.own_rendering import image_by_itself
+
+            return image_by_itself(scene, params, settings)
+        else:
+            rendered = film_image
+        with watched(progress, "rendering", "samples") as shown, noticing(keep_partial) as interruption:
+            result = rendered(scene, replace(settings, progress=shown, interruption=interruption))
+            if interruption is not None:
+                interruption.leave("the film keeps what exists")
+            return result
+
     if denoise:
         from djpt.rendering.denoising.rendered import render_denoised
 
-        def noisy(eye: Sensor) -> TensorXf:
-            return render(
-                scene,
-                None,
-                eye,
-                integrator,
-                seed,
-                spp=spp,
-                schedule=schedule,
-                progress=progress,
-                pass_spp=pass_spp,
-                keep_partial=keep_partial,
-                adaptive=adaptive,
-            )
-
-        return render_denoised(scene, "oidn" if denoise is True else denoise, sensor, integrator, seed, noisy)
-    if adaptive:
-        from djpt.rendering.progressive.adaptive_image import render_adaptively
-
-        return render_adaptively(scene, sensor, integrator, seed, spp, schedule, progress, keep_partial)
-    begin_trace()
-    seed_grad, spp_grad = check_seed("seed_grad", seed_grad), check_count("spp_grad", spp_grad)
-    estimator = find_integrator(scene, integrator)
-    if type(estimator).render is not Integrator.render:
-        from djpt.rendering.gradients.own_rendering import image_by_itself
-
-        camera, (seed, spp) = find_sensor(scene, sensor), (check_seed("seed", seed), check_count("spp", spp))
-        return image_by_itself(estimator, scene, params, camera, seed, spp, seed_grad, spp_grad)
-    with watched(progress, "rendering", "samples") as shown, noticing(keep_partial) as interruption:
-        image = film_image(
-            scene, sensor, estimator, seed, spp, seed_grad, spp_grad, schedule, pass_spp, shown, interruption
-        )
-        if interruption is not None:
-            interruption.leave("the film keeps what exists")
-        return image
+        return render_denoised(scene, "oidn" if denoise is True else denoise, settings, image)
+    return image(settings)

@@ -22,15 +22,17 @@ class Rendering(Renderer):
 
     def film_image(self, scene: Scene, sensor: Any, integrator: Any, seed: Any, spp: int) -> TensorXf:
         from djpt.rendering.image import film_image
+        from djpt.rendering.settings import RenderSettings
 
-        return film_image(scene, sensor, integrator, seed, spp, seed_grad=None)
+        return film_image(scene, RenderSettings.of(scene, sensor, integrator, seed=seed, spp=spp, seed_grad=None))
 
     def image_derivative(
         self, scene: Scene, integrator: Any, sensor: Any, seed: Any, spp: int, grad: TensorXf | None
     ) -> TensorXf:
         from djpt.rendering.image import image_derivative
+        from djpt.rendering.settings import RenderSettings
 
-        return image_derivative(scene, integrator, sensor, seed, spp, grad)
+        return image_derivative(scene, RenderSettings.of(scene, sensor, integrator, seed=seed, spp=spp), grad)
 
 
 RENDERING = Rendering()

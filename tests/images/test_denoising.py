@@ -14,6 +14,7 @@ import djpt
 from djpt.apps.cli.main import app
 from djpt.rendering.denoising.filtering import Guides, denoise_pixels
 from djpt.rendering.denoising.guides import render_guides
+from djpt.rendering.settings import RenderSettings
 
 needs_wheel = pytest.mark.skipif(importlib.util.find_spec("mitsuba_oidn") is None, reason="needs mitsuba-oidn")
 METHODS = [pytest.param("oidn", marks=needs_wheel), "nlm"]
@@ -118,7 +119,8 @@ def test_non_local_means_keeps_what_is_flat_and_edges_of_guides() -> None:
 
 
 def test_guides_show_albedo_and_normals() -> None:
-    guides = render_guides(djpt.load_dict(described()))
+    scene = djpt.load_dict(described())
+    guides = render_guides(scene, RenderSettings.of(scene))
     assert guides.albedo is not None and guides.normal is not None
     np.testing.assert_allclose(guides.albedo[16, 1], [0.57, 0.043, 0.044], atol=2e-3)
     np.testing.assert_allclose(guides.normal[16, 1], [1, 0, 0], atol=1e-3)
@@ -136,12 +138,14 @@ def test_guides_follow_mirrors_and_show_the_sky() -> None:
     }
     mirror = {"type": "rectangle", "bsdf": {"type": "conductor", "material": "none"}}
     behind = djpt.ScalarTransform4f().translate([0, 0, 4]).rotate([0, 1, 0], 180).scale(9)
-    scene = {"type": "scene", "sensor": sensor, "mirror": mirror, "sky": {"type": "constant", "radiance": 0.3}}
-    sky = render_guides(djpt.load_dict(scene))
+    description = {"type": "scene", "sensor": sensor, "mirror": mirror, "sky": {"type": "constant", "radiance": 0.3}}
+    scene = djpt.load_dict(description)
+    sky = render_guides(scene, RenderSettings.of(scene))
     assert sky.albedo is not None and sky.normal is not None
     np.testing.assert_allclose(sky.albedo, 0.3, atol=1e-5)
     np.testing.assert_array_equal(sky.normal, 0)
-    seen = render_guides(djpt.load_dict(scene | {"wall": wall | {"to_world": behind}}))
+    scene = djpt.load_dict(description | {"wall": wall | {"to_world": behind}})
+    seen = render_guides(scene, RenderSettings.of(scene))
     assert seen.albedo is not None and seen.normal is not None
     np.testing.assert_allclose(seen.albedo, np.broadcast_to([0.2, 0.4, 0.6], (4, 4, 3)), atol=1e-5)
     np.testing.assert_allclose(seen.normal[..., 2], -1, atol=1e-5)
@@ -211,7 +215,7 @@ def test_derivatives_are_refused() -> None:
 @needs_wheel
 def test_mitsubas_call() -> None:
     scene = djpt.load_dict(described())
-    noisy, guides = djpt.render(scene, spp=4), render_guides(scene)
+    noisy, guides = djpt.render(scene, spp=4), render_guides(scene, RenderSettings.of(scene))
     expected = djpt.denoise(noisy, guides.albedo, guides.normal).numpy()
     denoiser = djpt.OptixDenoiser([32, 32], albedo=True, normals=True)
     np.testing.assert_array_equal(denoiser(noisy, guides.albedo, guides.normal).numpy(), expected)

@@ -17,6 +17,7 @@ from djpt.integrators.guiding.guide import SQUARES, Guide
 from djpt.jit.types import Normal3f, Point2f, Point3f, UInt32, Vector3f
 from djpt.rendering.image import make_job
 from djpt.rendering.schedules.learning import JobLessons
+from djpt.rendering.settings import RenderSettings
 from djpt.samplers import SampleIndex
 from tests.kit.chi_squared import SPHERE, p_value, uniform
 from tests.kit.convergence import assert_converges_to_path, assert_equal_means, images
@@ -104,7 +105,8 @@ def test_the_mixture_of_guide_and_material() -> None:
     All lanes are at one point, with other random numbers.
     """
     plugin = djpt.load_dict({"type": "guided", "max_depth": 5, "practice": 16.0})
-    job = make_job(djpt.load_dict(floor_scene(size=16)), 0, plugin, 1, 256)
+    loaded = djpt.load_dict(floor_scene(size=16))
+    job = make_job(loaded, RenderSettings.of(loaded, integrator=plugin, seed=1, spp=256))
     pupil, scene = plugin.taught(JobLessons(job)), job.scene
     ray = Ray3f(Point3f(1, 2.5, 5.5), dr.normalize(Vector3f(-1.9, -2.9, -5.5)))
     si = scene.surface_interaction(ray, scene.closest_hit(ray))

@@ -11,7 +11,7 @@ import pytest
 
 import djpt
 from djpt.emitters.light_samplers import CHOICES
-from djpt.rendering.gradients.derivatives import gradient_seed
+from djpt.samplers.seeds import gradient_seed
 from djpt.scene.scene import Scene
 from djpt.validation import agreement
 from djpt.validation.statistics import Batches, block_test, mean_test

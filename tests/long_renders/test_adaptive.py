@@ -12,10 +12,8 @@ import pytest
 
 import djpt
 from djpt.errors import FileError, RenderError
-from djpt.rendering.progressive import adaptive as adaptive_sums
-from djpt.rendering.progressive.adaptive import AdaptiveAccumulation, TileSums
-from djpt.rendering.progressive.allocation import LEAST, is_survey, shares, surveys
-from djpt.rendering.progressive.tiles import Tiles
+from djpt.rendering.progressive.accumulation import AdaptiveAccumulation
+from djpt.rendering.progressive.tiles import LEAST, Tiles, TileSums, is_survey, shares, surveys
 from djpt.scene.scene import Scene
 from tests.long_renders.test_passes import SAMPLERS, box, last
 
@@ -199,7 +197,7 @@ def test_films_of_tiles_add_up_to_an_image(width: int, height: int, border: int,
 
 
 def test_the_films_of_a_tile_come_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(adaptive_sums, "TOGETHER", 3)
+    monkeypatch.setattr("djpt.rendering.progressive.tiles.TOGETHER", 3)
     random = np.random.default_rng(3)
     places = np.repeat(np.arange(9), [1, 0, 5, 2, 11, 1, 1, 0, 3])
     channels = random.random((2, len(places), 4, 4)).astype(np.float32)

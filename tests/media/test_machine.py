@@ -194,6 +194,7 @@ def test_an_edit_compiles_no_kernel(tmp_path: Path) -> None:
 def test_choice(name: str, expected: str, tmp_path: Path) -> None:
     """State machines where flights are tracked: elsewhere no lane waits for another."""
     from djpt.rendering.image import make_job
+    from djpt.rendering.settings import RenderSettings
 
     scene = djpt.load_dict(SCENES[name](tmp_path))
-    assert choose("auto", make_job(scene, 0, None, 0, 1)).name == expected
+    assert choose("auto", make_job(scene, RenderSettings.of(scene, spp=1))).name == expected

@@ -15,8 +15,8 @@ from djpt.apps.viewer.picture import Picture
 from djpt.apps.viewer.session import Session, packed
 from djpt.apps.viewer.stage import Stage
 from djpt.errors import DjptError
-from djpt.rendering.arguments import find_integrator
 from djpt.rendering.progressive.rounds import Rounds, round_seed
+from djpt.rendering.settings import RenderSettings
 from djpt.scenes.overrides import described, override
 
 
@@ -60,13 +60,12 @@ def test_a_picture_is_the_sum_of_its_rounds() -> None:
 def test_rounds_of_any_size_give_the_error_of_the_mean() -> None:
     """The estimated error is that between pictures, though rounds have 1 to 4 samples."""
     scene = djpt.load_dict(box(rfilter="box"))
-    sensor, integrator = scene.sensors()[0], find_integrator(scene, None)
     means, estimates = [], []
     for run in range(24):
         picture = Picture(("R", "G", "B"))
         for number, spp in enumerate((1, 2, 4, 1)):
             seed = round_seed(100 * run, number)
-            picture.add(Rounds(scene, sensor, integrator, spp, "auto").begin(seed, None, None)(), spp)
+            picture.add(Rounds(scene, RenderSettings.of(scene, spp=spp)).begin(seed)(), spp)
         means.append(picture.pixels() @ np.array([0.212671, 0.715160, 0.072169]))
         estimates.append(picture.error() ** 2)
     assert np.isclose(np.mean(estimates), np.var(means, axis=0, ddof=1).mean(), rtol=0.15)

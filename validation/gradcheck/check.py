@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import BackendError
-from djpt.rendering.arguments import check_count, check_seed
 from djpt.rendering.progress import Progress, watched
+from djpt.rendering.settings import check_count, check_seed
 from djpt.scenes.overrides import described, override, reduced
 from djpt.validation.gradcheck.differences import Difference, Step, choose_step
 from djpt.validation.gradcheck.directions import Direction, directions_of

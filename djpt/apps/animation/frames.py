@@ -15,11 +15,10 @@ from djpt.core.files import as_path, writing
 from djpt.description.parameters import SceneParameters, traverse
 from djpt.errors import FileError, ParameterError
 from djpt.images.image import check_writable, write
-from djpt.rendering.arguments import check_count, check_seed, find_integrator
 from djpt.rendering.progressive.fingerprint import difference, fingerprint
 from djpt.rendering.progressive.rounds import round_seed
 from djpt.rendering.render import render
-from djpt.scene.arguments import find_sensor
+from djpt.rendering.settings import RenderSettings, check_count
 from djpt.scene.scene import Scene
 
 __all__ = ["JOB", "Moving", "render_frames"]
@@ -73,15 +72,15 @@ def render_frames(
         RenderError: Arguments are out of range.
         FileError: The folder has the frames of another animation, or can't be written.
     """
-    camera, estimator = find_sensor(scene, sensor), find_integrator(scene, integrator)
-    count, spp, seed = check_count("count", count), check_count("spp", spp), check_seed("seed", seed)
+    settings, count = RenderSettings.of(scene, sensor, integrator, seed=seed, spp=spp), check_count("count", count)
+    sensor, integrator, seed, spp = settings.sensor, settings.integrator, settings.seed, settings.spp
     folder = as_path(folder)
     digits = max(4, len(str(count - 1)))
     files = [folder / f"{number:0{digits}}{suffix}" for number in range(count)]
     params = traverse(scene)
     values = [{key: track.at(number) for key, track in motion.items()} for number in range(count)]
     before = {key: params[key] for key in motion}  # a wrong name is an error now
-    nodes = fingerprint(scene, camera, estimator)
+    nodes = fingerprint(scene, sensor, integrator)
     claim(folder, {"scene": nodes, "motion": digest(values), "spp": spp, "seed": seed, "facts": dict(facts or {})})
     if files:
         check_writable(files[0])
@@ -90,7 +89,7 @@ def render_frames(
         values,
         params,
         before,
-        lambda number: render(scene, sensor=camera, integrator=estimator, spp=spp, seed=round_seed(seed, number)),
+        lambda number: render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=round_seed(seed, number)),
         convert or (lambda image: image),
     )
 

@@ -21,6 +21,7 @@ from djpt.rendering.progress import has_terminal, short
 
 if TYPE_CHECKING:
     from djpt.rendering.progressive.accumulation import Accumulation
+    from djpt.rendering.settings import RenderSettings
 
 __all__ = ["Passes", "seconds_of", "share_of", "status"]
 
@@ -77,10 +78,7 @@ class Passes:
         self,
         scene: Any,
         description: Mapping[str, Any],
-        sensor: int,
-        seed: int,
-        spp: int,
-        schedule: str,
+        settings: RenderSettings,
         keep_partial: bool,
         quiet: bool,
     ) -> tuple[Accumulation, int, Callable[[], None]]:
@@ -91,7 +89,7 @@ class Passes:
         import djpt
         from djpt.apps.cli.pictures import channels_for
 
-        begun = None
+        begun, spp = None, settings.spp
         if self.resume and self.checkpoint is not None and self.checkpoint.exists():
             begun = djpt.Accumulation.load(self.checkpoint)
         found, first = begun, 0 if begun is None else begun.whole.spp
@@ -116,18 +114,18 @@ class Passes:
         def show() -> None:
             nonlocal shown
             if self.preview is not None and found is not None:
-                names = channels_for(self.preview, found.channels, len(scene.sensors()[sensor].film().channel_names()))
+                names = channels_for(self.preview, found.channels, len(settings.sensor.film().channel_names()))
                 djpt.write(self.preview, found.image()[..., :names])
                 shown = time.perf_counter()
 
         options: dict[str, Any] = {
-            "sensor": sensor,
-            "seed": seed,
+            "sensor": scene.sensors().index(settings.sensor),
+            "seed": settings.seed,
             "spp": spp,
             "target_error": self.target_error,
             "time_budget": self.time_budget,
             "resume_from": begun,
-            "schedule": schedule,
+            "schedule": settings.schedule,
         }
         with interruptible(keeps=False) as interruption, line, self.connected(interruption) as client:
             try:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,6 +16,9 @@ from djpt.core.files import require_different
 from djpt.core.process.interruption import ending_at_once
 from djpt.errors import RenderError
 from djpt.rendering.progress import progress_bar, short
+
+if TYPE_CHECKING:
+    from djpt.rendering.settings import RenderSettings
 
 __all__ = ["command"]
 
@@ -114,7 +118,7 @@ def command(
     from djpt.apps.cli.pictures import channels_for, layers
     from djpt.apps.cli.tone import Tone
     from djpt.images.image import check_writable
-    from djpt.rendering.arguments import find_integrator
+    from djpt.rendering.settings import RenderSettings
 
     target = output or Path(f"{name}.exr")
     check_writable(target)
@@ -130,10 +134,11 @@ def command(
         raise RenderError("--raw keeps what --denoise starts from: give both, or --output alone")
     description = override(description, width=width, height=height, rfilter=rfilter, integrator=integrator)
     loaded = djpt.load_dict(description)
+    settings = RenderSettings.of(loaded, sensor, seed=seed, spp=spp or 0, schedule=schedule)
     names = djpt.channel_names(loaded, sensor=sensor)
     # Before the long render: can the file hold the image?
-    kept = channels_for(target, names, len(loaded.sensors()[sensor].film().channel_names()))
-    clean = cleaner(loaded, denoiser, sensor, seed, raw) if denoise else None
+    kept = channels_for(target, names, len(settings.sensor.film().channel_names()))
+    clean = cleaner(loaded, denoiser, settings, raw) if denoise else None
     start = time.perf_counter()
     samples = 0
 
@@ -147,10 +152,8 @@ def command(
         from djpt.rendering.progressive.to_file import facts
 
         with ending_at_once():
-            found, taken, leave = in_rounds.render(
-                loaded, description, sensor, seed, spp or 0, schedule, keep_partial, quiet
-            )
-            of_image = facts(loaded, loaded.sensors()[sensor], find_integrator(loaded, None), sensor, found.spp, seed)
+            found, taken, leave = in_rounds.render(loaded, description, settings, keep_partial, quiet)
+            of_image = facts(replace(settings, spp=found.spp), sensor)
             stored = names[:kept] if target.suffix.lower() == ".exr" and tone is None else None
             pixels = convert(found.image().numpy())
             djpt.write(target, pixels, channels=stored, metadata=carried(target, {**of_image, **metadata}))
@@ -184,15 +187,14 @@ def command(
         )
     seconds = time.perf_counter() - start
     if not quiet:
-        camera = loaded.sensors()[sensor]
-        (columns, rows), sampler = camera.film().crop_size(), camera.sampler()
-        taken, speed = sampler.round_count(spp or sampler.sample_count()), f"{short(samples / seconds)}samples/s"
+        columns, rows = settings.sensor.film().crop_size()
+        taken, speed = settings.sample_count, f"{short(samples / seconds)}samples/s"
         say(f"{target}: {columns} x {rows}, {taken} spp, {seconds:.2f} s, {speed}")
         if names[kept:]:
             say(f"without {', '.join(layers(names[kept:]))}: exr and npy hold all channels")
 
 
-def cleaner(scene: Any, method: str, sensor: int, seed: int, raw: Path | None) -> Any:
+def cleaner(scene: Any, method: str, settings: RenderSettings, raw: Path | None) -> Any:
     """The function that denoises the image, checked before it is rendered."""
     from djpt.errors import FileError
     from djpt.images.image import check_writable
@@ -202,4 +204,4 @@ def cleaner(scene: Any, method: str, sensor: int, seed: int, raw: Path | None) -
         check_writable(raw)
         if raw.suffix.lower() != ".exr":
             raise FileError(f"can't write '{raw}': only exr has layers for albedo and normals")
-    return Cleaner(scene, method, sensor, seed=seed, raw=raw)
+    return Cleaner(scene, method, settings, raw)

@@ -12,8 +12,8 @@ from djpt.apps.cluster.bundle import Bundle
 from djpt.apps.cluster.tasks import InOrder, require_client, warn
 from djpt.apps.cluster.work import differentiated
 from djpt.errors import ParameterError, RenderError
-from djpt.rendering.arguments import check_count, check_seed
 from djpt.rendering.progressive.rounds import round_seed
+from djpt.rendering.settings import check_count, check_seed
 
 __all__ = ["gradient"]
 

@@ -10,10 +10,10 @@ from djpt.apps.cluster.tasks import InOrder, require_client, warn
 from djpt.apps.cluster.work import rendered
 from djpt.core.numeric import whole
 from djpt.errors import RenderError
-from djpt.rendering.progressive.accumulation import Accumulation
-from djpt.rendering.progressive.even import EvenAccumulation
-from djpt.rendering.progressive.passes import EvenImage, begun, planned, rounds
+from djpt.rendering.progressive.accumulation import Accumulation, EvenAccumulation
+from djpt.rendering.progressive.passes import EvenImage, Goal, begun, rounds
 from djpt.rendering.progressive.rounds import round_seed
+from djpt.rendering.settings import RenderSettings
 
 __all__ = ["render_passes"]
 
@@ -64,16 +64,19 @@ def render_passes(
     number = whole(sensor)
     if number is None:
         raise RenderError(f"'sensor' must be the number of a sensor of the scene, found {sensor!r}")
-    plan = planned(scene, number, None, seed, spp, round_spp, target_error, time_budget, False, resume_from, schedule)
-    image = SharedImage(scene, plan.sensor, plan.integrator, plan.seed, plan.goal, schedule, None, None)
+    settings = RenderSettings.of(scene, number, seed=seed, spp=spp, schedule=schedule)
+    if resume_from is not None:
+        round_spp = round_spp or resume_from.round_spp
+    goal = Goal.of(settings, round_spp, target_error, time_budget)
+    image = SharedImage(scene, settings, goal)
     first = begun(image, resume_from)
 
     def arguments(number_of_round: int) -> tuple[Any, ...]:
-        return number, image.count(number_of_round), schedule, round_seed(plan.seed, number_of_round)
+        return number, image.count(number_of_round), schedule, round_seed(settings.seed, number_of_round)
 
     found = InOrder(client, bundle, rendered, arguments, on_wait)
-    image.results = found.results(first.whole.rounds, plan.goal.rounds)
-    return closing(rounds(first, plan.goal, image), image.results)
+    image.results = found.results(first.whole.rounds, goal.rounds)
+    return closing(rounds(first, goal, image), image.results)
 
 
 class SharedImage(EvenImage):
@@ -82,7 +85,7 @@ class SharedImage(EvenImage):
     results: Iterator[Any]
 
     def begin(self, found: EvenAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
-        seed, count = round_seed(self.seed, number), self.count(number)
+        seed, count = round_seed(self.settings.seed, number), self.count(number)
         return lambda found: found.with_round(seed, count, next(self.results))
 
     def overlaps(self, number: int) -> bool:

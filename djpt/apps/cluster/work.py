@@ -16,9 +16,8 @@ import numpy.typing as npt
 import djpt
 from djpt.apps.cluster.bundle import Bundle
 from djpt.jit.llvm.lanes import lane_count
-from djpt.rendering.arguments import find_integrator
 from djpt.rendering.progressive.rounds import Rounds
-from djpt.scene.arguments import find_sensor
+from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
 from djpt.version import __version__
 
@@ -67,8 +66,8 @@ def rendered(bundle: Bundle, sensor: int, spp: int, schedule: str, seed: int) ->
         key = bundle.key, sensor, spp, schedule
         if key not in begun:
             begun.clear()
-            begun[key] = Rounds(scene, find_sensor(scene, sensor), find_integrator(scene, None), spp, schedule)
-        return Answer(begun[key].begin(seed, None, None)(), software())
+            begun[key] = Rounds(scene, RenderSettings.of(scene, sensor, spp=spp, schedule=schedule))
+        return Answer(begun[key].begin(seed)(), software())
 
 
 def differentiated(

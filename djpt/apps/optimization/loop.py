@@ -23,8 +23,8 @@ from djpt.apps.optimization.state import load_state, save_state
 from djpt.apps.optimization.variables import Variable
 from djpt.description.parameters import SceneParameters, traverse
 from djpt.errors import ParameterError, RenderError, near_miss
-from djpt.rendering.arguments import check_count, check_seed
 from djpt.rendering.progress import Progress, watched
+from djpt.rendering.settings import check_count, check_seed
 from djpt.scene.arguments import find_sensor
 from djpt.scene.scene import Scene
 

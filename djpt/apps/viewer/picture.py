@@ -7,8 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from djpt.rendering.progressive.accumulation import luminance
-from djpt.rendering.progressive.rounds import RoundSums
+from djpt.rendering.progressive.accumulation import RoundSums, luminance
 
 __all__ = ["Picture"]
 

@@ -19,6 +19,7 @@ from djpt.description.named_files import files_of
 from djpt.errors import RenderError
 from djpt.images.tone_mapping import ACES_IN, ACES_OUT, AGX_CURVE, AGX_IN, AGX_OUT, AGX_STOPS
 from djpt.rendering.progressive.rounds import Rounds, round_seed
+from djpt.rendering.settings import RenderSettings
 
 __all__ = ["Session", "packed"]
 
@@ -151,8 +152,8 @@ class Session:
         spp = stage.sensor.sampler().round_count(min(self._round_spp, max(1, self.spp - self.picture.spp)))
         seed = round_seed(self.seed, self.picture.rounds)
         if self._rounds is None or self._rounds.spp != spp:
-            self._rounds = Rounds(stage.scene, stage.sensor, stage.integrator, spp, "auto")
-        result = self._rounds.begin(seed, None, None)
+            self._rounds = Rounds(stage.scene, RenderSettings(stage.sensor, stage.integrator, spp=spp))
+        result = self._rounds.begin(seed)
         start = time.perf_counter()
         part = result()
         seconds = time.perf_counter() - start

@@ -13,8 +13,8 @@ from djpt.apps.viewer.controls import changed, controls
 from djpt.core.transforms import ScalarTransform4f
 from djpt.errors import RenderError, near_miss
 from djpt.integrators.base import Integrator
-from djpt.rendering.arguments import find_integrator
 from djpt.rendering.image import channel_names
+from djpt.rendering.settings import find_integrator
 from djpt.scene.arguments import find_sensor
 from djpt.sensors.orthographic import Orthographic
 from djpt.sensors.projective import ProjectiveCamera

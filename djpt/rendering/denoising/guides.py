@@ -15,14 +15,12 @@ from djpt.integrators.base import Integrator
 from djpt.integrators.termination import Terminating
 from djpt.jit.kernels import loop_traced_once, minimum, wide
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, Point3f, UInt32, Vector3f
-from djpt.rendering.arguments import find_integrator
 from djpt.rendering.denoising.filtering import Guides
 from djpt.rendering.image import make_job, primal
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.memory import check_memory
+from djpt.rendering.settings import RenderSettings
 from djpt.samplers.base import SampleStream
-from djpt.samplers.seeds import Seed
-from djpt.scene.arguments import find_sensor
 
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
@@ -131,11 +129,11 @@ class Look:
     active: Bool
 
 
-def render_guides(scene: Scene, sensor: Any = 0, integrator: Any = None, seed: Seed = 0) -> Guides:
-    """Render albedo and normals for an image that `render` makes of the same arguments; the film isn't told."""
-    camera, shown = find_sensor(scene, sensor), find_integrator(scene, integrator)
-    props = Properties("guides", "integrator", {"hide_emitters": shown.hide_emitters})
-    job = make_job(scene, camera, GuideIntegrator(props), seed, SAMPLES)
+def render_guides(scene: Scene, settings: RenderSettings) -> Guides:
+    """Render albedo and normals for an image with some settings, of which neither the film nor anybody else is told."""
+    props = Properties("guides", "integrator", {"hide_emitters": settings.integrator.hide_emitters})
+    sensor, integrator = settings.sensor, GuideIntegrator(props)
+    job = make_job(scene, RenderSettings(sensor, integrator, settings.seed, SAMPLES))
     check_memory(job, attached=False)
     pixels = np.array(primal(job, choose("auto", job)))
     return Guides(albedo=pixels[..., :3], normal=pixels[..., 3:])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,9 +18,8 @@ from djpt.rendering.denoising.filtering import Guides, Pixels, check_method, col
 from djpt.rendering.denoising.guides import render_guides
 from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.image import channel_names
+from djpt.rendering.settings import RenderSettings
 from djpt.rfilters.box import Box
-from djpt.samplers.seeds import Seed
-from djpt.scene.arguments import find_sensor
 from djpt.scene.scene import Scene
 from djpt.sensors import Sensor
 
@@ -38,23 +36,22 @@ class Cleaner:
     scene: Scene
     method: str
     """One of `djpt.denoise`."""
-    sensor: Any = 0
-    integrator: Any = None
-    seed: Seed = 0
+    settings: RenderSettings
+    """Those of the image."""
     raw: str | os.PathLike[str] | None = None
     """A file for the noisy image and its guides: see `write_raw`."""
 
     def __post_init__(self) -> None:
         check_method(self.method)
-        self.channels = channel_names(self.scene, self.sensor, self.integrator)
-        self.size = tuple(find_sensor(self.scene, self.sensor).film().crop_size())
+        self.channels = channel_names(self.scene, self.settings.sensor, self.settings.integrator)
+        self.size = tuple(self.settings.sensor.film().crop_size())
         colour_count(np.zeros((1, 1, len(self.channels)), np.float32), self.channels)
 
     def __call__(self, pixels: Pixels) -> Pixels:
         """The image (H, W, C) without its noise; of another size, the pixels as they are."""
         if (pixels.shape[1], pixels.shape[0]) != self.size:
             return pixels
-        guides = render_guides(self.scene, self.sensor, self.integrator, self.seed)
+        guides = render_guides(self.scene, self.settings)
         if self.raw is not None:
             write_raw(self.raw, pixels, self.channels, guides)
         return denoise_pixels(pixels, guides, colour_count(pixels, self.channels), self.method)
@@ -71,28 +68,24 @@ def write_raw(path: str | os.PathLike[str], pixels: Pixels, channels: tuple[str,
 
 
 def render_denoised(
-    scene: Scene, method: str, sensor: Any, integrator: Any, seed: Seed, render: Callable[[Sensor], TensorXf]
+    scene: Scene, method: str, settings: RenderSettings, render: Callable[[RenderSettings], TensorXf]
 ) -> TensorXf:
-    """The image that `render` makes of a sensor with the box filter, without its noise; the film keeps the noisy one.
-
-    The other arguments are those that `render` was made with: see `djpt.render`.
-    """
-    camera = find_sensor(scene, sensor)
+    """The image that `render` makes with the box filter, without its noise; the film keeps the noisy one."""
     if recording():
         raise RenderError("a frozen function can't denoise: render in it, and pass its result to djpt.denoise")
     if attached_parameters(scene):
         raise RenderError(
             "denoised images have no derivatives: render with denoise=False, or without gradients enabled"
         )
-    eye = unmixed(camera)
-    cleaner = Cleaner(scene, method, eye, integrator, seed)
+    by_box = replace(settings, sensor=unmixed(settings.sensor))
+    cleaner = Cleaner(scene, method, by_box)
     try:
-        noisy = render(eye)
+        noisy = render(by_box)
     finally:
         # A signal leaves what exists.
-        found = eye.film()._image
+        found = by_box.sensor.film()._image
         if found is not None:
-            camera.film().keep(found, cleaner.channels)
+            settings.sensor.film().keep(found, cleaner.channels)
     return TensorXf(cleaner(noisy.numpy()))
 
 

@@ -13,7 +13,6 @@ offer `sample` by Dr.Jit's automatic differentiation of their code.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, ClassVar, Protocol, cast
 
 import drjit as dr
@@ -41,74 +40,20 @@ from djpt.rendering.schedules.passes import (
 )
 from djpt.rendering.schedules.reconstruction import add_samples, collected, sample_adjoints
 from djpt.rendering.schedules.sinks import blank_sums, sample_buffers
-from djpt.samplers.seeds import Seed, gradient_seed
 
 __all__ = [
     "AttachedDerivative",
     "Derivative",
+    "NoDerivative",
+    "ReplayDerivative",
+    "add",
     "attached_image",
-    "derivative_of",
-    "differentiable",
     "on_grid",
     "over_weights",
 ]
 
 MAX_ATTACHED_SAMPLES = 2**25
 """The largest number of samples for plain AD, which holds the graph of all of them at once."""
-
-
-def differentiable(
-    job: Job,
-    schedule: Schedule,
-    parameters: list[Parameter],
-    unused: list[Any],
-    seed_grad: Seed | None,
-    spp_grad: int,
-) -> TensorXf:
-    """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
-
-    Derivatives use samples of their own: `spp_grad` per pixel (0: as many as the image) with the seed `seed_grad`
-    (0: one derived from that of the image; None: that of the image, which correlates the two).
-
-    Raises:
-        RenderError: The integrator, as it is set up, can't be differentiated.
-    """
-    seed = job.seed if seed_grad is None else gradient_seed(job.seed, seed_grad)
-    samples = replace(job, seed=seed, spp=spp_grad or job.spp, progress=None, pass_spp=0, interruption=None)
-    derivative = derivative_of(samples, schedule, parameters)
-
-    def primal() -> TensorXf:
-        with dr.suspend_grad():
-            return schedule.image(job)
-
-    return attached_image(parameters, unused, primal, derivative)
-
-
-def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
-    """The estimator of an image's derivative with respect to the samples of a job.
-
-    Raises:
-        RenderError: The integrator, as it is set up, can't be differentiated.
-    """
-    if not parameters:
-        return NoDerivative(samples)
-    integrator = samples.integrator
-    if not integrator.differentiable:
-        raise RenderError(
-            f"'{type(integrator).__name__}' can't be differentiated with these settings; a plain 'path', 'prb' "
-            "or 'bdpt' can"
-        )
-    if integrator.starts_at_lights:
-        from djpt.rendering.gradients.splatted import light_derivative
-
-        return light_derivative(samples, parameters)
-    if integrator.stepwise and not samples.sampler.has_streams:
-        from djpt.rendering.gradients.wavefront import WavefrontDerivative
-
-        return WavefrontDerivative(samples, schedule, parameters)
-    if integrator.stepwise:
-        return ReplayDerivative(samples, schedule, parameters)
-    return AttachedDerivative(samples, schedule, parameters)
 
 
 def attached_image(

@@ -9,12 +9,11 @@ from typing import Any
 import drjit as dr
 
 from djpt.dispatch.ensemble import Attached
-from djpt.integrators.base import Integrator
 from djpt.jit.types import TensorXf
 from djpt.rendering.gradients.derivatives import attached_image
 from djpt.rendering.gradients.leaves import Parameter, attached_parameters, shape_parameters
 from djpt.rendering.gradients.unproven import require_proven
-from djpt.samplers.seeds import Seed, gradient_seed
+from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
 from djpt.shapes.silhouettes.moving import exchanged
 from djpt.shapes.silhouettes.normals import with_normals
@@ -32,49 +31,29 @@ def attached_view(scene: Scene, values: dict[tuple[int, str], Any]) -> Scene:
     return scene.with_lookup(lookup)
 
 
-def image_by_itself(
-    integrator: Integrator,
-    scene: Scene,
-    params: Any,
-    sensor: Any,
-    seed: Seed,
-    spp: int,
-    seed_grad: Seed = 0,
-    spp_grad: int = 0,
-) -> TensorXf:
+def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> TensorXf:
     """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
+    integrator = settings.integrator
     if integrator.follows_media:
         scene = scene.with_media()
     parameters = [*attached_parameters(scene), *shape_parameters(scene)]
 
     def primal() -> TensorXf:
         with dr.suspend_grad():
-            return integrator.render(scene, sensor, seed, spp, develop=True, evaluate=False)
+            return integrator.render(scene, settings.sensor, settings.seed, settings.spp, develop=True, evaluate=False)
 
     if not parameters:
         return primal()
     require_proven(scene, integrator)
-    derivative = OwnDerivative(
-        integrator, scene, params, sensor, gradient_seed(seed, seed_grad), spp_grad or spp, parameters
-    )
-    return attached_image(parameters, [], primal, derivative)
+    return attached_image(parameters, [], primal, OwnDerivative(scene, params, settings, parameters))
 
 
 class OwnDerivative:
     """The derivative of an image by the integrator's methods."""
 
-    def __init__(
-        self,
-        integrator: Integrator,
-        scene: Scene,
-        params: Any,
-        sensor: Any,
-        seed: Seed,
-        spp: int,
-        parameters: list[Parameter],
-    ) -> None:
-        self._integrator, self._scene, self._params = integrator, scene, params
-        self._sensor, self._seed, self._spp = sensor, seed, spp
+    def __init__(self, scene: Scene, params: Any, settings: RenderSettings, parameters: list[Parameter]) -> None:
+        self._integrator, self._scene, self._params = settings.integrator, scene, params
+        self._samples = settings.sensor, settings.gradient_seed, settings.spp_grad or settings.spp
         self._places = [(id(p.owner), p.attribute) for p in parameters]
         # Later edits of the scene must not change what is differentiated.
         self._values = [type(p.value)(dr.detach(p.value)) for p in parameters]
@@ -91,7 +70,7 @@ class OwnDerivative:
     def backward(self, image: TensorXf) -> list[Any]:
         """The gradients of the parameters, from the derivatives with respect to the pixels (H, W, C)."""
         with dr.resume_grad(), self._leaves() as (fresh, scene):
-            self._integrator.render_backward(scene, self._params, image, self._sensor, self._seed, self._spp)
+            self._integrator.render_backward(scene, self._params, image, *self._samples)
             return [dr.grad(leaf) for leaf in fresh]
 
     def forward(self, tangents: list[Any]) -> TensorXf:
@@ -99,4 +78,4 @@ class OwnDerivative:
         with dr.resume_grad(), self._leaves() as (fresh, scene):
             for leaf, tangent in zip(fresh, tangents, strict=True):
                 dr.set_grad(leaf, tangent)
-            return self._integrator.render_forward(scene, self._params, self._sensor, self._seed, self._spp)
+            return self._integrator.render_forward(scene, self._params, *self._samples)

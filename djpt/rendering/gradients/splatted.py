@@ -16,7 +16,7 @@ from djpt.integrators.ptracer import ParticleTracer
 from djpt.jit.kernels import opaque
 from djpt.jit.types import Color3f, Float, TensorXf, UInt32
 from djpt.rendering.gradients.bidirectional import BothEnds
-from djpt.rendering.gradients.derivatives import Derivative, add, derivative_of, on_grid, over_weights
+from djpt.rendering.gradients.derivatives import Derivative, ReplayDerivative, add, on_grid, over_weights
 from djpt.rendering.gradients.gradient_sums import Forward, Measure, Reverse
 from djpt.rendering.gradients.leaves import Parameter
 from djpt.rendering.gradients.light_replay import nothing, walk_light_paths
@@ -156,9 +156,9 @@ class TracedLightDerivative:
     def __init__(self, job: Job, parameters: list[Parameter]) -> None:
         self._job, self._views = job, LeafViews(job, parameters)
         assert isinstance(job.integrator, ParticleTracer)
-        straight = job.integrator.from_camera
         spp = job.sampler.round_count(job.spp)
-        self._straight: Derivative = derivative_of(replace(job, integrator=straight, spp=spp), Wave(), parameters)
+        seen = replace(job, integrator=job.integrator.from_camera, spp=spp)
+        self._straight = ReplayDerivative(seen, Wave(), parameters)
 
     def backward(self, image: TensorXf) -> list[Any]:
         with dr.suspend_grad():

@@ -15,39 +15,48 @@ import json
 import math
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from djpt.core.files import as_path, read_bytes, shortened, writing
 from djpt.errors import FileError
 
-if TYPE_CHECKING:
-    from djpt.rendering.progressive.accumulation import Accumulation
-
 __all__ = ["load", "save"]
 
 KIND, VERSION = b"djpt accumulation ", 2
 
 
-def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
-    """Write an accumulation: see `Accumulation.save`."""
-    header = {
-        "software": accumulation.software,
-        "fingerprint": dict(accumulation.fingerprint),
-        "channels": accumulation.channels,
-        "constant": accumulation.constant.shape[2],
-        "size": accumulation.size,
-        "round_spp": accumulation.round_spp,
-        "schedule": accumulation.schedule,
-        "seeds": accumulation.seeds,
-        "counts": accumulation.counts,
-        "sets": [one.facts() for one in with_beginning(accumulation)],
-    }
+class Stored(Protocol):
+    """What is stored: an accumulation, see `djpt.rendering.progressive.accumulation.Accumulation`."""
+
+    stored: ClassVar[Mapping[str, str]]
+
+    def facts(self) -> dict[str, Any]:
+        """What files say besides the arrays and the header."""
+
+    def check(self) -> None:
+        """Raise `ValueError` if the arrays contradict each other."""
+
+    @classmethod
+    def shapes(cls, header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+        """The shapes of the arrays of a file."""
+
+    @classmethod
+    def stored_in(cls, header: Mapping[str, Any], rounds: int, beginning: Any, arrays: Mapping[str, Any]) -> Any:
+        """The accumulation of a file."""
+
+
+Kind = TypeVar("Kind", bound=Stored)
+
+
+def save(path: str | os.PathLike[str], header: Mapping[str, Any], sets: Sequence[Stored]) -> None:
+    """Write an accumulation, and after it the one that it goes on from, if that is another one."""
+    header = {**header, "sets": [one.facts() for one in sets]}
     parts: list[Any] = [json.dumps(header).encode() + b"\n"]
-    for one in with_beginning(accumulation):
+    for one in sets:
         for name, kind in one.stored.items():
             parts.append(np.ascontiguousarray(getattr(one, name), kind).reshape(-1).view(np.uint8))
     check = 0
@@ -58,11 +67,12 @@ def save(accumulation: Accumulation, path: str | os.PathLike[str]) -> None:
         file.writelines([KIND, b"%d\n%08x\n" % (VERSION, check), *parts])
 
 
-def load(path: str | os.PathLike[str]) -> Accumulation:
-    """Read an accumulation: see `Accumulation.load`."""
-    from djpt.rendering.progressive.adaptive import AdaptiveAccumulation
-    from djpt.rendering.progressive.even import EvenAccumulation
+def load(path: str | os.PathLike[str], kind_of: Callable[[Mapping[str, Any]], type[Kind]]) -> Kind:
+    """Read an accumulation, whose class `kind_of` knows from a header.
 
+    Raises:
+        FileError: It can't be read, is of another kind or version, or is damaged.
+    """
     source = as_path(path)
     kind, _, rest = read_bytes(source).partition(b"\n")
     if not kind.startswith(KIND):
@@ -76,13 +86,12 @@ def load(path: str | os.PathLike[str]) -> Accumulation:
     line, _, memory = data.partition(b"\n")
     try:
         header = checked(json.loads(line))
-        made: type[Accumulation] = AdaptiveAccumulation if "tiles" in header["sets"][0] else EvenAccumulation
-        return read(made, header, memory)
+        return read(kind_of(header), header, memory)
     except (ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise unreadable(source, f"its header is wrong: {str(error) or type(error).__name__}") from None
 
 
-def read(made: type[Accumulation], header: Mapping[str, Any], memory: bytes) -> Accumulation:
+def read(made: type[Kind], header: Mapping[str, Any], memory: bytes) -> Kind:
     """The accumulation of a checked header and the memory of its arrays; raises `ValueError` if they contradict."""
     headers = [{**header, **facts} for facts in header["sets"]]
     layouts = [made.shapes(one) for one in headers]
@@ -93,36 +102,21 @@ def read(made: type[Accumulation], header: Mapping[str, Any], memory: bytes) -> 
     )
     if needed != len(memory):
         raise ValueError(f"its arrays have {len(memory)} bytes, its header asks for {needed}")
-    found: list[Accumulation] = []
+    found: list[Kind] = []
     end = len(memory)
     # The beginning stands last, and what follows refers to it.
     for without, (one, shapes) in reversed(list(enumerate(zip(headers, layouts, strict=True)))):
-        entries = made.further(one)
+        arrays = {}
         for name, shape in reversed(shapes.items()):
             kind = np.dtype(made.stored[name])
             end -= kind.itemsize * math.prod(shape)
             array = np.frombuffer(memory, kind, math.prod(shape), end).reshape(shape)
-            entries[name] = array.astype(kind.newbyteorder("="))
+            arrays[name] = array.astype(kind.newbyteorder("="))
         rounds = len(header["seeds"]) - without
-        accumulation = made(
-            software=header["software"],
-            fingerprint=header["fingerprint"],
-            channels=tuple(header["channels"]),
-            round_spp=header["round_spp"],
-            schedule=header["schedule"],
-            seeds=tuple(header["seeds"][:rounds]),
-            counts=tuple(header["counts"][:rounds]),
-            beginning=found[-1] if found else None,
-            **entries,
-        )
+        accumulation: Kind = made.stored_in(one, rounds, found[-1] if found else None, arrays)
         accumulation.check()
         found.append(accumulation)
     return found[-1]
-
-
-def with_beginning(accumulation: Accumulation) -> list[Accumulation]:
-    """An accumulation, and after it the one that it goes on from, if that is another one."""
-    return [accumulation] if accumulation.beginning is None else [accumulation, accumulation.beginning]
 
 
 def checked(header: Any) -> Mapping[str, Any]:

@@ -102,8 +102,7 @@ def described(plugin: Plugin) -> dict[str, Any]:
             if is_setting(name, value) or (isinstance(plugin, Integrator) and holds_plugins(value)):
                 found.setdefault(f"attribute {name}", value)
     if isinstance(plugin, Terminating):
-        found["attribute max_depth"] = plugin.max_depth
-        found["attribute rr_depth"] = getattr(plugin, "_rr_depth", None)  # some have no roulette
+        found.update((name, getattr(plugin, f"_{name}", None)) for name in ("max_depth", "rr_depth"))
     if isinstance(plugin, Sensor):
         return {name: value for name, value in found.items() if not isinstance(value, (Film, Sampler))}
     if isinstance(plugin, Film):

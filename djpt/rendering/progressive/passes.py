@@ -5,29 +5,28 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar
 
 from djpt.core.process.interruption import Interruption
 from djpt.errors import RenderError
-from djpt.integrators.base import Integrator
-from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.jit.frozen import recording
+from djpt.jit.types import TensorXf
+from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.image import channel_names
 from djpt.rendering.progress import Progress
-from djpt.rendering.progressive.accumulation import Accumulation, versions
-from djpt.rendering.progressive.adaptive import AdaptiveAccumulation
+from djpt.rendering.progressive.accumulation import Accumulation, AdaptiveAccumulation, EvenAccumulation, versions
 from djpt.rendering.progressive.adaptive_rounds import AdaptiveRounds
-from djpt.rendering.progressive.allocation import FIRST, is_survey
-from djpt.rendering.progressive.even import EvenAccumulation
 from djpt.rendering.progressive.fingerprint import fingerprint
 from djpt.rendering.progressive.rounds import Rounds, round_seed
-from djpt.scene.arguments import find_sensor
+from djpt.rendering.progressive.tiles import FIRST, is_survey
+from djpt.rendering.settings import RenderSettings, check_count
 from djpt.scene.scene import Scene
-from djpt.sensors import Sensor
 
-__all__ = ["ROUND_SPP", "Goal", "render_passes"]
+__all__ = ["ROUND_SPP", "EvenImage", "Goal", "adaptive_image", "begun", "render_passes", "rounds"]
 
 ROUND_SPP = 64
 """Samples per pixel of a round, unless fewer are asked for."""
@@ -57,6 +56,29 @@ class Goal:
     """The relative RMSE: see `djpt.rendering.progressive.accumulation.Error`."""
     seconds: float | None
     """The time from the start of this render."""
+
+    @classmethod
+    def of(
+        cls,
+        settings: RenderSettings,
+        round_spp: Any = 0,
+        target_error: float | None = None,
+        time_budget: float | None = None,
+        adaptive: bool = False,
+    ) -> Goal:
+        """The goal of a render with the arguments of `render_passes`.
+
+        Raises:
+            RenderError: They are out of range.
+        """
+        round_spp = check_count("round_spp", round_spp)
+        for name, limit in (("target_error", target_error), ("time_budget", time_budget)):
+            if limit is not None and not (isinstance(limit, (int, float)) and 0 < limit < math.inf):
+                raise RenderError(f"'{name}' must be a number above 0, found {limit!r}")
+        spp, sampler = settings.spp, settings.sensor.sampler()
+        if not spp and target_error is None and time_budget is None:
+            spp = sampler.sample_count()
+        return cls(spp, sampler.round_count(round_spp or usual_spp(spp, adaptive)), target_error, time_budget)
 
     @property
     def rounds(self) -> int | None:
@@ -112,7 +134,7 @@ def render_passes(
         time_budget: Stop when the next round would end later than this many seconds after the start; one round
             is always rendered if none exists.
         adaptive: Take more samples in tiles of 8 x 8 pixels that have more noise, without bias: see
-            `djpt.rendering.progressive.allocation`. The numbers of samples are means over the image then; `samples`
+            `djpt.rendering.progressive.tiles`. The numbers of samples are means over the image then; `samples`
             says how many each pixel has. By default a round has a sixteenth of the `spp`; the first four are whole.
             Only integrators that follow paths from the camera can.
         resume_from: What to go on with: of the same scene, seed, sensor, integrator and schedule, by the same versions
@@ -126,51 +148,45 @@ def render_passes(
     Raises:
         RenderError: Arguments are out of range, `resume_from` is another render's, or the render can't be adaptive.
     """
-    plan = planned(
-        scene, sensor, integrator, seed, spp, round_spp, target_error, time_budget, adaptive, resume_from, schedule
+    settings = replace(
+        RenderSettings.of(scene, sensor, integrator, seed=seed, spp=spp, schedule=schedule),
+        progress=progress,
+        interruption=interruption,
     )
-    kind = AdaptiveImage if adaptive else EvenImage
-    image = kind(scene, plan.sensor, plan.integrator, plan.seed, plan.goal, schedule, progress, interruption)
-    return rounds(begun(image, resume_from), plan.goal, image)
-
-
-class Plan(NamedTuple):
-    """A render in rounds, its arguments checked."""
-
-    sensor: Sensor
-    integrator: Integrator
-    seed: int
-    goal: Goal
-
-
-def planned(
-    scene: Scene,
-    sensor: Any,
-    integrator: Any,
-    seed: int,
-    spp: int,
-    round_spp: int,
-    target_error: float | None,
-    time_budget: float | None,
-    adaptive: bool,
-    resume_from: Accumulation | None,
-    schedule: str,
-) -> Plan:
-    """Check the arguments of `render_passes`, and replace those that were left out."""
-    camera, estimator, seed = find_sensor(scene, sensor), find_integrator(scene, integrator), check_seed("seed", seed)
-    spp, round_spp = check_count("spp", spp), check_count("round_spp", round_spp)
-    for name, limit in (("target_error", target_error), ("time_budget", time_budget)):
-        if limit is not None and not (isinstance(limit, (int, float)) and 0 < limit < math.inf):
-            raise RenderError(f"'{name}' must be a number above 0, found {limit!r}")
-    sampler = camera.sampler()
-    if not spp and target_error is None and time_budget is None:
-        spp = sampler.sample_count()
-    of_round = sampler.round_count(round_spp or usual_spp(spp, adaptive))
     if resume_from is not None:
-        current = fingerprint(scene, camera, estimator)
-        require_resumable(resume_from, current, seed, round_spp and of_round, adaptive, schedule)
-        of_round = resume_from.round_spp
-    return Plan(camera, estimator, seed, Goal(spp, of_round, target_error, time_budget))
+        round_spp = round_spp or resume_from.round_spp
+    goal = Goal.of(settings, round_spp, target_error, time_budget, adaptive)
+    image = (AdaptiveImage if adaptive else EvenImage)(scene, settings, goal)
+    return rounds(begun(image, resume_from), goal, image)
+
+
+def adaptive_image(scene: Scene, settings: RenderSettings) -> TensorXf:
+    """The image of `render` with ``adaptive=True``; the film keeps it, too.
+
+    Raises:
+        RenderError: Gradients are enabled, a frozen function is recorded, or the integrator can't render adaptively.
+    """
+    if recording():
+        raise RenderError("a frozen function can't render adaptively: the host decides where samples are taken")
+    if attached_parameters(scene):
+        raise RenderError(
+            "adaptive images have no derivatives: render with adaptive=False, or without gradients enabled"
+        )
+    film = settings.sensor.film()
+    names = channel_names(scene, settings.sensor, settings.integrator)
+    goal = Goal.of(settings, adaptive=True)
+    progress, interruption = settings.progress, settings.interruption
+    # Rounds are short: nobody is told of their passes.
+    image = AdaptiveImage(scene, replace(settings, progress=None, pass_spp=0), goal)
+    width, height = film.crop_size()
+    for found in rounds(begun(image, None), goal, image):
+        if progress is not None:
+            progress(min(found.spp, goal.spp) * width * height, goal.spp * width * height)
+        if interruption is not None and interruption.requested:
+            break
+    result = found.image()
+    film.keep(result, names)
+    return result
 
 
 def usual_spp(spp: int, adaptive: bool) -> int:
@@ -182,16 +198,22 @@ def usual_spp(spp: int, adaptive: bool) -> int:
     return min(max(least, -(-spp // ADAPTIVE_ROUNDS)), ROUND_SPP)
 
 
-class Image(Protocol):
+@dataclass(frozen=True)
+class RoundImage(ABC):
     """An image that is rendered in rounds."""
 
-    @property
-    def is_watched(self) -> bool:
-        """Whether somebody waits for the ends of passes."""
+    scene: Scene
+    settings: RenderSettings
+    goal: Goal
 
+    kind: ClassVar[type[Accumulation]]
+    """The class of its accumulations."""
+
+    @abstractmethod
     def empty(self) -> Any:
         """The accumulation of no rounds."""
 
+    @abstractmethod
     def begin(self, found: Any, number: int, watched: bool) -> Callable[[Any], Accumulation]:
         """Launch a round; the result waits for it and adds it to an accumulation.
 
@@ -201,73 +223,58 @@ class Image(Protocol):
             watched: Whether progress is shown and signals are noticed meanwhile.
         """
 
+    @abstractmethod
     def overlaps(self, number: int) -> bool:
         """Whether the next round may begin before a round has ended."""
 
-    def tell(self, found: Accumulation, number: int | None) -> None:
-        """Tell the signals what share of all samples has been taken, and what share of them a round will be."""
-
-
-@dataclass(frozen=True)
-class RoundImage:
-    """What all images in rounds consist of."""
-
-    scene: Scene
-    sensor: Sensor
-    integrator: Integrator
-    seed: int
-    goal: Goal
-    schedule: str
-    progress: Progress | None
-    interruption: Interruption | None
+    @cached_property
+    def fingerprint(self) -> dict[str, str]:
+        """What is rendered: see `djpt.rendering.progressive.fingerprint`."""
+        return fingerprint(self.scene, self.settings.sensor, self.settings.integrator)
 
     @property
-    def is_watched(self) -> bool:
-        return self.progress is not None or self.interruption is not None
-
-    @property
-    def spp(self) -> int:
-        """Samples per pixel of a whole round."""
-        return self.goal.of_round
+    def of_rounds(self) -> RenderSettings:
+        """The settings of whole rounds."""
+        return replace(self.settings, spp=self.goal.of_round)
 
     def count(self, number: int) -> int:
         """Samples per pixel of a round: in the last one what is left."""
-        return min(self.spp, self.goal.spp - number * self.spp) if self.goal.spp else self.spp
+        whole, limit = self.goal.of_round, self.goal.spp
+        return min(whole, limit - number * whole) if limit else whole
 
     def tell(self, found: Accumulation, number: int | None) -> None:
-        if self.interruption is not None:
-            limit = self.goal.spp
+        """Tell the signals what share of all samples has been taken, and what share of them a round will be."""
+        interruption, limit = self.settings.interruption, self.goal.spp
+        if interruption is not None:
             share = found.spp / limit if limit else None
-            self.interruption.begin_part(share, self.count(number) / limit if limit and number is not None else 0)
-
-    def watch(self, watched: bool) -> tuple[Progress | None, Interruption | None]:
-        """Who is told of passes."""
-        return (self.progress, self.interruption) if watched else (None, None)
+            interruption.begin_part(share, self.count(number) / limit if limit and number is not None else 0)
 
     def description(self) -> tuple[dict[str, str], tuple[str, ...], int]:
         """The fingerprint, the names of the channels, and how many of them come from the centres of pixels."""
-        scene, sensor, integrator = self.scene, self.sensor, self.integrator
-        constant = len(integrator.unfiltered_names())
-        return fingerprint(scene, sensor, integrator), channel_names(scene, sensor, integrator), constant
+        sensor, integrator = self.settings.sensor, self.settings.integrator
+        return self.fingerprint, channel_names(self.scene, sensor, integrator), len(integrator.unfiltered_names())
 
 
 class EvenImage(RoundImage):
     """An image whose pixels all have the same number of samples."""
 
+    kind = EvenAccumulation
+
     @cached_property
     def _rounds(self) -> Rounds:
-        return Rounds(self.scene, self.sensor, self.integrator, self.spp, self.schedule)
+        return Rounds(self.scene, self.of_rounds)
 
     def empty(self) -> EvenAccumulation:
-        width, height = self.sensor.film().crop_size()
-        return EvenAccumulation.empty(*self.description(), (int(width), int(height)), self.spp, self.schedule)
+        (width, height), of_round = self.settings.sensor.film().crop_size(), self.goal.of_round
+        size = int(width), int(height)
+        return EvenAccumulation.empty(*self.description(), size, of_round, self.settings.schedule)
 
     def count(self, number: int) -> int:
-        return self.sensor.sampler().round_count(super().count(number))
+        return self.settings.sensor.sampler().round_count(super().count(number))
 
     def begin(self, found: EvenAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
-        seed, count = round_seed(self.seed, number), self.count(number)
-        result = self._rounds.begin(seed, *self.watch(watched), count)
+        seed, count = round_seed(self.settings.seed, number), self.count(number)
+        result = self._rounds.begin(seed, count, watched)
         return lambda found: found.with_round(seed, count, result())
 
     def overlaps(self, number: int) -> bool:
@@ -278,20 +285,23 @@ class EvenImage(RoundImage):
 class AdaptiveImage(RoundImage):
     """An image that has more samples where there is more noise."""
 
+    kind = AdaptiveAccumulation
+
     @cached_property
     def _rounds(self) -> AdaptiveRounds:
-        return AdaptiveRounds(self.scene, self.sensor, self.integrator, self.spp, self.schedule)
+        return AdaptiveRounds(self.scene, self.of_rounds)
 
     def empty(self) -> AdaptiveAccumulation:
-        return AdaptiveAccumulation.empty(*self.description(), self._rounds.tiles, self.spp, self.schedule)
+        tiles, of_round = self._rounds.tiles, self.goal.of_round
+        return AdaptiveAccumulation.empty(*self.description(), tiles, of_round, self.settings.schedule)
 
     def count(self, number: int) -> int:
         # Each half must know all tiles before a round can leave some out.
-        return self.spp if number < FIRST else super().count(number)
+        return self.goal.of_round if number < FIRST else super().count(number)
 
     def begin(self, found: AdaptiveAccumulation, number: int, watched: bool) -> Callable[[Any], Accumulation]:
-        seed, count = round_seed(self.seed, number), self.count(number)
-        result = self._rounds.begin(self.seed, number, found.places(number, count), *self.watch(watched))
+        seed, count = round_seed(self.settings.seed, number), self.count(number)
+        result = self._rounds.begin(number, found.places(number, count), watched)
         return lambda found: found.with_round(seed, count, result())
 
     def overlaps(self, number: int) -> bool:
@@ -300,19 +310,20 @@ class AdaptiveImage(RoundImage):
         return self._rounds.small and not is_survey(number)
 
 
-def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulation]:
+def rounds(found: Accumulation, goal: Goal, image: RoundImage) -> Iterator[Accumulation]:
     """The accumulations after each round until a goal is reached, one at least."""
     start = before = time.perf_counter()
     of_round, waiting = 0.0, None
     # Nobody knows yet how long a round takes. Unless that matters, the second one is traced while the first runs.
-    matters = image.is_watched or goal.seconds is not None
+    matters = image.settings.is_watched or goal.seconds is not None
     if found.rounds and goal.is_reached(found, 0.0, 0.0):
         yield found
         return
     found = found.whole
     for number in itertools.count(found.rounds):
         image.tell(found, number)
-        result = waiting or image.begin(found, number, of_round > SLOW or not of_round)
+        watched = image.settings.is_watched and (of_round > SLOW or not of_round)
+        result = waiting or image.begin(found, number, watched)
         waiting = None
         elapsed = time.perf_counter() - start
         quick = of_round <= SLOW and (of_round > 0 or not matters)
@@ -328,12 +339,14 @@ def rounds(found: Accumulation, goal: Goal, image: Image) -> Iterator[Accumulati
             return
 
 
-def begun(image: Image, resume_from: Accumulation | None) -> Any:
+def begun(image: RoundImage, resume_from: Accumulation | None) -> Any:
     """What an image begins with: no rounds, or those of an earlier render.
 
     Raises:
-        RenderError: Their arrays aren't those of the image, whatever its fingerprint says.
+        RenderError: They are another render's. Arrays must be those of the image, too, whatever its fingerprint says.
     """
+    if resume_from is not None:
+        require_resumable(image, resume_from)
     empty = image.empty()
     if resume_from is None:
         return empty
@@ -344,15 +357,15 @@ def begun(image: Image, resume_from: Accumulation | None) -> Any:
     return resume_from
 
 
-def require_resumable(
-    found: Accumulation, current: dict[str, str], seed: int, round_spp: int, adaptive: bool, schedule: str
-) -> None:
-    """Raise `RenderError` unless an accumulation is the beginning of a render."""
+def require_resumable(image: RoundImage, found: Accumulation) -> None:
+    """Raise `RenderError` unless an accumulation is the beginning of an image."""
     problem = "the render can't go on"
-    found.require_same(versions(), current, problem)
-    if isinstance(found, AdaptiveAccumulation) != adaptive:
-        raise RenderError(f"{problem}: it was {'not ' if adaptive else ''}begun with adaptive=True")
-    if round_spp and round_spp != found.round_spp:
+    found.require_same(versions(), image.fingerprint, problem)
+    seed, round_spp, schedule = image.settings.seed, image.goal.of_round, image.settings.schedule
+    if not isinstance(found, image.kind):
+        negated = "" if isinstance(found, AdaptiveAccumulation) else "not "
+        raise RenderError(f"{problem}: it was {negated}begun with adaptive=True")
+    if round_spp != found.round_spp:
         raise RenderError(f"{problem}: its rounds have {found.round_spp} spp, 'round_spp' is {round_spp}")
     if found.seeds != tuple(round_seed(seed, number) for number in range(found.rounds)):
         reason = f"its seed is {found.seeds[0]}, not {seed}" if found.seeds[0] != seed else "it has several seeds"

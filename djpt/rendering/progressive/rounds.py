@@ -10,14 +10,12 @@ pixel has in all, which nobody knows who renders until an error is small or the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
-import numpy.typing as npt
 
-from djpt.core.process.interruption import Interruption
 from djpt.integrators.base import Integrator
 from djpt.jit.frozen import Holder, without_garbage
 from djpt.jit.kernels import begin_trace
@@ -27,20 +25,18 @@ from djpt.jit.types import Float, UInt32
 from djpt.rendering.gradients.leaves import attached_parameters
 from djpt.rendering.gradients.own_rendering import image_by_itself
 from djpt.rendering.image import centres, make_job, require_still
-from djpt.rendering.progress import Progress
+from djpt.rendering.progressive.accumulation import Floats, RoundSums
 from djpt.rendering.progressive.multi_pixel_lanes import StreakJob, rows_by_streaks, streak
 from djpt.rendering.schedules.canvas import Summed
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.memory import check_memory
 from djpt.rendering.schedules.reconstruction import Rows
+from djpt.rendering.settings import RenderSettings
+from djpt.samplers.seeds import Seed
 from djpt.scene.scene import Scene
-from djpt.sensors import Sensor
 
-__all__ = ["RoundSums", "Rounds", "constant_of", "inputs", "round_seed"]
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
+__all__ = ["Rounds", "constant_of", "inputs", "round_seed"]
 
 RECORDED_SAMPLES = 2**24
 """The samples of the largest rounds whose kernels are recorded: tracing them matters less and less in larger ones."""
@@ -60,18 +56,6 @@ def round_seed(seed: int, number: int) -> int:
     return (seed + (h ^ h >> 16)) & 0xFFFFFFFF
 
 
-@dataclass(frozen=True)
-class RoundSums:
-    """The image of a round before it is divided by its weights."""
-
-    sums: Floats | Doubles
-    """Weighted sums, (channels, height, width)."""
-    weights: Floats
-    """Their weights, (height, width), or (1, 1) if all pixels have the same."""
-    constant: Floats
-    """The channels that come from the centres of pixels, the same in each round: (height, width, channels)."""
-
-
 class Rounds:
     """The rounds of one image.
 
@@ -79,10 +63,10 @@ class Rounds:
     seeds (`dr.freeze`), which takes no time, if the image is small enough to be computed in one band.
     """
 
-    def __init__(self, scene: Scene, sensor: Sensor, integrator: Integrator, spp: int, schedule: str) -> None:
-        self._scene, self._sensor, self._integrator = scene, sensor, integrator
-        self.spp, self._schedule = spp, schedule
-        """Samples per pixel of a whole round, and how lanes are filled."""
+    def __init__(self, scene: Scene, settings: RenderSettings) -> None:
+        self._scene, self._settings = scene, settings
+        self.spp = settings.spp
+        """Samples per pixel of a whole round."""
         self._job: Job | None = None
         """The job of a round that was computed in one band."""
         self._constant: Floats | None = None
@@ -97,23 +81,21 @@ class Rounds:
         """Whether a round is known to be small enough to be computed in one band."""
         return self._job is not None
 
-    def begin(
-        self, seed: int, progress: Progress | None, interruption: Interruption | None, spp: int = 0
-    ) -> Callable[[], RoundSums]:
+    def begin(self, seed: int, spp: int = 0, watched: bool = False) -> Callable[[], RoundSums]:
         """Launch the kernels of a round of `spp` samples per pixel, 0: of a whole one; the result waits for them.
 
-        Kernels run meanwhile, unless there is something to be told after each pass.
+        Kernels run meanwhile. If the round is `watched`, progress is shown and signals are noticed after each pass.
         """
-        spp = spp or self.spp
-        if self._job is not None and progress is None and interruption is None and spp == self.spp:
+        scene, spp = self._scene, spp or self.spp
+        if self._job is not None and not watched and spp == self.spp:
             return self._launched_again(self._job, seed)
         begin_trace()
-        scene, sensor, integrator = self._scene, self._sensor, self._integrator
-        if type(integrator).render is not Integrator.render:
-            return waiting_for_image(image_by_itself(integrator, scene, None, sensor, seed, spp), spp)
+        settings = self._of_round(seed, spp, watched)
+        if type(settings.integrator).render is not Integrator.render:
+            return waiting_for_image(image_by_itself(scene, None, settings), spp)
         require_still(scene)
-        job = make_job(scene, sensor, integrator, seed, spp, 0, progress, interruption)
-        how = choose(self._schedule, job)
+        job = make_job(scene, settings)
+        how = choose(settings.schedule, job)
         check_memory(job)
         if self._constant is None:
             self._constant = constant_of(job)
@@ -124,7 +106,7 @@ class Rounds:
             summed = list(how.rows(job)) if job.channel_names() else []
         if len(summed) == 1 and how.can_be_recorded and can_be_recorded(job) and spp == self.spp:
             self._job, self._streak = job, streak(job, how)
-            self._inputs = inputs(scene, sensor, integrator)
+            self._inputs = inputs(scene, settings.sensor, settings.integrator)
 
         results = Results()
 
@@ -137,6 +119,11 @@ class Rounds:
             return RoundSums(*sums, constant)
 
         return result
+
+    def _of_round(self, seed: Seed, spp: int, watched: bool = False) -> RenderSettings:
+        """The settings of a round."""
+        settings = replace(self._settings, seed=seed, spp=spp)
+        return settings if watched else replace(settings, progress=None, interruption=None)
 
     def _launched_again(self, job: Job, seed: int) -> Callable[[], RoundSums]:
         """Launch the recorded kernels with another seed; the first time they are traced."""
@@ -151,12 +138,13 @@ class Rounds:
 
     def _one_band(self, inputs: list[Any], seed: UInt32) -> list[Float]:
         """The sums of a round that is computed in one band, by channel; `inputs` is what its kernels read."""
-        job = replace(make_job(self._scene, self._sensor, self._integrator, seed, self.spp), repeated=True)
+        settings = self._of_round(seed, self.spp)
+        job = replace(make_job(self._scene, settings), repeated=True)
         with dr.suspend_grad():
             if self._streak > 1:
                 ((rows, _),) = rows_by_streaks(StreakJob.of(job, self._streak))
             else:
-                ((rows, _),) = choose(self._schedule, job).rows(job)
+                ((rows, _),) = choose(settings.schedule, job).rows(job)
         return rows.sums
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import drjit as dr
 import numpy as np
 import numpy.typing as npt
 
-from djpt.core.process.interruption import Interruption, interruptible
+from djpt.core.process.interruption import interruptible
 from djpt.description.registry import name_of
 from djpt.errors import RenderError
 from djpt.images.image import check_writable, checked_labels
@@ -20,16 +21,15 @@ from djpt.images.row_files import is_streamed, writing_rows
 from djpt.images.srgb import strips
 from djpt.integrators.base import Integrator
 from djpt.jit.kernels import begin_trace
-from djpt.rendering.arguments import check_count, check_seed, find_integrator
+from djpt.rendering.gradients.own_rendering import image_by_itself
 from djpt.rendering.image import centres, channel_names, make_job, require_still
 from djpt.rendering.progress import Progress, watched
-from djpt.rendering.render import render
 from djpt.rendering.schedules.canvas import strips_of_rows
 from djpt.rendering.schedules.choice import choose
 from djpt.rendering.schedules.job import Job
 from djpt.rendering.schedules.memory import check_memory
 from djpt.rendering.schedules.passes import SUMMED_PIXELS
-from djpt.scene.arguments import find_sensor
+from djpt.rendering.settings import RenderSettings
 from djpt.scene.scene import Scene
 from djpt.version import __version__
 
@@ -93,14 +93,15 @@ def render_to_file(
     begin_trace()
     target, start = Path(path), time.perf_counter()
     check_writable(target)
-    estimator, camera = find_integrator(scene, integrator), find_sensor(scene, sensor)
-    width, height = camera.film().crop_size()
-    names = channel_names(scene, camera, estimator)
+    settings = RenderSettings.of(scene, sensor, integrator, seed=seed, spp=spp, schedule=schedule, pass_spp=pass_spp)
+    film = settings.sensor.film()
+    width, height = film.crop_size()
+    names = channel_names(scene, settings.sensor, settings.integrator)
     if not names:
-        raise RenderError(f"{camera.film().id()}: there are no channels to be written")
+        raise RenderError(f"{film.id()}: there are no channels to be written")
     count = len(names) if convert is None else np.asarray(convert(np.zeros((1, 1, len(names)), np.float32))).shape[2]
     stored = names[:count] if target.suffix.lower() == ".exr" else None
-    found = {**facts(scene, camera, estimator, sensor, spp, seed), "seconds": "0.00"}
+    found = {**facts(settings, sensor), "seconds": "0.00"}
     carries = target.suffix.lower() in (".exr", ".png")
 
     def labels() -> Any:
@@ -113,8 +114,8 @@ def render_to_file(
         dr.suspend_grad(),
     ):
         streamed = is_streamed(target) and not convert_at_once
-        parts = parts_of_image(scene, camera, estimator, seed, spp, schedule, pass_spp, shown, interruption, streamed)
-        parts = completed(parts, width, height, len(names))
+        watching = replace(settings, progress=shown, interruption=interruption)
+        parts = completed(parts_of_image(scene, watching, streamed), width, height, len(names))
         if convert_at_once:
             parts = iter([np.concatenate(list(parts))])
         for part in parts:
@@ -126,26 +127,14 @@ def render_to_file(
     interruption.leave(f"'{target}' has what exists")
 
 
-def parts_of_image(
-    scene: Scene,
-    sensor: Any,
-    integrator: Integrator,
-    seed: int,
-    spp: int,
-    schedule: str,
-    pass_spp: int,
-    progress: Progress | None,
-    interruption: Interruption,
-    streamed: bool,
-) -> Iterator[Pixels]:
+def parts_of_image(scene: Scene, settings: RenderSettings, streamed: bool) -> Iterator[Pixels]:
     """The rows of an image from top to bottom, some at a time; fewer if a signal has come and what exists is kept."""
-    if type(integrator).render is not Integrator.render:
-        yield render(scene, None, sensor, integrator, seed, spp=spp).numpy()
+    if type(settings.integrator).render is not Integrator.render:
+        yield image_by_itself(scene, None, settings).numpy()
         return
     require_still(scene)
-    pass_spp, seed = check_count("pass_spp", pass_spp), check_seed("seed", seed)
-    job = make_job(scene, sensor, integrator, seed, spp, pass_spp, progress, interruption)
-    how = choose(schedule, job)
+    job = make_job(scene, settings)
+    how = choose(settings.schedule, job)
     check_memory(job, in_bands=how.in_bands and streamed)
     if not how.in_bands:
         image = how.image(job).numpy()
@@ -181,18 +170,17 @@ def with_centres(job: Job, rows: Pixels, first_row: int) -> Pixels:
     return np.concatenate([rows, centres(job, first_row, len(rows)).numpy()], axis=2)
 
 
-def facts(scene: Scene, sensor: Any, integrator: Integrator, number: Any, spp: int, seed: int) -> dict[str, Any]:
-    """The metadata of all images."""
+def facts(settings: RenderSettings, sensor: Any) -> dict[str, Any]:
+    """The metadata of all images; `sensor` is how the sensor was asked for."""
 
     def type_of(plugin: Any) -> str:
         return name_of(type(plugin)) or type(plugin).__name__
 
-    sampler = sensor.sampler()
     return {
         "Software": f"djpt {__version__}",
-        "integrator": type_of(integrator),
-        "sampler": type_of(sampler),
-        "sensor": number if isinstance(number, int) else sensor.id(),
-        "spp": sampler.round_count(check_count("spp", spp) or sampler.sample_count()),
-        "seed": seed,
+        "integrator": type_of(settings.integrator),
+        "sampler": type_of(settings.sensor.sampler()),
+        "sensor": sensor if isinstance(sensor, int) else settings.sensor.id(),
+        "spp": settings.sample_count,
+        "seed": settings.seed,
     }

@@ -1,0 +1,77 @@
+"""The choice of the estimator of an image's derivative."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+
+from djpt.errors import RenderError
+from djpt.jit.types import TensorXf
+from djpt.rendering.gradients.derivatives import (
+    AttachedDerivative,
+    Derivative,
+    NoDerivative,
+    ReplayDerivative,
+    attached_image,
+)
+from djpt.rendering.gradients.leaves import Parameter
+from djpt.rendering.schedules.base import Schedule
+from djpt.rendering.schedules.job import Job
+from djpt.rendering.settings import RenderSettings
+
+__all__ = ["derivative_of", "differentiable"]
+
+
+def differentiable(
+    job: Job,
+    schedule: Schedule,
+    settings: RenderSettings,
+    parameters: list[Parameter],
+    unused: list[Any],
+) -> TensorXf:
+    """The image of a job, attached to `parameters`, and to `unused` values, by which its derivative is 0.
+
+    Derivatives use samples of their own, whose number and seed the settings say.
+
+    Raises:
+        RenderError: The integrator, as it is set up, can't be differentiated.
+    """
+    spp = settings.spp_grad or job.spp
+    samples = replace(job, seed=settings.gradient_seed, spp=spp, progress=None, pass_spp=0, interruption=None)
+    derivative = derivative_of(samples, schedule, parameters)
+
+    def primal() -> TensorXf:
+        with dr.suspend_grad():
+            return schedule.image(job)
+
+    return attached_image(parameters, unused, primal, derivative)
+
+
+def derivative_of(samples: Job, schedule: Schedule, parameters: list[Parameter]) -> Derivative:
+    """The estimator of an image's derivative with respect to the samples of a job.
+
+    Raises:
+        RenderError: The integrator, as it is set up, can't be differentiated.
+    """
+    if not parameters:
+        return NoDerivative(samples)
+    integrator = samples.integrator
+    if not integrator.differentiable:
+        raise RenderError(
+            f"'{type(integrator).__name__}' can't be differentiated with these settings; a plain 'path', 'prb' "
+            "or 'bdpt' can"
+        )
+    if integrator.starts_at_lights:
+        # Few images need what follows light or wavefronts.
+        from djpt.rendering.gradients.splatted import light_derivative
+
+        return light_derivative(samples, parameters)
+    if integrator.stepwise and not samples.sampler.has_streams:
+        from djpt.rendering.gradients.wavefront import WavefrontDerivative
+
+        return WavefrontDerivative(samples, schedule, parameters)
+    if integrator.stepwise:
+        return ReplayDerivative(samples, schedule, parameters)
+    return AttachedDerivative(samples, schedule, parameters)
