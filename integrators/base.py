@@ -57,7 +57,7 @@ class Integrator(Plugin):
     writes_color = True
     """False if the image consists of AOVs alone."""
     follows_media = False
-    """True if light can be scattered on the way between surfaces: see `Scene.with_media`."""
+    """True if light can be scattered on the way between surfaces: see `Scene.replace`."""
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
@@ -112,9 +112,9 @@ class Integrator(Plugin):
 
         Called before a frozen function renders: while one is recorded, values can't be read.
         """
-        scene.emitter_choice  # noqa: B018
+        scene.lights.choice  # noqa: B018
         if self.starts_at_lights:
-            scene.brightness  # noqa: B018
+            scene.lights.brightness  # noqa: B018
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

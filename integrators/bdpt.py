@@ -198,7 +198,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             vcm=vcm,
             vc=dr.select(es.delta, 0, self.h(es.cos * inverse * dr.rcp(es.pdf_position * es.pdf_direction))),
             before=dr.select(es.finite, Float(0), dr.inf),
-            eta=Float(1) if scene.refracts else None,
+            eta=Float(1) if scene.bsdfs.refract else None,
             depth=UInt32(1),
         )
         return end, power
@@ -250,7 +250,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         if self.shows_light(scene, camera):
             pdf, before = camera.pdf_ray(ray.d)
             vcm = dr.select(inside, self.h(dr.rcp(pdf)), 0)
-        eta = Float(1) if scene.refracts else None
+        eta = Float(1) if scene.bsdfs.refract else None
         return End(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))
 
     def camera_hit(
@@ -280,7 +280,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     def camera_step(self, scene: Scene, hit: CameraHit, sampler: SampleStream) -> CameraStep:
         """Sample light at a vertex of a camera path, and a continuation."""
         place, end, joins = hit.place, hit.end, hit.joins
-        light = scene.light_sampling.sample(place.reference, sampler.next_2d(), joins)
+        light = scene.lights.sampling.sample(place.reference, sampler.next_2d(), joins)
         ds = light.ds
         s = place.scatter(scene, True, ds.d, sampler, hit.active)
         value = dr.select(joins, end.throughput * s.value * light.weight, 0)
@@ -305,7 +305,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             radiance = dr.select(place.matter.inside, 0, radiance)
         if self.hide_emitters:
             radiance = dr.select(covered | si.is_valid(), radiance, 0)
-        chosen = scene.emitter_choice.probability(Point3f(0), None, emitter.index)
+        chosen = scene.lights.choice.probability(Point3f(0), None, emitter.index)
         position, direction = emitter.pdf_emission(-end.ray.d, si.sh_frame.n, si.uv)
         # Light from infinity is sampled by direction, and its rays by position then.
         last, before = (dr.select(si.is_valid(), a, b) for a, b in ((position, direction), (direction, position)))
@@ -316,7 +316,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         self, scene: Scene, end: End, place: Place, ds: DirectionSample3f, pdf: Float, back: Float
     ) -> Float:
         """The weight of a light sample, with the densities of both ways at the place: s = 1."""
-        chosen = scene.emitter_choice.probability(Point3f(0), None, ds.emitter_index)
+        chosen = scene.lights.choice.probability(Point3f(0), None, ds.emitter_index)
         position, direction = scene.emitter_ptr(ds.emitter_index).pdf_emission(-ds.d, ds.n, ds.uv)
         finite = ds.dist < dr.inf
         falloff = dr.select(finite, dr.rcp(dr.square(ds.dist)), 1)

@@ -66,7 +66,7 @@ class VolumetricPath(UnidirectionalPath):
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
-        scene = scene.with_media()
+        scene = scene.replace(all_media=True)
         if scene.media and ray.medium is None:
             ray = ray.replaced(medium=scene.media.number_of(medium))
         return super().sample(scene, sampler, ray, medium, active)
@@ -115,7 +115,7 @@ class VolumetricPath(UnidirectionalPath):
         bsdf = si.bsdf()
         extends = state.depth + 1 < self.longest
         lit = extends & ((inside & samples_emitters) | (surface & has_flag(bsdf.flags(), BSDFFlags.Smooth)))
-        met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
+        met, light = scene.lights.sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
         if scene.media.emit and self.max_depth != 0:

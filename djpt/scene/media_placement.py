@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from djpt.media.flight import Flight
     from djpt.phase.pointer import PhaseFunctionPtr
     from djpt.samplers.base import SampleStream
+    from djpt.sensors.base import Sensor
 
 __all__ = ["Media", "absorbing_sides", "all_sides"]
 
@@ -174,6 +175,16 @@ class Media:
         start = wide(Walk(Point3f(p), d, outside, Bool(True)), dr.width(p, d))
         (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="medium")
         return end.medium
+
+    def of_sensor(self, sensor: Sensor, lookup: Lookup) -> tuple[UInt32, UInt32 | None]:
+        """The media that the rays of a sensor start in, and that lies outside of all bodies; None: the vacuum.
+
+        Outside is the medium that the sensor names, if it stands there.
+        """
+        given, around = self.number(sensor.get_medium()), self.around(sensor.viewpoint(), lookup)
+        start = dr.opaque(UInt32, around if given == self.vacuum else given)
+        outer = dr.opaque(UInt32, given) if given != self.vacuum and around == self.vacuum else None
+        return start, outer
 
     def beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
         """The medium of a ray that leaves `si` in the world direction `d`."""

@@ -230,7 +230,7 @@ class OneStrategy:
         flux = v.throughput * power
         sampled, shown = s == 1, t == 1
 
-        light = scene.light_sampling.sample(Reference(seen.p, seen.n), joint, complete & sampled)
+        light = scene.lights.sampling.sample(Reference(seen.p, seen.n), joint, complete & sampled)
         ds = light.ds
         between = v.p - z.p
         falloff = dr.rcp(dr.squared_norm(between))

@@ -69,7 +69,7 @@ def light_through_null(
     """
     shines = dr.max(light) > 0
     lit = shines if lit is None else shines | lit
-    if not scene.has_null:
+    if not scene.bsdfs.have_null:
         # What stands in the way needs no light in the medium.
         way = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
         free = ~scene.geometry.any_hit(way, lit)
@@ -80,7 +80,7 @@ def light_through_null(
     # No loop can be differentiated here; the transmittance is computed again behind it.
     with dr.suspend_grad():
         # Leaves that are made in a loop can't be used behind it.
-        plain = scene.with_lookup(scene.lookup.plain())
+        plain = scene.replace(lookup=scene.lookup.plain())
         end = Way(plain, dr.detach(ray)).walked(sampler, dr.detach(lit), differentiable)
     go_on_with(sampler, end.sampler)
     arrives = dr.select(lit, end.light, 0)
@@ -139,7 +139,7 @@ class Way:
         hit, stopped = shadow.t < dr.inf, Bool(False)
         segment.maxt = dr.select(hit, shadow.t, segment.maxt)
         if not self._surfaces.are_apart:
-            stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
+            stopped = hit & ~has_flag(scene.bsdfs.at(shadow.face).flags(), BSDFFlags.Null)
         sampler = shadow.sampler
         left = shadow.light * left_over(scene, sampler, segment, active & ~stopped)
         light = dr.select(active, dr.select(stopped, 0, left), shadow.light)
@@ -222,7 +222,7 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f
 def passable_surfaces(scene: Scene) -> PassableSurfaces:
     """Queries of a scene that tell its null surfaces from all others."""
     null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
-    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdfs.of_shape])
 
 
 @dataclass

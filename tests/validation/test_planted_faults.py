@@ -73,7 +73,7 @@ FAULTS = (
     ),
     Fault(
         "shadows left out",
-        "djpt.scene.scene:Scene.light_through",
+        "djpt.scene.queries:SceneQueries.light_through",
         "self.geometry.blocked(ray, shines if lit is None else shines | lit)",
         "Bool(False)",
         "half a sky",

@@ -77,7 +77,7 @@ class Page:
         """A view of a scene whose searches are answered by these notes: one for a hit, and one for a shadow ray."""
         triangles = scene.geometry.triangles
         assert triangles is not None
-        return scene.with_geometry(scene.geometry.with_triangles(NotedTriangles(triangles, self)))
+        return scene.replace(geometry=scene.geometry.with_triangles(NotedTriangles(triangles, self)))
 
     def hit(self, found: Found) -> Found:
         """The result of a search: what is known of it, else what was `found`, which is noted."""

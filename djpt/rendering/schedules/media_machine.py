@@ -214,7 +214,7 @@ class Walk:
         if ahead is not None:
             hit.t, hit.face = dr.select(on, ahead.t, hit.t), dr.select(on, ahead.face, hit.face)
         else:
-            opaque = ~has_flag(scene.bsdf_of(hit.face).flags(), BSDFFlags.Null)
+            opaque = ~has_flag(scene.bsdfs.at(hit.face).flags(), BSDFFlags.Null)
             stopped = on & (hit.t < dr.inf) & opaque
             pending = dr.select(stopped, 0, pending)
         track, end = self._trackers.begun(new_ray, length_of(new_ray, hit), sampler, sample.left & ~stopped)
