@@ -347,7 +347,7 @@ class PathIntegrator(Integrator):
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
         """Process a hit by `vertex`, with the absorption between the previous vertex and this one included."""
-        passed = scene.transmittance(ray, si.t)
+        passed = scene.media.transmittance(ray, si.t)
         v = self.vertex(scene, sampler, replace(state, throughput=state.throughput * passed), ray, si)
         # The throughput has the value of `passed` already.
         if dr.grad_enabled(passed):

@@ -131,7 +131,7 @@ class VolumetricPath(UnidirectionalPath):
         crosses = surface & has_flag(bs.sampled_type, BSDFFlags.Null)
         next_pdf = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf)
         if scene.media.scatter and ray.medium is not None:
-            phase = scene.media.phases(ray.medium, scene.lookup)
+            phase = scene.media.phases(ray.medium)
             mei = MediumInteraction3f.on(ray, flight.t, at.p)
             of_phase = phase.eval_pdf_sample(PhaseFunctionContext(None), mei, ds.d, u1, u2, inside)
             value, pdf, wo, weight, next_pdf = dr.select(inside, of_phase, (value, pdf, wo, weight, next_pdf))
@@ -143,7 +143,7 @@ class VolumetricPath(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         depth = dr.select(crosses, state.depth, state.depth + 1)
         eta = None if state.eta is None else state.eta * eta
-        flown_weight, matter = flown * weight, scene.media.are_attached(scene.lookup)
+        flown_weight, matter = flown * weight, scene.media.are_attached()
         onward = state.carrying(
             flown_weight, lambda: dr.select(surface, bsdf.vanishes() & (bs.pdf > 0), inside & matter)
         )
@@ -186,7 +186,7 @@ class VolumetricPath(UnidirectionalPath):
         length = dr.select(si.is_valid(), si.t, ray.maxt)
         if state.scatters is not None:
             length = dr.select(state.scatters, 0, length)
-        flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
+        flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler)
         if state.scatters is None:
             return flight
         at_once = Flight(Float(0), Bool(True), Color3f(1), Color3f(1), Color3f(0))

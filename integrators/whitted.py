@@ -79,7 +79,7 @@ class Whitted(Integrator):
             pi = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
             si = scene.surface_interaction(ray, pi)
             hit = si.is_valid()
-            throughput = walk.branch.throughput * scene.transmittance(ray, si.t)
+            throughput = walk.branch.throughput * scene.media.transmittance(ray, si.t)
 
             # ---------------------- Emission ----------------------
             emitted = si.emitter().eval(si)

@@ -143,7 +143,7 @@ class SceneQueries(Plugin):
 
     def medium_at(self, p: Point3f) -> UInt32 | None:
         """The medium that each point lies in, for rays that begin there; None in scenes without media."""
-        return self.media.at(p, self.lookup, outside=self.outer_medium) if self.media else None
+        return self.media.at(p, outside=self.outer_medium) if self.media else None
 
     # ---- what arrives of light ---------------------------------------------------------------
 
@@ -159,13 +159,7 @@ class SceneQueries(Plugin):
         """The part of `light` that media leave along the segment of a `shadow_ray`, whatever surfaces stand between."""
         if not self.media or ray.medium is None:
             return light
-        return light * self.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
-
-    def transmittance(self, ray: Ray3f, distance: Float) -> Color3f:
-        """The share of light that media leave over a distance along a ray from its origin; 1 in vacuum."""
-        if not self.media or ray.medium is None:
-            return Color3f(1)
-        return self.media.transmittance(ray, distance, self.lookup)
+        return light * self.media.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
 
     def light_through(self, ray: Ray3f, light: Color3f | None = None, lit: Bool | None = None) -> Color3f:
         """The part of `light` (default 1) that arrives along the segment of a `shadow_ray`.

@@ -128,10 +128,10 @@ class Scene(MitsubaScene):
     def _find_media(self) -> None:
         """Number the media of shapes and sensors."""
         shapes = self.geometry.contents.shapes
-        self.media = self.every_medium = Media(self.geometry, absorbing_sides(shapes))
+        self.media = self.every_medium = Media(self.geometry, self.lookup, absorbing_sides(shapes))
         of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
         if of_sensors or any(shape.is_medium_transition() for shape in shapes):
-            self.every_medium = Media(self.geometry, all_sides(shapes), of_sensors)
+            self.every_medium = Media(self.geometry, self.lookup, all_sides(shapes), of_sensors)
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
@@ -231,17 +231,20 @@ class Scene(MitsubaScene):
         note_latest(view)
         if lookup is not None:
             view.lookup, view.bsdfs = lookup, self.bsdfs.replace(lookup)
+            view.media = view.every_medium = self.every_medium.replace(lookup)
+            if self.media is not self.every_medium:
+                view.media = self.media.replace(lookup)
         if geometry is not None:
             view.geometry = geometry
         if near_share is not None:
             view.near_share = near_share
         if more_media:
-            view.media = self.every_medium
+            view.media = view.every_medium
             view.camera_medium = UInt32(view.media.vacuum)
         if sensor is not None:
             view.geometry = view.geometry.seen_from(sensor.starts())
             if view.media:
-                view.camera_medium, view.outer_medium = view.media.of_sensor(sensor, view.lookup)
+                view.camera_medium, view.outer_medium = view.media.of_sensor(sensor)
         return view
 
 

@@ -176,7 +176,7 @@ class OneStrategy:
         passes_lights = ~on_light & (walk.end.depth == 1) if self.ends.hide_emitters else None
         si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), full=scene.needs_uv)
         place, hit = Place(si, None), si.is_valid()
-        end = walk.end.arrived(place, scene.transmittance(ray, si.t), h)
+        end = walk.end.arrived(place, scene.media.transmittance(ray, si.t), h)
         is_last = walk.left == 1
         walk.last.write(LastVertex.at(si, end, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last)
         turns = is_last & on_light & hit & (t > 1)

@@ -160,7 +160,7 @@ class Place:
         """What a path asks of a place, be it on a surface, as `s` says, or in a medium."""
         assert self.matter is not None
         inside, mei = self.matter.inside, self._point(self.matter.wi)
-        phase = scene.media.phases(self.matter.medium, scene.lookup)
+        phase = scene.media.phases(self.matter.medium)
         wo, weight, pdf = phase.sample(PhaseFunctionContext(None), mei, sample1, sample2, inside)
         sample = BSDFSample3f.of(s.sample.wo, pdf, BSDFFlags.GlossyReflection)
         here = (*self._of_phase(scene, d), sample, weight, self._of_phase(scene, wo)[2])
@@ -170,7 +170,7 @@ class Place:
     def _of_phase(self, scene: Scene, d: Vector3f) -> Evaluated:
         """The phase function towards a world direction, and the densities of both ways: it is the same for light."""
         assert self.matter is not None
-        phase = scene.media.phases(self.matter.medium, scene.lookup)
+        phase = scene.media.phases(self.matter.medium)
         value, pdf = phase.eval_pdf(PhaseFunctionContext(None), self._point(self.matter.wi), d, self.matter.inside)
         _, back = phase.eval_pdf(PhaseFunctionContext(None), self._point(d), self.matter.wi, self.matter.inside)
         return value, pdf, back
@@ -204,9 +204,9 @@ class Reached:
 def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3f, sampler: SampleStream) -> Reached:
     """How far a ray gets on its way to the surface `si`, with light of a throughput."""
     if not scene.media.scatter:
-        return Reached(Place(si, None), scene.transmittance(ray, si.t), None)
+        return Reached(Place(si, None), scene.media.transmittance(ray, si.t), None)
     length = dr.select(si.is_valid(), si.t, ray.maxt)
-    flight = scene.media.fly(ray, length, None, throughput, sampler, scene.lookup)
+    flight = scene.media.fly(ray, length, None, throughput, sampler)
     assert ray.medium is not None
     matter = Matter(flight.scattered, ray.medium, -ray.d)
     passed = flight.value * dr.rcp(of_channel(flight.pdf, None))

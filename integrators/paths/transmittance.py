@@ -74,9 +74,7 @@ def light_through_null(
         way = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
         free = ~scene.geometry.any_hit(way, lit)
         return dr.select(free, light * left_over(scene, sampler, way, lit & free), 0)
-    differentiable = any(
-        scene.lookup.attaches(leaf) for ensemble in scene.media.ensembles for leaf in ensemble.leaves()
-    )
+    differentiable = scene.media.are_attached()
     # No loop can be differentiated here; the transmittance is computed again behind it.
     with dr.suspend_grad():
         # Leaves that are made in a loop can't be used behind it.
@@ -184,7 +182,7 @@ def longer(scene: Scene, passage: Passage, segment: Ray3f, active: Bool) -> Pass
         for number, total in enumerate(passage.lengths)
     ]
     assert segment.medium is not None
-    start, end = scene.media.in_box(segment, segment.maxt, scene.lookup)
+    start, end = scene.media.in_box(segment, segment.maxt)
     length = dr.select(active & (end < FAR), end - start, 0)
     place = passage.stream.next_1d() * (passage.tracked + length)
     here = (place < length) & (length > 0)
@@ -204,7 +202,6 @@ def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f
         passage.medium,
         MediumInteraction3f.on(aimed(ray, passage.o, passage.medium), passage.at),
         passage.stream.next_1d(),
-        scene.lookup,
         passage.tracked > 0,
     )
     attached = arrives * (1 + (dr.detach(sigma_t) - sigma_t))
@@ -268,6 +265,4 @@ def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UI
 
 def left_over(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> Color3f:
     """The share of light that a medium leaves on a ray, up to its end."""
-    if not scene.media or ray.medium is None:
-        return Color3f(1)
-    return scene.media.transmittance(ray, ray.maxt, scene.lookup, sampler, active)
+    return scene.media.transmittance(ray, ray.maxt, sampler, active)

@@ -79,7 +79,9 @@ def test_light_fades_in_matter() -> None:
     p = Point3f([0.0, 0.1, 3.0], 0.0, 0.0)
     ray = Ray3f(p, Vector3f(0, 0, 1), medium=scene.medium_at(p))
     expected = np.exp(-SIGMA * np.array([0.5, 0.25, 0.0]))
-    np.testing.assert_allclose(np.array(scene.transmittance(ray, Float(0.5, 0.25, 7.0))).T[:, 0], expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.array(scene.media.transmittance(ray, Float(0.5, 0.25, 7.0))).T[:, 0], expected, rtol=1e-6
+    )
     si = scene.ray_intersect(Ray3f(p, Vector3f(0, 0, 1), medium=ray.medium))
     inward, outward = (np.array(si.medium_beyond(Vector3f(0, 0, sign))) for sign in (-1, 1))
     np.testing.assert_array_equal(inward[:2], np.array(ray.medium)[:2])

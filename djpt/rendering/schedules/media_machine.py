@@ -107,7 +107,7 @@ class Walk:
         assert isinstance(job.integrator, VolumetricPath)
         self._job, self._lanes, self._write = job, lanes, write
         self._scene, self._integrator = job.scene, job.integrator
-        self._trackers = Trackers(job.scene.media, job.scene.lookup)
+        self._trackers = Trackers(job.scene.media)
         self._surfaces = passable_surfaces(job.scene)
 
     def run(self) -> UInt32:
