@@ -46,11 +46,7 @@ class Media:
     """
 
     def __init__(
-        self,
-        geometry: Geometry,
-        lookup: Lookup,
-        sides: Sequence[tuple[Any, Any] | None],
-        others: Sequence[Medium] = (),
+        self, geometry: Geometry, lookup: Lookup, sides: Sequence[tuple[Any, Any] | None], others: Sequence[Medium] = ()
     ) -> None:
         """Number the media.
 

@@ -25,6 +25,7 @@ from djpt.scene.lights import Lights
 from djpt.scene.media_placement import Media, absorbing_sides, all_sides
 from djpt.scene.mitsuba_api import MitsubaScene
 from djpt.scene.nesting import black, collect_emitters, collect_sensors, numbers
+from djpt.scene.silhouettes import Silhouettes
 from djpt.sensors import Sensor
 from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
@@ -105,6 +106,7 @@ class Scene(MitsubaScene):
         self.lights = Lights(self._emitters, emitter_of_shape, self.geometry, self.lookup)
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
         self.bsdfs = BSDFs(bsdfs or [black(f"{self.id()}.bsdf")], bsdf_of_shape, self.geometry, self.lookup)
+        self.silhouettes = Silhouettes(self._shapes, self.lookup)
         self._find_media()
         check_textures(shapes)
         self._set_bounds()
@@ -121,6 +123,7 @@ class Scene(MitsubaScene):
         bsdfs, of_shape, _ = numbers(self.geometry.contents.shapes, self._emitters)
         self.bsdfs = BSDFs(bsdfs, of_shape, self.geometry, self.lookup)
         self._find_media()
+        self.silhouettes.forget()
         self._families.clear()
         self._prepare()
         self.twin = ()
@@ -176,6 +179,7 @@ class Scene(MitsubaScene):
             self._find_media()
         self.bsdfs.forget()
         self.lights.forget()
+        self.silhouettes.forget()
         shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
         if shapes:
             self.geometry.move(shapes)
@@ -231,6 +235,7 @@ class Scene(MitsubaScene):
         note_latest(view)
         if lookup is not None:
             view.lookup, view.bsdfs = lookup, self.bsdfs.replace(lookup)
+            view.silhouettes = self.silhouettes.replace(lookup)
             view.media = view.every_medium = self.every_medium.replace(lookup)
             if self.media is not self.every_medium:
                 view.media = self.media.replace(lookup)
