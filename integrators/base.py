@@ -281,7 +281,7 @@ class Vertex:
     emitted: Color3f
     """Light from the vertex itself, weighted against light sampling."""
     reflected: Color3f
-    """Light of the sampled emitter before visibility is tested: see `Scene.light_through`."""
+    """Light of the sampled emitter before visibility is tested: see `Scene.transmittance`."""
     shadow_ray: Ray3f
     """The ray from the vertex to the sampled emitter."""
     weight: Color3f
@@ -355,9 +355,9 @@ class PathIntegrator(Integrator):
             v.weight = v.weight * dr.select(value > 0, passed * dr.rcp(value), 1)
         return v
 
-    def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
-        """The light of a vertex's light sample that arrives; the schedule `machine` doesn't ask for it."""
-        return scene.light_through(v.shadow_ray, v.reflected, v.lit if dr.grad_enabled(v.reflected) else None)
+    def transmittance(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
+        """The transmittance of `v.shadow_ray`, times `v.reflected`; the schedule `machine` doesn't ask for it."""
+        return scene.transmittance(v.shadow_ray, v.reflected, v.lit if dr.grad_enabled(v.reflected) else None)
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

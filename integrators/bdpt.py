@@ -29,7 +29,8 @@ from djpt.integrators.bidirectional.subpath import (
     power,
     scaled,
 )
-from djpt.integrators.paths.path_vertex import Place, Scattering, arriving, arriving_between, is_half_open, reach
+from djpt.integrators.paths.path_vertex import Place, Scattering, is_half_open, reach
+from djpt.integrators.paths.transmittance import transmittance
 from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.jit.kernels import loop_traced_once, minimum, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
@@ -230,7 +231,9 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
                 shown = dr.select(place.si.emitter().is_valid(), 0, shown)
             shown = dr.select(joins, shown, 0)
             lit = joins if dr.grad_enabled(shown) else None
-            shown = arriving_between(scene, sampler, place.ray_to(ds.p), shown, lit, not self.hide_emitters)
+            shown = transmittance(
+                scene, sampler, place.ray_to(ds.p), shown, lit, to_emitter=False, through_lights=self.hide_emitters
+            )
             weight = mis_weight(meeting(end.vcm, end.vc, importance * place.cos(ds.d), s.back, self.h))
 
         onward, survives = self.onwards(scene, sampler, hit, s, end.depth > self.roulette_from)
@@ -286,7 +289,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         value = dr.select(joins, end.throughput * s.value * light.weight, 0)
         lit = joins if dr.grad_enabled(value) else None
         shadow_ray = place.in_medium(scene.shadow_ray(place.si, ds))
-        lit_by = arriving(scene, sampler, shadow_ray, value, lit)
+        lit_by = transmittance(scene, sampler, shadow_ray, value, lit)
         weight = self.light_sample_weight(scene, end, place, ds, s.pdf, s.back)
         return CameraStep(s, lit_by, weight, place.si.is_valid() & ~place.passes(s))
 
@@ -352,10 +355,11 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         chance.
         """
         if (scene.geometry.triangles is None and not scene.media.scatter) or self.strategies:
-            return arriving_between(scene, sampler, ray, value)
+            return transmittance(scene, sampler, ray, value, to_emitter=False)
         chance = minimum(dr.max(value) * weight * dr.rcp(LITTLE * dr.max(radiance)), 1)
         survives = sampler.next_1d() < chance
-        return arriving_between(scene, sampler, ray, dr.select(survives, value * dr.rcp(chance), 0))
+        value = dr.select(survives, value * dr.rcp(chance), 0)
+        return transmittance(scene, sampler, ray, value, to_emitter=False)
 
     def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f | None:
         """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""

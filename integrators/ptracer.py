@@ -121,7 +121,7 @@ class ParticleTracer(Terminating, PassIntegrator):
 
     def seen(self, scene: Scene, v: LightVertex) -> Color3f:
         """The light of a vertex that arrives at the camera."""
-        return scene.light_between(v.shadow_ray, v.splat, self.hide_emitters, v.lit)
+        return scene.transmittance(v.shadow_ray, v.splat, v.lit, to_emitter=False, through_lights=self.hide_emitters)
 
     def start(self, scene: Scene, sampler: SampleStream) -> LightPath:
         """A path that leaves an emitter."""

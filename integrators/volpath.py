@@ -13,7 +13,7 @@ from djpt.core.records.media import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex, mis_weight
-from djpt.integrators.paths.transmittance import light_through_null
+from djpt.integrators.paths.transmittance import null_transmittance
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import roulette
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, UInt32
@@ -197,9 +197,9 @@ class VolumetricPath(UnidirectionalPath):
             emitted = dr.select(state.depth == 0, 0, emitted)
         return Color3f(0) if self.max_depth == 0 else emitted
 
-    def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
+    def transmittance(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
         lit = v.lit if dr.grad_enabled(v.reflected) else None
-        return light_through_null(scene, sampler, v.shadow_ray, v.reflected, lit)
+        return null_transmittance(scene, sampler, v.shadow_ray, v.reflected, lit)
 
 
 def vertex_of(ray: Ray3f, si: SurfaceInteraction3f, flight: Flight) -> SurfaceInteraction3f:

@@ -124,7 +124,7 @@ class Whitted(Integrator):
         for lamp in lamps:
             ds, light = scene.emitter_ptr(UInt32(lamp)).sample_direction(si, MIDDLE)
             value = si.bsdf().eval(BSDFContext(), si, si.to_local(ds.d), si.is_valid())
-            total += scene.light_through(scene.shadow_ray(si, ds), value * light)
+            total += scene.transmittance(scene.shadow_ray(si, ds), value * light)
         return total
 
 

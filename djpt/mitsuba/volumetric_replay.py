@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.core.records import DirectionSample3f, Interaction3f
 from djpt.errors import RenderError
 from djpt.integrators.ad_integrator import attached
-from djpt.integrators.paths.transmittance import light_through_null
+from djpt.integrators.paths.transmittance import null_transmittance
 from djpt.integrators.prbvolpath import PRBVolumetricPath
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 from djpt.media.flight import of_channel
@@ -123,9 +123,9 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
             shadow.medium = dr.select(crosses, scene.media.beyond(si, ds.d), shadow.medium)
         light = dr.select(lit, Color3f(1), 0)
         if mode != dr.ADMode.Backward or adj_emitted is None:
-            return dr.select(lit, weight, 0) * dr.detach(light_through_null(scene, sampler, shadow, light)), ds
+            return dr.select(lit, weight, 0) * dr.detach(null_transmittance(scene, sampler, shadow, light)), ds
         with dr.resume_grad(), attached(self, scene, dr.ADMode.Backward) as view:
-            arrives = light_through_null(view, sampler, shadow, light)
+            arrives = null_transmittance(view, sampler, shadow, light)
             share = dr.detach(arrives)
             if dr.grad_enabled(arrives):
                 dr.backward(arrives * dr.select(share > 0, dr.detach(Color3f(δL) * adj_emitted) / share, 0))

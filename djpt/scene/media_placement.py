@@ -244,19 +244,20 @@ class Media:
         return flight
 
     def transmittance(
-        self, ray: Ray3f, length: Float, stream: SampleStream | None = None, active: Bool | bool = True
+        self, ray: Ray3f, length: Float | None = None, stream: SampleStream | None = None, active: Bool | bool = True
     ) -> Color3f:
         """exp(-tau) for a segment of a ray in its medium, or an estimate of it; 1 in vacuum.
 
         Args:
             ray: The ray.
-            length: The length of the segment, which begins at the ray's origin.
+            length: The length of the segment, which begins at the ray's origin; by default that of a shadow ray.
             stream: Random numbers for an estimate; without them the medium must have a closed form.
             active: Lanes that have a segment.
         """
         left = Color3f(1)
         if ray.medium is None:
             return left
+        length = dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf) if length is None else length
         for group in self.ensemble.groups:
             mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
             medium, leaves = tracked_and_attached(group, slot, self.lookup)

@@ -291,7 +291,7 @@ class MitsubaScene(SceneQueries):
         light = self.lights.sampling.sample(ref, Point2f(sample), active)
         ds, weight = light.ds, light.weight
         if test_visibility:
-            weight = self.light_through(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
+            weight = self.transmittance(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
         ds.home = {self: ()}
         return ds, weight
 

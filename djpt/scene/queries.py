@@ -155,34 +155,39 @@ class SceneQueries(Plugin):
         to_point, to_sky = si.spawn_ray_to(ds.p), si.spawn_ray(ds.d)
         return dr.select(infinite, to_sky, to_point)
 
-    def left_by_media(self, ray: Ray3f, light: Color3f) -> Color3f:
-        """The part of `light` that media leave along the segment of a `shadow_ray`, whatever surfaces stand between."""
-        if not self.media or ray.medium is None:
-            return light
-        return light * self.media.transmittance(ray, dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf))
-
-    def light_through(self, ray: Ray3f, light: Color3f | None = None, lit: Bool | None = None) -> Color3f:
-        """The part of `light` (default 1) that arrives along the segment of a `shadow_ray`.
-
-        It is 0 behind a surface, else the share that media leave. Faster than `ray_test`: shapes that can't shadow
-        anything are left out. Only where there is light surfaces are looked for, and where `lit`: black light may have
-        derivatives.
-        """
-        left = self.left_by_media(ray, Color3f(1) if light is None else light)
-        shines = dr.max(left) > 0
-        return dr.select(self.geometry.blocked(ray, shines if lit is None else shines | lit), 0, left)
-
-    def light_between(
-        self, ray: Ray3f, light: Color3f, through_lights: Bool | bool = False, lit: Bool | None = None
+    def transmittance(
+        self,
+        ray: Ray3f,
+        weight: Color3f | None = None,
+        lit: Bool | None = None,
+        *,
+        to_emitter: bool = True,
+        through_lights: Bool | bool = False,
     ) -> Color3f:
-        """The part of `light` that arrives along the segment of a ray between any two points.
+        """The transmittance V exp(-tau) of the segment of a ray, times `weight`: what arrives of light.
 
-        Unlike `light_through` it leaves out no shape, because the walls around a scene and a single lamp can hide a
-        surface from a camera or from another surface. Where `through_lights` is true shapes that emit hide nothing.
+        V is 0 if a surface lies between the ends, else 1; tau is the optical thickness of the ray's medium. Null
+        surfaces hide like all others, and media must have a closed form: see
+        `djpt.integrators.paths.transmittance` for what lies behind and in the others.
+
+        Args:
+            ray: A segment such as `shadow_ray` gives.
+            weight: The light that sets out, default 1. Surfaces are looked for only where it isn't black.
+            lit: Lanes whose surfaces are looked for anyway: black light may have derivatives.
+            to_emitter: Whether the segment ends at a sampled point of an emitter. Then shapes are left out that
+                can't lie between, such as the walls around everything; from another surface or a camera these may
+                hide what is behind them.
+            through_lights: Lanes in which shapes that emit hide nothing; only for segments that aren't `to_emitter`.
         """
-        shines = dr.max(light) > 0
-        if through_lights is not False:
-            free = ~self.closest_hit(ray, through_lights=Bool(through_lights)).is_valid()
+        left = self.media.transmittance(ray)
+        if weight is not None:
+            left = weight * left
+        shines = dr.max(left) > 0
+        followed = shines if lit is None else shines | lit
+        if to_emitter:
+            hidden = self.geometry.blocked(ray, followed)
+        elif through_lights is False:
+            hidden = self.geometry.any_hit(ray, followed)
         else:
-            free = ~self.geometry.any_hit(ray, shines if lit is None else shines | lit)
-        return dr.select(free, self.left_by_media(ray, light), 0)
+            hidden = self.closest_hit(ray, through_lights=Bool(through_lights)).is_valid()
+        return dr.select(hidden, 0, left)

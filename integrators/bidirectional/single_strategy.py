@@ -263,7 +263,8 @@ class OneStrategy:
             if ends.hide_emitters:
                 result = dr.select(shown & lit.emitter().is_valid(), 0, result)
             ray = dr.select(shown, lit.spawn_ray_to(to_camera.p), ray)
-        result = scene.light_between(ray, result, through_lights=shown if ends.hide_emitters else False)
+        through_lights = shown if ends.hide_emitters else False
+        result = scene.transmittance(ray, result, to_emitter=False, through_lights=through_lights)
 
         # --------------------- Light met ----------------------
         met, met_weight = ends.met(scene, end, at_seen, z.covered != 0)

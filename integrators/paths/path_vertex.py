@@ -18,7 +18,6 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.core.records.media import MediumInteraction3f
-from djpt.integrators.paths.transmittance import light_through_null
 from djpt.integrators.volpath import vertex_of
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.materials.adjoint import eval_pdf_light, sample_light
@@ -30,7 +29,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["Matter", "Place", "Reached", "Scattering", "arriving", "arriving_between", "is_half_open", "reach"]
+__all__ = ["Matter", "Place", "Reached", "Scattering", "is_half_open", "reach"]
 
 
 @dataclass
@@ -211,22 +210,6 @@ def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3
     matter = Matter(flight.scattered, ray.medium, -ray.d)
     passed = flight.value * dr.rcp(of_channel(flight.pdf, None))
     return Reached(Place(vertex_of(ray, si, flight), matter), passed, flight.emitted if scene.media.emit else None)
-
-
-def arriving(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None) -> Color3f:
-    """The part of `light` of a light sample that arrives along a shadow ray; among media, through null surfaces."""
-    if scene.media.scatter:
-        return light_through_null(scene, sampler, ray, light, lit)
-    return scene.light_through(ray, light, lit)
-
-
-def arriving_between(
-    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None, lamps_hide: bool = True
-) -> Color3f:
-    """The same between two places, or to the camera; if lamps hide nothing, there must be no media that scatter."""
-    if scene.media.scatter:
-        return light_through_null(scene, sampler, ray, light, lit)
-    return scene.light_between(ray, light, not lamps_hide, lit)
 
 
 def is_half_open(scene: Scene) -> bool:

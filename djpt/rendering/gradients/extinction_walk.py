@@ -176,7 +176,7 @@ def run(
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
-            arrived = integrator.arriving(view, lane.sampler, v)
+            arrived = integrator.transmittance(view, lane.sampler, v)
         assert isinstance(v.state, VolumetricPathState)
         assert v.state.flown is not None
         ended, runs = ~v.active, lane.k < lanes.end

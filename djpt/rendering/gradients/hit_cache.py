@@ -48,7 +48,9 @@ class Notes:
 def blank_notes(integrator: PathIntegrator, scene: Scene, lanes: int) -> tuple[Notes, ...]:
     """Room for the notes of a loop's lanes; none where a path may make several searches for a vertex, or cheap ones."""
     triangles, kind = scene.geometry.triangles, type(integrator)
-    one_each = kind.trace is PathIntegrator.trace and kind.arriving is PathIntegrator.arriving and not scene.media
+    one_each = (
+        kind.trace is PathIntegrator.trace and kind.transmittance is PathIntegrator.transmittance and not scene.media
+    )
     if triangles is None or triangles.tree.stepwise or not one_each:
         return ()
     words = 2 if triangles.tree.instanced else 1
