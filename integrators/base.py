@@ -57,7 +57,7 @@ class Integrator(Plugin):
     writes_color = True
     """False if the image consists of AOVs alone."""
     follows_media = False
-    """True if light can be scattered on the way between surfaces: see `Scene.with_media`."""
+    """True if light can be scattered on the way between surfaces: see `Scene.replace`."""
     measures_distance = False
     """True if it needs to know how far from the camera rays start: `Scene.near_share`."""
 
@@ -112,9 +112,9 @@ class Integrator(Plugin):
 
         Called before a frozen function renders: while one is recorded, values can't be read.
         """
-        scene.emitter_choice  # noqa: B018
+        scene.lights.choice  # noqa: B018
         if self.starts_at_lights:
-            scene.brightness  # noqa: B018
+            scene.lights.brightness  # noqa: B018
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
@@ -281,7 +281,7 @@ class Vertex:
     emitted: Color3f
     """Light from the vertex itself, weighted against light sampling."""
     reflected: Color3f
-    """Light of the sampled emitter before visibility is tested: see `Scene.light_through`."""
+    """Light of the sampled emitter before visibility is tested: see `Scene.transmittance`."""
     shadow_ray: Ray3f
     """The ray from the vertex to the sampled emitter."""
     weight: Color3f
@@ -347,7 +347,7 @@ class PathIntegrator(Integrator):
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
         """Process a hit by `vertex`, with the absorption between the previous vertex and this one included."""
-        passed = scene.transmittance(ray, si.t)
+        passed = scene.media.transmittance(ray, si.t)
         v = self.vertex(scene, sampler, replace(state, throughput=state.throughput * passed), ray, si)
         # The throughput has the value of `passed` already.
         if dr.grad_enabled(passed):
@@ -355,9 +355,9 @@ class PathIntegrator(Integrator):
             v.weight = v.weight * dr.select(value > 0, passed * dr.rcp(value), 1)
         return v
 
-    def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
-        """The light of a vertex's light sample that arrives; the schedule `machine` doesn't ask for it."""
-        return scene.light_through(v.shadow_ray, v.reflected, v.lit if dr.grad_enabled(v.reflected) else None)
+    def transmittance(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
+        """The transmittance of `v.shadow_ray`, times `v.reflected`; the schedule `machine` doesn't ask for it."""
+        return scene.transmittance(v.shadow_ray, v.reflected, v.lit if dr.grad_enabled(v.reflected) else None)
 
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True

@@ -29,7 +29,8 @@ from djpt.integrators.bidirectional.subpath import (
     power,
     scaled,
 )
-from djpt.integrators.paths.path_vertex import Place, Scattering, arriving, arriving_between, is_half_open, reach
+from djpt.integrators.paths.path_vertex import Place, Scattering, is_half_open, reach
+from djpt.integrators.paths.transmittance import transmittance
 from djpt.integrators.termination import Terminating, first_roulette, roulette
 from djpt.jit.kernels import loop_traced_once, minimum, while_loop, wide
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32
@@ -198,7 +199,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             vcm=vcm,
             vc=dr.select(es.delta, 0, self.h(es.cos * inverse * dr.rcp(es.pdf_position * es.pdf_direction))),
             before=dr.select(es.finite, Float(0), dr.inf),
-            eta=Float(1) if scene.refracts else None,
+            eta=Float(1) if scene.bsdfs.refract else None,
             depth=UInt32(1),
         )
         return end, power
@@ -230,7 +231,9 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
                 shown = dr.select(place.si.emitter().is_valid(), 0, shown)
             shown = dr.select(joins, shown, 0)
             lit = joins if dr.grad_enabled(shown) else None
-            shown = arriving_between(scene, sampler, place.ray_to(ds.p), shown, lit, not self.hide_emitters)
+            shown = transmittance(
+                scene, sampler, place.ray_to(ds.p), shown, lit, to_emitter=False, through_lights=self.hide_emitters
+            )
             weight = mis_weight(meeting(end.vcm, end.vc, importance * place.cos(ds.d), s.back, self.h))
 
         onward, survives = self.onwards(scene, sampler, hit, s, end.depth > self.roulette_from)
@@ -250,7 +253,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         if self.shows_light(scene, camera):
             pdf, before = camera.pdf_ray(ray.d)
             vcm = dr.select(inside, self.h(dr.rcp(pdf)), 0)
-        eta = Float(1) if scene.refracts else None
+        eta = Float(1) if scene.bsdfs.refract else None
         return End(ray, Color3f(1), vcm, Float(0), before, eta, UInt32(1))
 
     def camera_hit(
@@ -280,13 +283,13 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     def camera_step(self, scene: Scene, hit: CameraHit, sampler: SampleStream) -> CameraStep:
         """Sample light at a vertex of a camera path, and a continuation."""
         place, end, joins = hit.place, hit.end, hit.joins
-        light = scene.light_sampling.sample(place.reference, sampler.next_2d(), joins)
+        light = scene.lights.sampling.sample(place.reference, sampler.next_2d(), joins)
         ds = light.ds
         s = place.scatter(scene, True, ds.d, sampler, hit.active)
         value = dr.select(joins, end.throughput * s.value * light.weight, 0)
         lit = joins if dr.grad_enabled(value) else None
         shadow_ray = place.in_medium(scene.shadow_ray(place.si, ds))
-        lit_by = arriving(scene, sampler, shadow_ray, value, lit)
+        lit_by = transmittance(scene, sampler, shadow_ray, value, lit)
         weight = self.light_sample_weight(scene, end, place, ds, s.pdf, s.back)
         return CameraStep(s, lit_by, weight, place.si.is_valid() & ~place.passes(s))
 
@@ -305,7 +308,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
             radiance = dr.select(place.matter.inside, 0, radiance)
         if self.hide_emitters:
             radiance = dr.select(covered | si.is_valid(), radiance, 0)
-        chosen = scene.emitter_choice.probability(Point3f(0), None, emitter.index)
+        chosen = scene.lights.choice.probability(Point3f(0), None, emitter.index)
         position, direction = emitter.pdf_emission(-end.ray.d, si.sh_frame.n, si.uv)
         # Light from infinity is sampled by direction, and its rays by position then.
         last, before = (dr.select(si.is_valid(), a, b) for a, b in ((position, direction), (direction, position)))
@@ -316,7 +319,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         self, scene: Scene, end: End, place: Place, ds: DirectionSample3f, pdf: Float, back: Float
     ) -> Float:
         """The weight of a light sample, with the densities of both ways at the place: s = 1."""
-        chosen = scene.emitter_choice.probability(Point3f(0), None, ds.emitter_index)
+        chosen = scene.lights.choice.probability(Point3f(0), None, ds.emitter_index)
         position, direction = scene.emitter_ptr(ds.emitter_index).pdf_emission(-ds.d, ds.n, ds.uv)
         finite = ds.dist < dr.inf
         falloff = dr.select(finite, dr.rcp(dr.square(ds.dist)), 1)
@@ -352,10 +355,11 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         chance.
         """
         if (scene.geometry.triangles is None and not scene.media.scatter) or self.strategies:
-            return arriving_between(scene, sampler, ray, value)
+            return transmittance(scene, sampler, ray, value, to_emitter=False)
         chance = minimum(dr.max(value) * weight * dr.rcp(LITTLE * dr.max(radiance)), 1)
         survives = sampler.next_1d() < chance
-        return arriving_between(scene, sampler, ray, dr.select(survives, value * dr.rcp(chance), 0))
+        value = dr.select(survives, value * dr.rcp(chance), 0)
+        return transmittance(scene, sampler, ray, value, to_emitter=False)
 
     def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f | None:
         """The light that is found at a vertex of a camera path, where it `joins`, in other ways: none."""

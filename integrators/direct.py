@@ -85,10 +85,10 @@ class Direct(Integrator):
             delta = has_flag(bs.sampled_type, BSDFFlags.Delta)
             emitter_pdf = dr.select(delta, 0, scene.pdf_emitter_direction(si, ds, lit))
             mis = mis_weight(bs.pdf * bsdf_share, emitter_pdf * emitter_share) * (1 / self.bsdf_samples)
-            met = si_b.emitter().eval(si_b, lit) * scene.transmittance(ray_b, si_b.t)
+            met = si_b.emitter().eval(si_b, lit) * scene.media.transmittance(ray_b, si_b.t)
             result += bsdf_weight * met * mis
 
-        return dr.select(active, result * scene.transmittance(ray, si.t), 0), si.is_valid() & active, []
+        return dr.select(active, result * scene.media.transmittance(ray, si.t), 0), si.is_valid() & active, []
 
 
 register_integrator("direct", Direct)

@@ -70,7 +70,7 @@ class Distributed(Integrator):
             first = here.depth == 0
             pi = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
             si = scene.surface_interaction(ray, pi)
-            throughput = here.throughput * scene.transmittance(ray, si.t)
+            throughput = here.throughput * scene.media.transmittance(ray, si.t)
 
             # ---------------------- Emission ----------------------
             ds = DirectionSample3f.between(here.p, ray, si)

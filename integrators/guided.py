@@ -99,7 +99,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
 
     def prepare_scene(self, scene: Scene) -> None:
         super().prepare_scene(scene)
-        scene.brightness  # noqa: B018
+        scene.lights.brightness  # noqa: B018
 
     # ---- practice ----------------------------------------------------------------------
 
@@ -108,7 +108,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
         cells = Cells(*scene.bbox())
         leaves = Leaves.equal(cells, 6)
         guide = Guide(cells, leaves, np.zeros((leaves.count, SQUARES)), np.zeros(leaves.count))
-        unit = scene.brightness**2
+        unit = scene.lights.brightness**2
         least, most = PRACTICE
         count = int(min(max(self.practice * lessons.samples, least), most))
         for begin, end in passes(count):
@@ -138,7 +138,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     ) -> GuidedVertex:
         assert isinstance(state, GuidedState)
         proceed = self.proceeds(state, si)
-        met, light = scene.light_sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed)
+        met, light = scene.lights.sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed)
 
         # ---------------------- Emission ----------------------
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)

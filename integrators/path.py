@@ -49,7 +49,7 @@ class Path(UnidirectionalPath):
         self, scene: Scene, sampler: SampleStream, state: PathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Vertex:
         proceed = self.proceeds(state, si)
-        met, light = scene.light_sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed)
+        met, light = scene.lights.sampling.at_vertex(state.reference, ray, si, sampler.next_2d(), proceed)
 
         # ---------------------- Emission ----------------------
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)

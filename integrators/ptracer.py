@@ -97,7 +97,7 @@ class ParticleTracer(Terminating, PassIntegrator):
     # ---- passes ------------------------------------------------------------------------
 
     def begin(self, walks: Walks) -> Splats:
-        return Splats(walks.film, walks.scene.brightness)
+        return Splats(walks.film, walks.scene.lights.brightness)
 
     def add_pass(self, walks: Walks, state: Splats, begin: int, end: int) -> Splats:
         scene, camera = walks.scene, walks.camera
@@ -121,7 +121,7 @@ class ParticleTracer(Terminating, PassIntegrator):
 
     def seen(self, scene: Scene, v: LightVertex) -> Color3f:
         """The light of a vertex that arrives at the camera."""
-        return scene.light_between(v.shadow_ray, v.splat, self.hide_emitters, v.lit)
+        return scene.transmittance(v.shadow_ray, v.splat, v.lit, to_emitter=False, through_lights=self.hide_emitters)
 
     def start(self, scene: Scene, sampler: SampleStream) -> LightPath:
         """A path that leaves an emitter."""
@@ -181,7 +181,7 @@ def leave_light(scene: Scene, sampler: SampleStream) -> tuple[LightPath, Emitter
         ray=left.ray(scene),
         flux=flux,
         unit=dr.rcp(largest),
-        eta=Float(1) if scene.refracts else None,
+        eta=Float(1) if scene.bsdfs.refract else None,
         depth=UInt32(1),
     )
     return path, left.emitter

@@ -105,7 +105,7 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
     ) -> tuple[PhotonPath, Bool]:
         ray, sample1, sample2 = path.ray, sampler.next_1d(), sampler.next_2d()
         si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
-        flux = path.flux * scene.transmittance(ray, si.t)
+        flux = path.flux * scene.media.transmittance(ray, si.t)
         # One more edge at least leads to the camera.
         on = si.is_valid() & (path.depth < self.longest)
         photon = Photon(si.p, si.n, Float(path.depth), ray.d, flux)

@@ -108,7 +108,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
         ray = path.end.ray
         si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
         place = Place(si, None)
-        end = path.end.arrived(place, scene.transmittance(ray, si.t), self.h)
+        end = path.end.arrived(place, scene.media.transmittance(ray, si.t), self.h)
         on = si.is_valid() & (end.depth < self.joined)
         flux = end.throughput * path.power
         photon = Photon(si.p, si.n, Float(end.depth), ray.d, flux, end.vcm, end.vc)

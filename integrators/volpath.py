@@ -13,7 +13,7 @@ from djpt.core.records.media import MediumInteraction3f
 from djpt.description.properties import Properties
 from djpt.description.registry import register_integrator
 from djpt.integrators.base import PathState, Vertex, mis_weight
-from djpt.integrators.paths.transmittance import light_through_null
+from djpt.integrators.paths.transmittance import null_transmittance
 from djpt.integrators.paths.unidirectional import UnidirectionalPath
 from djpt.integrators.termination import roulette
 from djpt.jit.types import Bool, Color3f, Float, Normal3f, UInt32
@@ -66,7 +66,7 @@ class VolumetricPath(UnidirectionalPath):
     def sample(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, medium: Any = None, active: Bool | bool = True
     ) -> tuple[Color3f, Bool, list[Float]]:
-        scene = scene.with_media()
+        scene = scene.replace(all_media=True)
         if scene.media and ray.medium is None:
             ray = ray.replaced(medium=scene.media.number_of(medium))
         return super().sample(scene, sampler, ray, medium, active)
@@ -115,7 +115,7 @@ class VolumetricPath(UnidirectionalPath):
         bsdf = si.bsdf()
         extends = state.depth + 1 < self.longest
         lit = extends & ((inside & samples_emitters) | (surface & has_flag(bsdf.flags(), BSDFFlags.Smooth)))
-        met, light = scene.light_sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
+        met, light = scene.lights.sampling.at_vertex(state.reference, ray, at, sampler.next_2d(lit), lit)
         mis = dr.select(state.bsdf_pdf > 0, mis_weight(state.bsdf_pdf, met.pdf), 1)
         emitted = self.shown(state, si, dr.select(inside, 0, throughput * mis * met.radiance))
         if scene.media.emit and self.max_depth != 0:
@@ -131,7 +131,7 @@ class VolumetricPath(UnidirectionalPath):
         crosses = surface & has_flag(bs.sampled_type, BSDFFlags.Null)
         next_pdf = dr.select(has_flag(bs.sampled_type, BSDFFlags.Delta), 0, bs.pdf)
         if scene.media.scatter and ray.medium is not None:
-            phase = scene.media.phases(ray.medium, scene.lookup)
+            phase = scene.media.phases(ray.medium)
             mei = MediumInteraction3f.on(ray, flight.t, at.p)
             of_phase = phase.eval_pdf_sample(PhaseFunctionContext(None), mei, ds.d, u1, u2, inside)
             value, pdf, wo, weight, next_pdf = dr.select(inside, of_phase, (value, pdf, wo, weight, next_pdf))
@@ -143,7 +143,7 @@ class VolumetricPath(UnidirectionalPath):
         # ------------------ Russian roulette ------------------
         depth = dr.select(crosses, state.depth, state.depth + 1)
         eta = None if state.eta is None else state.eta * eta
-        flown_weight, matter = flown * weight, scene.media.are_attached(scene.lookup)
+        flown_weight, matter = flown * weight, scene.media.are_attached()
         onward = state.carrying(
             flown_weight, lambda: dr.select(surface, bsdf.vanishes() & (bs.pdf > 0), inside & matter)
         )
@@ -186,7 +186,7 @@ class VolumetricPath(UnidirectionalPath):
         length = dr.select(si.is_valid(), si.t, ray.maxt)
         if state.scatters is not None:
             length = dr.select(state.scatters, 0, length)
-        flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler, scene.lookup)
+        flight = scene.media.fly(ray, length, state.channel, state.throughput, sampler)
         if state.scatters is None:
             return flight
         at_once = Flight(Float(0), Bool(True), Color3f(1), Color3f(1), Color3f(0))
@@ -197,9 +197,9 @@ class VolumetricPath(UnidirectionalPath):
             emitted = dr.select(state.depth == 0, 0, emitted)
         return Color3f(0) if self.max_depth == 0 else emitted
 
-    def arriving(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
+    def transmittance(self, scene: Scene, sampler: SampleStream, v: Vertex) -> Color3f:
         lit = v.lit if dr.grad_enabled(v.reflected) else None
-        return light_through_null(scene, sampler, v.shadow_ray, v.reflected, lit)
+        return null_transmittance(scene, sampler, v.shadow_ray, v.reflected, lit)
 
 
 def vertex_of(ray: Ray3f, si: SurfaceInteraction3f, flight: Flight) -> SurfaceInteraction3f:

@@ -79,7 +79,7 @@ class Whitted(Integrator):
             pi = scene.closest_hit(ray, through_lights=first if self.hide_emitters else None)
             si = scene.surface_interaction(ray, pi)
             hit = si.is_valid()
-            throughput = walk.branch.throughput * scene.transmittance(ray, si.t)
+            throughput = walk.branch.throughput * scene.media.transmittance(ray, si.t)
 
             # ---------------------- Emission ----------------------
             emitted = si.emitter().eval(si)
@@ -124,7 +124,7 @@ class Whitted(Integrator):
         for lamp in lamps:
             ds, light = scene.emitter_ptr(UInt32(lamp)).sample_direction(si, MIDDLE)
             value = si.bsdf().eval(BSDFContext(), si, si.to_local(ds.d), si.is_valid())
-            total += scene.light_through(scene.shadow_ray(si, ds), value * light)
+            total += scene.transmittance(scene.shadow_ray(si, ds), value * light)
         return total
 
 

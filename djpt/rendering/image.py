@@ -8,7 +8,7 @@ import drjit as dr
 
 from djpt.errors import RenderError
 from djpt.jit.kernels import begin_trace
-from djpt.jit.types import TensorXf
+from djpt.jit.types import Float, TensorXf
 from djpt.rendering.gradients.leaves import attached_parameters, prepare_tables, unused_values
 from djpt.rendering.gradients.unproven import require_proven
 from djpt.rendering.schedules.base import Schedule
@@ -124,14 +124,14 @@ def prepare_to_record(scene: Scene) -> None:
         prepare_sums(sensor.film(), integrator)
         sensor.film().reserve(channel_names(scene, sensor))
         rendered, its_sensor = carried(scene, sensor) if integrator.fits_any_frame() else (scene, sensor)
-        for view in (rendered, rendered.with_media()):
-            view.seen_by(its_sensor)
+        for all_media in (False, True):
+            rendered.replace(all_media=all_media, sensor=its_sensor)
     prepare_tables(scene)
     for shape in scene.shapes():
         shape.make_parameters()
     found = twin(scene)
     for prepared in (scene,) if found is None else (scene, found[1]):
-        integrator.prepare_scene(prepared.choosing_emitters(integrator.emitter_choice))
+        integrator.prepare_scene(prepared.replace(emitter_choice=integrator.emitter_choice))
 
 
 # ---- what is rendered -------------------------------------------------------------------------
@@ -152,11 +152,12 @@ def make_job(scene: Scene, settings: RenderSettings) -> Job:
     integrator.resume()
     if integrator.fits_any_frame():
         scene, sensor = carried(scene, sensor)
-    if integrator.follows_media:
-        scene = scene.with_media()
-    scene = scene.seen_by(sensor).choosing_emitters(integrator.emitter_choice)
-    if integrator.measures_distance:
-        scene = scene.measured_from(sensor)
+    scene = scene.replace(
+        emitter_choice=integrator.emitter_choice,
+        all_media=integrator.follows_media,
+        sensor=sensor,
+        near_share=dr.opaque(Float, sensor.near_share()) if integrator.measures_distance else None,
+    )
     return job_of(sampler)(
         scene,
         sensor,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from djpt.geometry.contents import unseen
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.media import tracking
-from djpt.media.differentials import ScatteringPoint, passed
+from djpt.media.differentials import ScatteringPoint
 from djpt.shapes.base import Shape
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from djpt.media.flight import Flight
     from djpt.phase.pointer import PhaseFunctionPtr
     from djpt.samplers.base import SampleStream
+    from djpt.sensors.base import Sensor
 
 __all__ = ["Media", "absorbing_sides", "all_sides"]
 
@@ -44,12 +46,13 @@ class Media:
     """
 
     def __init__(
-        self, geometry: Geometry, sides: Sequence[tuple[Any, Any] | None], others: Sequence[Medium] = ()
+        self, geometry: Geometry, lookup: Lookup, sides: Sequence[tuple[Any, Any] | None], others: Sequence[Medium] = ()
     ) -> None:
         """Number the media.
 
         Args:
             geometry: What rays hit.
+            lookup: The way to read the plugins' values.
             sides: The media inside and outside of each shape (None stands for vacuum); None if it bounds no medium.
             others: Media that no shape bounds.
         """
@@ -60,7 +63,7 @@ class Media:
         self._phases: Ensemble[Any] = Ensemble(list({id(phase): phase for phase in phases}.values()))
         self._phase_of = Numbers([index_of(self._phases.plugins, medium.phase) for medium in self.plugins])
         self.vacuum = len(self.plugins)
-        self._geometry = geometry
+        self._geometry, self.lookup = geometry, lookup
         # For shapes that bound no medium: one number more.
         self._kept = self.vacuum + 1
         self._inside = [self._kept if pair is None else self.number(pair[0]) for pair in sides]
@@ -78,6 +81,12 @@ class Media:
         self._inside_of_face = self._geometry.per_face(self._inside)
         self._outside_of_face = self._geometry.per_face(self._outside)
         self._bounds = Members(self._closed, len(self._inside))
+
+    def replace(self, lookup: Lookup) -> Media:
+        """A view whose values are read through `lookup`."""
+        view = copy.copy(self)
+        view.lookup = lookup
+        return view
 
     def number(self, medium: Medium | None) -> int:
         """The number of a medium, or that of the vacuum."""
@@ -115,9 +124,9 @@ class Media:
         """True if the extinction of some of them may differ between channels."""
         return any(medium.has_spectral_extinction() for medium in self.plugins)
 
-    def are_attached(self, lookup: Lookup) -> bool:
+    def are_attached(self) -> bool:
         """Whether some of them, or of their phase functions, compute with AD leaves."""
-        return any(lookup.attaches(leaf) for ensemble in self.ensembles for leaf in ensemble.leaves())
+        return any(self.lookup.attaches(leaf) for ensemble in self.ensembles for leaf in ensemble.leaves())
 
     def number_of(self, medium: Any) -> UInt32:
         """The numbers of media as scripts give them: a medium or None for all lanes, or a `MediumPtr`."""
@@ -128,7 +137,7 @@ class Media:
 
     # ---- which medium ---------------------------------------------------------------------
 
-    def around(self, p: np.ndarray | None, lookup: Lookup) -> int:
+    def around(self, p: np.ndarray | None) -> int:
         """The medium that a point (3,) lies in, computed at once; None stands for a point outside of all bodies.
 
         A ray may slip through an edge: the majority of three decides. Answers are kept, so that frozen functions need
@@ -138,17 +147,15 @@ class Media:
             return self.vacuum
         key = tuple(float(x) for x in p)
         if key not in self._around:
-            self._around[key] = self._majority(key, lookup)
+            self._around[key] = self._majority(key)
         return self._around[key]
 
-    def _majority(self, p: tuple[float, ...], lookup: Lookup) -> int:
+    def _majority(self, p: tuple[float, ...]) -> int:
         directions = Vector3f(*(list(c) for c in zip(*DIRECTIONS, strict=True)))
-        numbers = self.at(Point3f(*p), lookup, directions).numpy()
+        numbers = self.at(Point3f(*p), directions).numpy()
         return int(np.bincount(numbers).argmax())
 
-    def at(
-        self, p: Point3f, lookup: Lookup, direction: Vector3f | None = None, outside: UInt32 | None = None
-    ) -> UInt32:
+    def at(self, p: Point3f, direction: Vector3f | None = None, outside: UInt32 | None = None) -> UInt32:
         """The medium that each point lies in: the one on this side of the first boundary in an arbitrary direction.
 
         It is `outside` (default: the vacuum) where there is none. Only closed shapes count as boundaries. Traces rays
@@ -164,7 +171,7 @@ class Media:
             hit = self._geometry.closest(ray)
             found = hit.is_valid() & walk.active
             bounds = found & self._bounds.contain(hit.shape_index)
-            surface = self._geometry.surface(ray, hit, lookup, False)
+            surface = self._geometry.surface(ray, hit, self.lookup, False)
             leaving = points_outward(surface.n, surface.sh_frame.n, walk.d)
             side = dr.select(leaving, self._inside_of_face.at(hit.face), self._outside_of_face.at(hit.face))
             there = ray(dr.select(found, hit.t, 0))
@@ -174,6 +181,16 @@ class Media:
         start = wide(Walk(Point3f(p), d, outside, Bool(True)), dr.width(p, d))
         (end,) = dr.while_loop((start,), lambda walk: walk.active, step, label="medium")
         return end.medium
+
+    def of_sensor(self, sensor: Sensor) -> tuple[UInt32, UInt32 | None]:
+        """The media that the rays of a sensor start in, and that lies outside of all bodies; None: the vacuum.
+
+        Outside is the medium that the sensor names, if it stands there.
+        """
+        given, around = self.number(sensor.get_medium()), self.around(sensor.viewpoint())
+        start = dr.opaque(UInt32, around if given == self.vacuum else given)
+        outer = dr.opaque(UInt32, given) if given != self.vacuum and around == self.vacuum else None
+        return start, outer
 
     def beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32:
         """The medium of a ray that leaves `si` in the world direction `d`."""
@@ -186,11 +203,11 @@ class Media:
         outward = points_outward(si.n, si.sh_frame.n, d)
         return dr.select(outward, self._outside_of_face.at(si.face), self._inside_of_face.at(si.face))
 
-    def phases(self, medium: UInt32, lookup: Lookup) -> PhaseFunctionPtr:
+    def phases(self, medium: UInt32) -> PhaseFunctionPtr:
         """The phase functions of media with the numbers `medium`."""
         from djpt.phase.pointer import PhaseFunctionPtr
 
-        pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, lookup), self._phase_of.at(medium))
+        pointer: PhaseFunctionPtr = PhaseFunctionPtr.into(Family(self._phases, self.lookup), self._phase_of.at(medium))
         return pointer
 
     def sample_emitters(self, medium: UInt32) -> Bool:
@@ -210,7 +227,6 @@ class Media:
         channel: UInt32 | None,
         throughput: Color3f,
         stream: SampleStream,
-        lookup: Lookup,
     ) -> Flight:
         """Sample how far light gets on a segment of a ray: see `djpt.media.base.Medium.fly`."""
         from djpt.media.flight import Flight
@@ -219,7 +235,7 @@ class Media:
         flight = Flight.none()
         for group in self.ensemble.groups:
             mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
-            medium, leaves = tracked_and_attached(group, slot, lookup)
+            medium, leaves = tracked_and_attached(group, slot, self.lookup)
             if leaves is None:
                 flown = medium.fly(ray, length, channel, throughput, stream, mine)
             else:
@@ -228,17 +244,23 @@ class Media:
         return flight
 
     def transmittance(
-        self, ray: Ray3f, length: Float, lookup: Lookup, stream: SampleStream | None = None, active: Bool | bool = True
+        self, ray: Ray3f, length: Float | None = None, stream: SampleStream | None = None, active: Bool | bool = True
     ) -> Color3f:
-        """The share of light that is left after a segment of a ray, or an estimate of it; 1 in vacuum.
+        """exp(-tau) for a segment of a ray in its medium, or an estimate of it; 1 in vacuum.
 
-        Only estimates need a `stream`.
+        Args:
+            ray: The ray.
+            length: The length of the segment, which begins at the ray's origin; by default that of a shadow ray.
+            stream: Random numbers for an estimate; without them the medium must have a closed form.
+            active: Lanes that have a segment.
         """
-        assert ray.medium is not None
         left = Color3f(1)
+        if ray.medium is None:
+            return left
+        length = dr.select(ray.maxt < dr.inf, dr.norm(ray.d), dr.inf) if length is None else length
         for group in self.ensemble.groups:
             mine, slot = self.ensemble.members(group, ray.medium), self.ensemble.slots(group, ray.medium)
-            medium, leaves = tracked_and_attached(group, slot, lookup)
+            medium, leaves = tracked_and_attached(group, slot, self.lookup)
             if leaves is None or stream is None:
                 share = medium.transmittance(ray, length, stream, mine & active)
             else:
@@ -246,30 +268,19 @@ class Media:
             left = dr.select(mine, share, left)
         return left
 
-    def in_box(self, ray: Ray3f, length: Float, lookup: Lookup) -> tuple[Float, Float]:
+    def in_box(self, ray: Ray3f, length: Float) -> tuple[Float, Float]:
         """The part of a segment of a ray that lies in the box of a tracked medium; elsewhere an empty one."""
         assert ray.medium is not None
         start, end = Float(0), Float(0)
         for group in self._tracked():
             mine = self.ensemble.members(group, ray.medium)
-            medium = group.at(self.ensemble.slots(group, ray.medium), lookup.plain())
+            medium = group.at(self.ensemble.slots(group, ray.medium), self.lookup.plain())
             first, last = tracking.span(medium, ray, length, mine)
             start, end = dr.select(mine, first, start), dr.select(mine, last, end)
         return start, end
 
-    def passed(self, ray: Ray3f, start: Float, end: Float, lookup: Lookup, active: Bool) -> Color3f:
-        """1, with the derivative of what tracked media leave: see `djpt.media.differentials.passed`."""
-        assert ray.medium is not None
-        one = Color3f(1)
-        for group in self._tracked():
-            mine = self.ensemble.members(group, ray.medium)
-            _, leaves = tracked_and_attached(group, self.ensemble.slots(group, ray.medium), lookup)
-            if leaves is not None:
-                one = dr.select(mine, passed(leaves, ray, start, end, mine & active), one)
-        return one
-
     def scattering_point(
-        self, ray: Ray3f, flown: Float, length: Float, lookup: Lookup, active: Bool
+        self, ray: Ray3f, flown: Float, length: Float, active: Bool
     ) -> tuple[ScatteringPoint, Color3f]:
         """A point of a segment of a ray at which more matter would scatter light.
 
@@ -280,34 +291,31 @@ class Media:
             ray: The ray.
             flown: How far light got on it.
             length: The length of the segment.
-            lookup: Reads the values of media.
             active: Lanes that have a segment.
         """
         assert ray.medium is not None
         found, weight = ScatteringPoint.none(), Color3f(0)
         for group in self._tracked():
             mine = self.ensemble.members(group, ray.medium) & active
-            medium = group.at(self.ensemble.slots(group, ray.medium), lookup.plain())
+            medium = group.at(self.ensemble.slots(group, ray.medium), self.lookup.plain())
             of_group = tracking.scattering_point(medium, ray, flown, length, mine)
             found, weight = dr.select(mine, of_group, (found, weight))
         return found, weight
 
-    def extinction(self, medium: UInt32, mei: MediumInteraction3f, lookup: Lookup, active: Bool) -> Color3f:
+    def extinction(self, medium: UInt32, mei: MediumInteraction3f, active: Bool) -> Color3f:
         """sigma_t at points in tracked media; 0 in all others."""
-        return self._tracked_value(medium, lookup, lambda leaves, mine: leaves.extinction(mei, mine & active))
+        return self._tracked_value(medium, lambda leaves, mine: leaves.extinction(mei, mine & active))
 
-    def extinction_at(
-        self, medium: UInt32, mei: MediumInteraction3f, u: Float, lookup: Lookup, active: Bool
-    ) -> Color3f:
+    def extinction_at(self, medium: UInt32, mei: MediumInteraction3f, u: Float, active: Bool) -> Color3f:
         """An estimate of sigma_t at points in tracked media, from a uniform number; 0 in all others."""
-        return self._tracked_value(medium, lookup, lambda leaves, mine: leaves.extinction_at(mei, u, mine & active))
+        return self._tracked_value(medium, lambda leaves, mine: leaves.extinction_at(mei, u, mine & active))
 
-    def _tracked_value(self, medium: UInt32, lookup: Lookup, value: Callable[[Medium, Bool], Color3f]) -> Color3f:
+    def _tracked_value(self, medium: UInt32, value: Callable[[Medium, Bool], Color3f]) -> Color3f:
         """What tracked media answer; 0 for all others."""
         answer = Color3f(0)
         for group in self._tracked():
             mine = self.ensemble.members(group, medium)
-            leaves = group.at(self.ensemble.slots(group, medium), lookup)
+            leaves = group.at(self.ensemble.slots(group, medium), self.lookup)
             answer = dr.select(mine, value(leaves, mine), answer)
         return answer
 

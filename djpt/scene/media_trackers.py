@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from djpt.core.records import Ray3f
-from djpt.dispatch.ensemble import Lookup
 from djpt.jit.types import Bool, Color3f, Float, UInt32
 from djpt.media import tracking
 from djpt.media.flight import Flight
@@ -29,8 +28,8 @@ class Trackers:
     active, and `landing` or `left`, with the same random numbers. Media with a closed form have no steps.
     """
 
-    def __init__(self, media: Media, lookup: Lookup) -> None:
-        self._media, self._lookup = media, lookup
+    def __init__(self, media: Media) -> None:
+        self._media = media
         self._groups = [group for group in media.ensemble.groups if group.plugins[0].is_tracked]
         self._shows = any(p.emits() and p.has_spectral_extinction() for g in self._groups for p in g.plugins)
 
@@ -45,7 +44,7 @@ class Trackers:
 
     def begun(self, ray: Ray3f, length: Float, stream: SampleStream, active: Bool) -> tuple[Track, Float]:
         """The track at the start of a segment of a ray with a unit direction, and where it ends."""
-        start, end = (Float(0), Float(0)) if ray.medium is None else self._media.in_box(ray, length, self._lookup)
+        start, end = (Float(0), Float(0)) if ray.medium is None else self._media.in_box(ray, length)
         shown: tuple[Any, Any] = ((start,), (Color3f(1),)) if self._shows else ((), ())
         return Track(start, Color3f(1), Bool(False), stream, active & (start < end), *shown), end
 
@@ -107,5 +106,5 @@ class Trackers:
     def _medium(self, group: Any, ray: Ray3f) -> Medium:
         """The medium of each ray, if it is in this group."""
         assert ray.medium is not None
-        medium: Medium = group.at(self._media.ensemble.slots(group, ray.medium), self._lookup)
+        medium: Medium = group.at(self._media.ensemble.slots(group, ray.medium), self._media.lookup)
         return medium

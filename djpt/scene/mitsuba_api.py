@@ -1,50 +1,104 @@
-"""What scripts ask a scene about rays, with Mitsuba's arguments."""
+"""What scripts ask a scene, with Mitsuba's names and arguments."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import drjit as dr
 
-from djpt.core.records import PreliminaryIntersection3f, Ray3f, RayFlags, SurfaceInteraction3f
+from djpt.core.bounding_box import ScalarBoundingBox3f
+from djpt.core.records import (
+    DirectionSample3f,
+    Observer,
+    PreliminaryIntersection3f,
+    Ray3f,
+    RayFlags,
+    SurfaceInteraction3f,
+)
 from djpt.core.records.scene_ref import note_latest
-from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.dispatch.ensemble import Ensemble
 from djpt.dispatch.family import NONE, Family
 from djpt.dispatch.followed import prepare_followed
-from djpt.geometry.aggregate import Geometry
+from djpt.emitters import Emitter
+from djpt.emitters.pointer import EmitterPtr, observer
+from djpt.errors import ArgumentError
 from djpt.geometry.attached import distance_on_plane, distance_to, is_attached, make_ends
-from djpt.jit.types import Bool, Float, UInt32
+from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f, converting
+from djpt.scene.queries import SceneQueries
+from djpt.scene.silhouettes import Silhouettes
+from djpt.sensors import Sensor
+from djpt.sensors.pointer import SensorPtr
+from djpt.shapes import Shape
 from djpt.shapes.pointer import ShapePtr
 from djpt.shapes.silhouettes.moving import attached_place
 
-__all__ = ["RayQuestions"]
+if TYPE_CHECKING:
+    from djpt.media.pointer import MediumPtr
+    from djpt.shapes.silhouettes.samples import SilhouetteSample3f
+
+__all__ = ["MitsubaScene"]
 
 
-class RayQuestions:
-    """The part of a scene that intersects rays for those who want whole records."""
+class MitsubaScene(SceneQueries):
+    """A scene that answers as Mitsuba's: with whole records, which gradients follow."""
 
-    geometry: Geometry
-    lookup: Lookup
-    _families: dict[Any, Family[Any]]
+    _shapes: list[Shape]
+    _sensors: list[Sensor]
+    _emitters: list[Emitter]
+    _integrator: Any
     _differentiated: list[tuple[int, Any]]
     """The shapes whose place has gradients, with their indices."""
-    is_view = False
-    """Whether it is a view of a scene, which rendering has made."""
+    silhouettes: Silhouettes
+    """The silhouettes of shapes that have gradients."""
+    _families: dict[Any, Any]
+    """The families of pointers to shapes, made when they are first needed."""
 
-    def closest_hit(
-        self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
-    ) -> PreliminaryIntersection3f:
-        """The face that a ray hits first, and the distance."""
-        raise NotImplementedError
+    # ---- contents ----------------------------------------------------------------------
 
-    def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
-        """The surface point of a preliminary intersection."""
-        raise NotImplementedError
+    def sensors(self) -> list[Sensor]:
+        """All sensors, in the order of the description."""
+        return list(self._sensors)
 
-    def ensembles(self) -> Sequence[Ensemble[Any]]:
-        """The plugins whose values a path vertex looks up."""
-        raise NotImplementedError
+    def emitters(self) -> list[Emitter]:
+        """All emitters in the order in which light sampling numbers them."""
+        return list(self._emitters)
+
+    def shapes(self) -> list[Shape]:
+        """All shapes, in the order of the description."""
+        return list(self._shapes)
+
+    def integrator(self) -> Any:
+        """The integrator, or None."""
+        return self._integrator
+
+    def environment(self) -> Emitter | None:
+        """The emitter that surrounds the scene, or None."""
+        return self.lights.environment
+
+    def shapes_dr(self) -> ShapePtr:
+        """All shapes, one per lane."""
+        return ShapePtr.into(Family(Ensemble(self._shapes), self.lookup), dr.arange(UInt32, len(self._shapes)))
+
+    def emitters_dr(self) -> EmitterPtr:
+        """All emitters, one per lane."""
+        return self.lights.at(dr.arange(UInt32, len(self._emitters)))
+
+    def sensors_dr(self) -> SensorPtr:
+        """All sensors, one per lane."""
+        return SensorPtr.into(Family(Ensemble(self._sensors), self.lookup), dr.arange(UInt32, len(self._sensors)))
+
+    def shape_types(self) -> int:
+        """The kinds of all shapes, values of `ShapeType`, combined."""
+        kinds = 0
+        for shape in self._shapes:
+            kinds |= int(shape.shape_type())
+        return kinds
+
+    def bbox(self) -> ScalarBoundingBox3f:
+        """The box about all shapes, world space; ``low, high = scene.bbox()`` gives its corners."""
+        return ScalarBoundingBox3f(*self.geometry.bounding_box())
+
+    # ---- rays ------------------------------------------------------------------------------
 
     def ray_intersect_preliminary(
         self,
@@ -215,12 +269,103 @@ class RayQuestions:
         """The shape at `si`; none on a miss."""
         return ShapePtr.into(self._shape_family(), dr.select(si.is_valid(), si.shape_index, NONE))
 
-    def _family(self, ensemble: Ensemble[Any]) -> Family[Any]:
-        """The plugins of an ensemble, for pointers: the same object for each, so that pointers can be compared."""
-        key = id(ensemble)
-        if key not in self._families:
-            self._families[key] = Family(ensemble, self.lookup)
-        return self._families[key]
+    # ---- emitters ----------------------------------------------------------------------------
+
+    def sample_emitter(self, sample: Any, active: Bool | bool = True) -> tuple[UInt32, Float, Float]:
+        """Choose an emitter by a uniform number: its number, 1 / probability, and a fresh uniform number."""
+        index, inverse, left = self.lights.choice.choose(Point3f(0), None, Float(sample))
+        return index, inverse, left
+
+    def pdf_emitter(self, index: Any, active: Bool | bool = True) -> Float:
+        """The probability that `sample_emitter` gives the emitter with the number `index`."""
+        return self.lights.choice.probability(Point3f(0), None, UInt32(index))
+
+    def sample_emitter_direction(
+        self, ref: Observer, sample: Point2f, test_visibility: bool = True, active: Bool | bool = True
+    ) -> tuple[DirectionSample3f, Color3f]:
+        """Choose an emitter, sample a direction towards it; weight = radiance / pdf.
+
+        `ds.pdf` includes the probability of choosing the emitter. `sample.x` chooses and is then stretched
+        for use in the emitter. With `test_visibility` the weight is 0 behind surfaces, and includes absorption.
+        """
+        light = self.lights.sampling.sample(ref, Point2f(sample), active)
+        ds, weight = light.ds, light.weight
+        if test_visibility:
+            weight = self.transmittance(self.shadow_ray(ref, ds), weight)  # type: ignore[arg-type]
+        ds.home = {self: ()}
+        return ds, weight
+
+    def pdf_emitter_direction(
+        self, ref: Observer | Point3f, ds: DirectionSample3f, active: Bool | bool = True
+    ) -> Float:
+        """The density of `sample_emitter_direction` at `ds`, per unit solid angle at `ref`.
+
+        Of a mere point the normal isn't known: an `emitter_choice` that looks at it needs more.
+        """
+        return self.lights.sampling.pdf(observer(ref), ds, active)
+
+    def eval_emitter_direction(self, ref: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
+        """What arrives from the emitter of `ds` in its direction, whatever stands between.
+
+        That is the radiance; of a point, intensity / dist^2; of parallel light, the irradiance.
+        """
+        return self.lights.at(ds.emitter_index).eval_direction(ref, ds, active)
+
+    def sample_emitter_ray(
+        self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Bool | bool = True
+    ) -> tuple[Ray3f, Color3f, EmitterPtr]:
+        """Choose an emitter by `sample1` and sample a ray that leaves it; the weight includes the choice."""
+        index, inverse, left = self.sample_emitter(sample1, active)
+        emitter = self.lights.at(index)
+        ray, weight = emitter.sample_ray(time, left, sample2, sample3, active)
+        return ray, weight * dr.select(active, inverse, 0), emitter
+
+    # ---- media -------------------------------------------------------------------------------
+
+    def target_medium(self, si: SurfaceInteraction3f, d: Any, cos_theta: Any = None) -> MediumPtr:
+        """The medium that a shape names for the side of `si` that a direction points to; none if it names none.
+
+        The direction `d` is in world space; or one number says its cosine with the normal, as `d` or `cos_theta`.
+
+        Raises:
+            ArgumentError: neither or both are given.
+        """
+        if (d is None) == (cos_theta is None):
+            raise ArgumentError("target_medium(): give a direction 'd' or its cosine with the normal, 'cos_theta'")
+        d = cos_theta if d is None else d
+        direction = si.n * d if dr.depth_v(d) < 2 else Vector3f(d)
+        from djpt.media.pointer import MediumPtr  # scenes without media need none
+
+        media = self.every_medium
+        pointer: MediumPtr = MediumPtr.into(Family(media.ensemble, self.lookup), media.side(si, direction))
+        return pointer
+
+    # ---- silhouettes -------------------------------------------------------------------------
+
+    def silhouette_shapes(self) -> list[Any]:
+        """The shapes that have silhouettes: those with gradients and a `silhouette_sampling_weight` above 0."""
+        return self.silhouettes.shapes()
+
+    def silhouette_shape(self, number: UInt32) -> ShapePtr:
+        """The shapes that `SilhouetteSample3f.scene_index` counts, per lane."""
+        return self.silhouettes.shape(number)
+
+    def shapes_grad_enabled(self) -> bool:
+        """Whether a parameter that places a shape has gradients."""
+        return any(shape.parameters_grad_enabled() for shape in self._shapes)
+
+    @converting
+    def sample_silhouette(self, sample: Point3f, flags: int, active: Bool | bool = True) -> SilhouetteSample3f:
+        """The segment of a silhouette of any shape that belongs to a point of the unit cube.
+
+        Shapes are chosen by their weights. If `flags` names both kinds of silhouettes, a shape that has both shows each
+        with probability 1/2, and a shape that has one shows it.
+        """
+        return self.silhouettes.sample(sample, flags, active)
+
+    def invert_silhouette_sample(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
+        """The point that `sample_silhouette` takes to a segment; `ss.scene_index` tells the shape."""
+        return self.silhouettes.invert(ss, active)
 
 
 NORMAL_PARTIALS = RayFlags.dNGdUV | RayFlags.dNSdUV

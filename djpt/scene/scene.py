@@ -1,52 +1,35 @@
-"""The scene: plugins compiled into what kernels read, and the queries that integrators make."""
+"""The scene: plugins compiled into what kernels read; edits, and views of it."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
-import drjit as dr
 import numpy as np
 
-from djpt.core.bounding_box import ScalarBoundingBox3f
-from djpt.core.lookup import Members
-from djpt.core.records import (
-    BSDFFlags,
-    DirectionSample3f,
-    EmitterFlags,
-    PreliminaryIntersection3f,
-    Ray3f,
-    SurfaceInteraction3f,
-    has_flag,
-)
+from djpt.core.records import EmitterFlags, has_flag
 from djpt.core.records.scene_ref import note_latest
 from djpt.description.merging import Merging
 from djpt.description.plugin import Plugin, TraversalCallback
 from djpt.description.properties import Properties
-from djpt.dispatch.ensemble import Detached, Ensemble, Lookup
-from djpt.dispatch.family import Family
+from djpt.dispatch.ensemble import Detached, Lookup
 from djpt.emitters import Emitter
-from djpt.emitters.pointer import EmitterPtr
 from djpt.errors import RenderError, SceneError
 from djpt.geometry.aggregate import Geometry
-from djpt.geometry.parity import is_inside
 from djpt.jit.frozen import recording, require_editable
 from djpt.jit.kernels import may_wait
-from djpt.jit.types import Bool, Float, Point3f, TensorXf, UInt32, Vector3f
-from djpt.materials import BSDF
-from djpt.materials.pointer import BSDFPtr
-from djpt.scene.light_queries import LightQuestions
-from djpt.scene.mitsuba_api import RayQuestions
+from djpt.jit.types import Float, Point3f, TensorXf, UInt32
+from djpt.scene.bsdfs import BSDFs
+from djpt.scene.lights import Lights
+from djpt.scene.media_placement import Media, absorbing_sides, all_sides
+from djpt.scene.mitsuba_api import MitsubaScene
 from djpt.scene.nesting import black, collect_emitters, collect_sensors, numbers
-from djpt.scene.silhouettes import SceneSilhouettes
-from djpt.scene.visibility import VisibilityQueries
+from djpt.scene.silhouettes import Silhouettes
 from djpt.sensors import Sensor
-from djpt.sensors.pointer import SensorPtr
 from djpt.shapes import Shape
 from djpt.shapes.numbering import merged_last
-from djpt.shapes.pointer import ShapePtr
-from djpt.textures.uses import check_textures, reads_uv
+from djpt.textures.uses import check_textures
 
 __all__ = ["Renderer", "Scene"]
 
@@ -70,20 +53,12 @@ class Renderer(Protocol):
         """The derivative of an image: see `djpt.rendering.image.image_derivative`."""
 
 
-class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, Plugin):
+class Scene(MitsubaScene):
     """Shapes, emitters, sensors and an integrator, ready to render.
 
     Lights and sensors are numbered in the order of the description, except that those of rectangles, cubes and other
     meshes without attributes come last unless `djpt.load_dict` was told not to optimise: see `djpt.shapes.numbering`.
-
-    The queries take per-lane rays and points. A scene reads its plugins' values through a
-    `Lookup`; `with_lookup` gives a view of the same scene that reads them in another way.
     """
-
-    kind: ClassVar[str] = "scene"
-    units: Any = None
-    """Of a scene in a working frame: what lengths and points are in its description
-    (`djpt.scene.normalization.units`)."""
 
     def __init__(self, props: Properties, renderer: Renderer | None = None) -> None:
         super().__init__(props)
@@ -102,10 +77,9 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         plugins = self._numbered(props.merging)
         self._sensors = collect_sensors(plugins)
         self._emitters = collect_emitters(plugins)
-        infinite = [i for i, e in enumerate(self._emitters) if e.is_environment()]
-        if len(infinite) > 1:
-            raise SceneError(f"{props.node}: only one environment emitter is possible, found {len(infinite)}")
-        self._environment = infinite[0] if infinite else None
+        infinite = sum(emitter.is_environment() for emitter in self._emitters)
+        if infinite > 1:
+            raise SceneError(f"{props.node}: only one environment emitter is possible, found {infinite}")
         self.in_time = any(emitter.in_time for emitter in self._emitters)
         """Whether rays need a time, because some light depends on it."""
         with may_wait():
@@ -137,42 +111,41 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         self.twin: Any = ()
         """The scene that is rendered in the place of this one, see `djpt.scene.normalization.normalized_scene`; ():
         not known yet."""
-        self._from_infinity = [i for i, e in enumerate(self._emitters) if e.from_infinity]
-        self.geometry = Geometry(self._shapes, self._light_positions(), bool(self._from_infinity))
-
-        contents, none = self.geometry.contents, len(self._emitters)
-        bsdfs, self.bsdf_of_shape, self._light_of_shape = numbers(contents.shapes, self._emitters)
-        self.lights: Ensemble[Emitter] = Ensemble(self._emitters)
-        self._at_infinity = Members(self._from_infinity, none)
+        self.geometry = Geometry(self._shapes, self._light_positions(), any(e.from_infinity for e in self._emitters))
+        shapes = self.geometry.contents.shapes
+        bsdfs, bsdf_of_shape, emitter_of_shape = numbers(shapes, self._emitters)
+        self.lights = Lights(self._emitters, emitter_of_shape, self.geometry, self.lookup)
         # A scene without surfaces still traces the code of a vertex: that needs a BSDF to ask.
-        self._use_bsdfs(bsdfs or [black(f"{self.id()}.bsdf")])
-        check_textures(contents.shapes)
+        self.bsdfs = BSDFs(bsdfs or [black(f"{self.id()}.bsdf")], bsdf_of_shape, self.geometry, self.lookup)
+        self.silhouettes = Silhouettes(self._shapes, self.lookup)
+        self._find_media()
+        check_textures(shapes)
         self._set_bounds()
+        self._families = {}
         self._prepare()
-        self.begin_choices()
-        self._light_on_miss = none if self._environment is None else self._environment
         self.camera_medium = UInt32(self.media.vacuum) if self.media else None
         self.near_share = Float(0)
-        self._families: dict[Any, Family[Any]] = {}
         for shape in self._shapes:
             shape.used_in(self)
         note_latest(self)
 
     def renew_bsdfs(self) -> None:
         """Follow a change of a shape's BSDF."""
-        bsdfs, self.bsdf_of_shape, self._light_of_shape = numbers(self.geometry.contents.shapes, self._emitters)
-        self._use_bsdfs(bsdfs)
+        bsdfs, of_shape, _ = numbers(self.geometry.contents.shapes, self._emitters)
+        self.bsdfs = BSDFs(bsdfs, of_shape, self.geometry, self.lookup)
+        self._find_media()
+        self.silhouettes.forget()
         self._families.clear()
         self._prepare()
         self.twin = ()
 
-    def _use_bsdfs(self, bsdfs: Sequence[BSDF]) -> None:
-        self.bsdfs: Ensemble[BSDF] = Ensemble(bsdfs)
-        self.find_media()
-
-    def ensembles(self) -> Sequence[Ensemble[Any]]:
-        """The plugins whose values a path vertex looks up: BSDFs, emitters, and media if there are any."""
-        return self.bsdfs, self.lights, *self.media.ensembles
+    def _find_media(self) -> None:
+        """Number the media of shapes and sensors."""
+        shapes = self.geometry.contents.shapes
+        self.media = self.every_medium = Media(self.geometry, self.lookup, absorbing_sides(shapes))
+        of_sensors = [sensor.get_medium() for sensor in self._sensors if sensor.get_medium() is not None]
+        if of_sensors or any(shape.is_medium_transition() for shape in shapes):
+            self.every_medium = Media(self.geometry, self.lookup, all_sides(shapes), of_sensors)
 
     def _light_positions(self) -> list[Point3f]:
         return [e.position for e in self._emitters if has_flag(e.flags(), EmitterFlags.DeltaPosition)]  # type: ignore[attr-defined]
@@ -194,9 +167,8 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         assert isinstance(self.lookup, Detached)
         shapes = self.geometry.contents.shapes
         self._differentiated = [(i, shape) for i, shape in enumerate(shapes) if shape.parameters_grad_enabled()]
-        self._bsdf_of_face = self.geometry.per_face(self.bsdf_of_shape)
-        self._light_of_face = self.geometry.per_face(self._light_of_shape)
-        self.prepare_media()
+        for part in (self.bsdfs, self.lights, self.media, self.every_medium):
+            part.prepare()
         for ensemble in (self.geometry.surfaces, *self.ensembles(), *self.every_medium.ensembles):
             self.lookup.prepare(ensemble.leaves())
 
@@ -214,11 +186,11 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         self._families.clear()
         for shape in self._shapes:
             shape.forget_alone()
-        # A lobe that an edit turns on is new code.
-        if not all(ensemble.is_current() for ensemble in (self.bsdfs, *self.every_medium.ensembles)):
-            self._use_bsdfs(self.bsdfs.plugins)
-        if not self.lights.is_current():
-            self.lights = Ensemble(self._emitters)
+        if not all(ensemble.is_current() for ensemble in (self.bsdfs.ensemble, *self.every_medium.ensembles)):
+            self._find_media()
+        self.bsdfs.forget()
+        self.lights.forget()
+        self.silhouettes.forget()
         shapes = [plugin for plugin in changed if isinstance(plugin, Shape)]
         if shapes:
             self.geometry.move(shapes)
@@ -227,7 +199,7 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         if shapes:
             self._set_bounds()
         if shapes or any(plugin.kind in ("emitter", "texture", "volume") for plugin in changed):
-            self.forget_choices()
+            self.lights.forget_choices()
         self._prepare()
         self._refresh_twin(changed)
 
@@ -242,181 +214,54 @@ class Scene(RayQuestions, VisibilityQueries, LightQuestions, SceneSilhouettes, P
         if not recording():
             self.renderer.prepare_to_record(self)
 
-    def _view(self) -> Scene:
-        """A shallow copy, to be changed in what makes it a view."""
+    # ---- views ------------------------------------------------------------------------
+
+    def replace(
+        self,
+        *,
+        lookup: Lookup | None = None,
+        geometry: Geometry | None = None,
+        emitter_choice: str | None = None,
+        all_media: bool = False,
+        sensor: Sensor | None = None,
+        near_share: Float | None = None,
+    ) -> Scene:
+        """A view of this scene with other parts, or the scene itself if nothing changes.
+
+        Args:
+            lookup: Another way to read the plugins' values.
+            geometry: What rays hit; it must number faces and shapes in the same way.
+            emitter_choice: Another way to choose emitters: see `djpt.emitters.light_samplers`.
+            all_media: Whether all media are followed along rays, not only those that absorb without scattering.
+            sensor: The sensor that rays come from: it tells where they start, and in which medium.
+            near_share: How far from the sensor its rays start: see `Sensor.near_share`.
+        """
+        lights = self.lights.replace(lookup, emitter_choice)
+        more_media = all_media and self.media is not self.every_medium
+        given = (geometry, sensor, near_share)
+        if lights is self.lights and not more_media and all(part is None for part in given):
+            return self
         view = copy.copy(self)
-        view._families, view.is_view = {}, True
+        view.is_view, view.lights, view._families = True, lights, {}
         note_latest(view)
+        if lookup is not None:
+            view.lookup, view.bsdfs = lookup, self.bsdfs.replace(lookup)
+            view.silhouettes = self.silhouettes.replace(lookup)
+            view.media = view.every_medium = self.every_medium.replace(lookup)
+            if self.media is not self.every_medium:
+                view.media = self.media.replace(lookup)
+        if geometry is not None:
+            view.geometry = geometry
+        if near_share is not None:
+            view.near_share = near_share
+        if more_media:
+            view.media = view.every_medium
+            view.camera_medium = UInt32(view.media.vacuum)
+        if sensor is not None:
+            view.geometry = view.geometry.seen_from(sensor.starts())
+            if view.media:
+                view.camera_medium, view.outer_medium = view.media.of_sensor(sensor)
         return view
-
-    def with_lookup(self, lookup: Lookup) -> Scene:
-        """A view of this scene that reads values through `lookup`."""
-        view = self._view()
-        view.lookup = lookup
-        return view
-
-    def with_geometry(self, geometry: Geometry) -> Scene:
-        """A view of this scene whose rays meet `geometry`, which must number faces and shapes in the same way."""
-        view = self._view()
-        view.geometry = geometry
-        return view
-
-    def measured_from(self, sensor: Sensor) -> Scene:
-        """A view of this scene that knows how far from a sensor its rays start: see `Sensor.near_share`."""
-        view = self._view()
-        view.near_share = dr.opaque(Float, sensor.near_share())
-        return view
-
-    def seen_by(self, sensor: Sensor) -> Scene:
-        """A view of this scene for the rays of a sensor: it knows where they start, and in which medium."""
-        view = self._view()
-        view.geometry = self.geometry.seen_from(sensor.starts())
-        if self.media:
-            view.begin_in_media_of(sensor)
-        return view
-
-    # ---- contents ----------------------------------------------------------------------
-
-    def sensors(self) -> list[Sensor]:
-        """All sensors, in the order of the description."""
-        return list(self._sensors)
-
-    def emitters(self) -> list[Emitter]:
-        """All emitters in the order in which light sampling numbers them."""
-        return list(self._emitters)
-
-    def shapes(self) -> list[Shape]:
-        """All shapes, in the order of the description."""
-        return list(self._shapes)
-
-    def integrator(self) -> Any:
-        """The integrator, or None."""
-        return self._integrator
-
-    def environment(self) -> Emitter | None:
-        """The emitter that surrounds the scene, or None."""
-        return None if self._environment is None else self._emitters[self._environment]
-
-    def shapes_dr(self) -> ShapePtr:
-        """All shapes, one per lane."""
-        return ShapePtr.into(Family(Ensemble(self._shapes), self.lookup), dr.arange(UInt32, len(self._shapes)))
-
-    def emitters_dr(self) -> EmitterPtr:
-        """All emitters, one per lane."""
-        return self.emitter_ptr(dr.arange(UInt32, len(self._emitters)))
-
-    def sensors_dr(self) -> SensorPtr:
-        """All sensors, one per lane."""
-        return SensorPtr.into(Family(Ensemble(self._sensors), self.lookup), dr.arange(UInt32, len(self._sensors)))
-
-    def shape_types(self) -> int:
-        """The kinds of all shapes, values of `ShapeType`, combined."""
-        kinds = 0
-        for shape in self._shapes:
-            kinds |= int(shape.shape_type())
-        return kinds
-
-    def bbox(self) -> ScalarBoundingBox3f:
-        """The box about all shapes, world space; ``low, high = scene.bbox()`` gives its corners."""
-        return ScalarBoundingBox3f(*self.geometry.bounding_box())
-
-    @property
-    def refracts(self) -> bool:
-        """True if a path can cross an interface between different indices of refraction."""
-        return any(has_flag(bsdf.flags(), TRANSMITS) for bsdf in self.bsdfs.plugins)
-
-    @property
-    def has_null(self) -> bool:
-        """True if a path can pass straight through a surface, as if it weren't there."""
-        return any(has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in self.bsdfs.plugins)
-
-    @property
-    def needs_uv(self) -> bool:
-        """True if a BSDF or an emitter looks at uv or its derivatives."""
-        return any(reads_uv(plugin) for ensemble in self.ensembles() for plugin in ensemble.plugins)
-
-    # ---- ray queries ---------------------------------------------------------------------
-
-    def closest_hit(
-        self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
-    ) -> PreliminaryIntersection3f:
-        """The face that a ray hits first, and the distance: all that integrators need to go on.
-
-        Lanes with `through_lights` ignore shapes that emit.
-        """
-        pi = self.geometry.closest(ray, through_lights)
-        if active is not True:
-            pi.t = dr.select(active, pi.t, dr.inf)
-        return pi
-
-    def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
-        """True where a point is within an odd number of closed surfaces; open shapes don't count."""
-        return is_inside(self.geometry, p, active)
-
-    def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
-        """The ray from `si` to the emitter sample `ds`."""
-        if not self._from_infinity:
-            return si.spawn_ray_to(ds.p)
-        to_point, to_sky = si.spawn_ray_to(ds.p), si.spawn_ray(ds.d)
-        return dr.select(self._at_infinity.contain(ds.emitter_index), to_sky, to_point)
-
-    def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
-        """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
-        valid = pi.is_valid()
-        surface = self.geometry.surface(ray, pi, self.lookup, full)
-        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(
-            p=surface.p,
-            n=surface.n,
-            sh_frame=surface.sh_frame,
-            uv=surface.uv,
-            dp_du=surface.dp_du,
-            dp_dv=surface.dp_dv,
-            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
-            shape_index=dr.select(valid, pi.shape_index, 0),
-            face=pi.face,
-            media=ray.media,
-            prim_uv=surface.prim_uv,
-            home={self: ()},
-        )
-        si.found_at(pi.t, valid)
-        if ray.times:
-            si.time = ray.time
-        return si
-
-    def revisit(self, p: Point3f, d: Vector3f, face: UInt32, full: bool = False) -> SurfaceInteraction3f:
-        """The surface interaction at a stored point `p` of a face, as for a ray of direction `d`.
-
-        uv and its derivatives are computed if BSDFs or emitters need them, or if `full`. A face that belongs to an
-        instance can't be revisited: its number doesn't say which instance.
-        """
-        hit = PreliminaryIntersection3f.found(Float(0), face, self.geometry.shape_of(face))
-        return self.surface_interaction(Ray3f(p, d), hit, full=full or self.needs_uv)
-
-    def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
-        """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
-        return self.geometry.primitive_index(si.face, si.uv, si.p, self.lookup)
-
-    # ---- BSDFs and emitters of surface points -----------------------------------------------
-
-    def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
-        """The BSDF of the shape at `si`."""
-        return self.bsdf_of(si.face)
-
-    def bsdf_of(self, face: UInt32) -> BSDFPtr:
-        """The BSDF of a face."""
-        return BSDFPtr.into(self._family(self.bsdfs), self._bsdf_of_face.at(face))
-
-    def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
-        """The number of the emitter seen at `si`; the count of emitters means none."""
-        return dr.select(si.is_valid(), self._light_of_face.at(si.face), UInt32(self._light_on_miss))
-
-    def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
-        """The emitter seen at `si`: that of the shape, or the environment on a miss."""
-        return self.emitter_ptr(self.emitter_index_at(si))
-
-    def emitter_ptr(self, index: UInt32) -> EmitterPtr:
-        """The emitters with the numbers `index`, per lane."""
-        return EmitterPtr.into(self._family(self.lights), index)
 
 
 KINDS = (
@@ -424,6 +269,3 @@ KINDS = (
     *("medium", "phase", "volume"),
 )
 """The kinds of plugins that may stand at the top level of a scene: as its parts, or for others to refer to."""
-
-
-TRANSMITS = BSDFFlags.DiffuseTransmission | BSDFFlags.GlossyTransmission | BSDFFlags.DeltaTransmission

@@ -1,7 +1,9 @@
-"""What scripts ask a scene about the silhouettes of its shapes."""
+"""The silhouettes of a scene's shapes, and the choice among them."""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -10,67 +12,70 @@ from djpt.core.records import DiscontinuityFlags
 from djpt.dispatch.ensemble import Ensemble, Lookup
 from djpt.dispatch.family import Family
 from djpt.distributions.weights import Weights
-from djpt.jit.types import Bool, Float, Point3f, UInt32, converting
+from djpt.jit.types import Bool, Float, Point3f, UInt32
+from djpt.shapes import Shape
 from djpt.shapes.pointer import ShapePtr
 
 if TYPE_CHECKING:
     from djpt.shapes.silhouettes.samples import SilhouetteSample3f
 
-__all__ = ["SceneSilhouettes"]
+__all__ = ["Silhouettes"]
 
 PERIMETER, INTERIOR = int(DiscontinuityFlags.PerimeterType), int(DiscontinuityFlags.InteriorType)
 
 
-class SceneSilhouettes:
-    """The part of a scene that chooses among the silhouettes of all shapes that are differentiated."""
+class Silhouettes:
+    """The silhouettes of all shapes that are differentiated, chosen by the shapes' weights."""
 
-    lookup: Lookup
-    _shapes: list[Any]
-    _families: dict[Any, Any]
+    def __init__(self, shapes: Sequence[Shape], lookup: Lookup) -> None:
+        """`shapes`: all shapes of the scene; `lookup` reads their values."""
+        self._every_shape, self.lookup = shapes, lookup
+        self.forget()
 
-    def silhouette_shapes(self) -> list[Any]:
+    def forget(self) -> None:
+        """Follow an edit of shapes."""
+        self._chosen_among: dict[tuple[int, ...], tuple[Family[Any], Weights]] = {}
+
+    def replace(self, lookup: Lookup) -> Silhouettes:
+        """A view whose values are read through `lookup`."""
+        view = copy.copy(self)
+        view.lookup = lookup
+        view.forget()
+        return view
+
+    def shapes(self) -> list[Any]:
         """The shapes that have silhouettes: those with gradients and a `silhouette_sampling_weight` above 0."""
         return [
             shape
-            for shape in self._shapes
+            for shape in self._every_shape
             if shape.parameters_grad_enabled()
             and shape.silhouette_sampling_weight() > 0
             and shape.silhouette_discontinuity_types()
         ]
 
-    def silhouette_shape(self, number: UInt32) -> ShapePtr:
+    def shape(self, number: UInt32) -> ShapePtr:
         """The shapes that `SilhouetteSample3f.scene_index` counts, per lane."""
-        found = self._silhouettes()
+        found = self._choice()
         pointer: ShapePtr = ShapePtr() if found is None else ShapePtr.into(found[0], number)
         return pointer
 
-    def shapes_grad_enabled(self) -> bool:
-        """Whether a parameter that places a shape has gradients."""
-        return any(shape.parameters_grad_enabled() for shape in self._shapes)
-
-    def _silhouettes(self) -> tuple[Family[Any], Weights] | None:
+    def _choice(self) -> tuple[Family[Any], Weights] | None:
         """The shapes with silhouettes, and how they are chosen; None if there are none."""
-        shapes = self.silhouette_shapes()
+        shapes = self.shapes()
         if not shapes:
             return None
-        key = ("silhouettes", *(id(shape) for shape in shapes))
-        if key not in self._families:
+        key = tuple(id(shape) for shape in shapes)
+        if key not in self._chosen_among:
             weights = Weights(Float([shape.silhouette_sampling_weight() for shape in shapes]))
-            self._families[key] = (Family(Ensemble(shapes), self.lookup), weights)
-        found: tuple[Family[Any], Weights] = self._families[key]
-        return found
+            self._chosen_among[key] = Family(Ensemble(shapes), self.lookup), weights
+        return self._chosen_among[key]
 
-    @converting
-    def sample_silhouette(self, sample: Point3f, flags: int, active: Bool | bool = True) -> SilhouetteSample3f:
-        """The segment of a silhouette of any shape that belongs to a point of the unit cube.
-
-        Shapes are chosen by their weights. If `flags` names both kinds of silhouettes, a shape that has both shows each
-        with probability 1/2, and a shape that has one shows it.
-        """
+    def sample(self, sample: Point3f, flags: int, active: Bool | bool = True) -> SilhouetteSample3f:
+        """The segment of a silhouette that belongs to a point of the unit cube: see `Scene.sample_silhouette`."""
         from djpt.shapes.silhouettes.samples import SilhouetteSample3f  # rendering needs no silhouettes
 
         empty = SilhouetteSample3f()
-        found = self._silhouettes()
+        found = self._choice()
         if found is None:
             return empty
         family, weights = found
@@ -98,9 +103,9 @@ class SceneSilhouettes:
         failed = dr.isnan(dr.sum(ss.p) + dr.sum(ss.d) + dr.sum(ss.n))
         return dr.select(failed, empty, ss)
 
-    def invert_silhouette_sample(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
-        """The point that `sample_silhouette` takes to a segment; `ss.scene_index` tells the shape."""
-        found = self._silhouettes()
+    def invert(self, ss: SilhouetteSample3f, active: Bool | bool = True) -> Point3f:
+        """The point that `sample` takes to a segment; `ss.scene_index` tells the shape."""
+        found = self._choice()
         if found is None:
             return Point3f(0)
         family, weights = found

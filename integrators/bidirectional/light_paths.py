@@ -39,7 +39,7 @@ class Departure:
 
 def departure(scene: Scene, sampler: SampleStream) -> Departure:
     """Choose an emitter, and sample a ray that leaves it."""
-    index, inverse, _ = scene.emitter_choice.choose(Point3f(0), None, sampler.next_1d())
+    index, inverse, _ = scene.lights.choice.choose(Point3f(0), None, sampler.next_1d())
     emitter = scene.emitter_ptr(index)
     es = emitter.sample_emission(sampler.next_2d(), sampler.next_2d())
     # Off the surface, along the ray, whichever side that is.

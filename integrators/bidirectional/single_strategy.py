@@ -176,7 +176,7 @@ class OneStrategy:
         passes_lights = ~on_light & (walk.end.depth == 1) if self.ends.hide_emitters else None
         si = scene.surface_interaction(ray, scene.closest_hit(ray, through_lights=passes_lights), full=scene.needs_uv)
         place, hit = Place(si, None), si.is_valid()
-        end = walk.end.arrived(place, scene.transmittance(ray, si.t), h)
+        end = walk.end.arrived(place, scene.media.transmittance(ray, si.t), h)
         is_last = walk.left == 1
         walk.last.write(LastVertex.at(si, end, walk.covered), dr.select(on_light, UInt32(0), 1), walk.active & is_last)
         turns = is_last & on_light & hit & (t > 1)
@@ -230,7 +230,7 @@ class OneStrategy:
         flux = v.throughput * power
         sampled, shown = s == 1, t == 1
 
-        light = scene.light_sampling.sample(Reference(seen.p, seen.n), joint, complete & sampled)
+        light = scene.lights.sampling.sample(Reference(seen.p, seen.n), joint, complete & sampled)
         ds = light.ds
         between = v.p - z.p
         falloff = dr.rcp(dr.squared_norm(between))
@@ -263,7 +263,8 @@ class OneStrategy:
             if ends.hide_emitters:
                 result = dr.select(shown & lit.emitter().is_valid(), 0, result)
             ray = dr.select(shown, lit.spawn_ray_to(to_camera.p), ray)
-        result = scene.light_between(ray, result, through_lights=shown if ends.hide_emitters else False)
+        through_lights = shown if ends.hide_emitters else False
+        result = scene.transmittance(ray, result, to_emitter=False, through_lights=through_lights)
 
         # --------------------- Light met ----------------------
         met, met_weight = ends.met(scene, end, at_seen, z.covered != 0)

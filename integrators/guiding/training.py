@@ -125,7 +125,7 @@ def practise(
         way.times = lane.times
         si = integrator.trace(scene, lane.state, way)
         v: Any = integrator.advance(scene, lane.sampler, lane.state, way, si)
-        radiance = lane.radiance + v.emitted + integrator.arriving(scene, lane.sampler, v)
+        radiance = lane.radiance + v.emitted + integrator.transmittance(scene, lane.sampler, v)
         chosen = v.active & (v.density > 0) & (lane.count < REMEMBERED)
         choice = Choice(v.square, v.density, dr.mean(lane.state.throughput), dr.mean(radiance))
         lane.choices.write(choice, lane.count, chosen)

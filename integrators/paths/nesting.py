@@ -56,6 +56,8 @@ class NestingIntegrator(Integrator):
     ) -> list[tuple[Color3f, Bool, list[Float]]]:
         """One sample of each nested integrator, from the random numbers that it would draw alone."""
         return [
-            integrator.sample(scene.choosing_emitters(integrator.emitter_choice), sampler.clone(), ray, None, active)
+            integrator.sample(
+                scene.replace(emitter_choice=integrator.emitter_choice), sampler.clone(), ray, None, active
+            )
             for _, integrator in self.nested
         ]

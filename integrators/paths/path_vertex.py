@@ -18,7 +18,6 @@ from djpt.core.records import (
     has_flag,
 )
 from djpt.core.records.media import MediumInteraction3f
-from djpt.integrators.paths.transmittance import light_through_null
 from djpt.integrators.volpath import vertex_of
 from djpt.jit.types import Bool, Color3f, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.materials.adjoint import eval_pdf_light, sample_light
@@ -30,7 +29,7 @@ from djpt.samplers.base import SampleStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["Matter", "Place", "Reached", "Scattering", "arriving", "arriving_between", "is_half_open", "reach"]
+__all__ = ["Matter", "Place", "Reached", "Scattering", "is_half_open", "reach"]
 
 
 @dataclass
@@ -160,7 +159,7 @@ class Place:
         """What a path asks of a place, be it on a surface, as `s` says, or in a medium."""
         assert self.matter is not None
         inside, mei = self.matter.inside, self._point(self.matter.wi)
-        phase = scene.media.phases(self.matter.medium, scene.lookup)
+        phase = scene.media.phases(self.matter.medium)
         wo, weight, pdf = phase.sample(PhaseFunctionContext(None), mei, sample1, sample2, inside)
         sample = BSDFSample3f.of(s.sample.wo, pdf, BSDFFlags.GlossyReflection)
         here = (*self._of_phase(scene, d), sample, weight, self._of_phase(scene, wo)[2])
@@ -170,7 +169,7 @@ class Place:
     def _of_phase(self, scene: Scene, d: Vector3f) -> Evaluated:
         """The phase function towards a world direction, and the densities of both ways: it is the same for light."""
         assert self.matter is not None
-        phase = scene.media.phases(self.matter.medium, scene.lookup)
+        phase = scene.media.phases(self.matter.medium)
         value, pdf = phase.eval_pdf(PhaseFunctionContext(None), self._point(self.matter.wi), d, self.matter.inside)
         _, back = phase.eval_pdf(PhaseFunctionContext(None), self._point(d), self.matter.wi, self.matter.inside)
         return value, pdf, back
@@ -204,29 +203,13 @@ class Reached:
 def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3f, sampler: SampleStream) -> Reached:
     """How far a ray gets on its way to the surface `si`, with light of a throughput."""
     if not scene.media.scatter:
-        return Reached(Place(si, None), scene.transmittance(ray, si.t), None)
+        return Reached(Place(si, None), scene.media.transmittance(ray, si.t), None)
     length = dr.select(si.is_valid(), si.t, ray.maxt)
-    flight = scene.media.fly(ray, length, None, throughput, sampler, scene.lookup)
+    flight = scene.media.fly(ray, length, None, throughput, sampler)
     assert ray.medium is not None
     matter = Matter(flight.scattered, ray.medium, -ray.d)
     passed = flight.value * dr.rcp(of_channel(flight.pdf, None))
     return Reached(Place(vertex_of(ray, si, flight), matter), passed, flight.emitted if scene.media.emit else None)
-
-
-def arriving(scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None) -> Color3f:
-    """The part of `light` of a light sample that arrives along a shadow ray; among media, through null surfaces."""
-    if scene.media.scatter:
-        return light_through_null(scene, sampler, ray, light, lit)
-    return scene.light_through(ray, light, lit)
-
-
-def arriving_between(
-    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None, lamps_hide: bool = True
-) -> Color3f:
-    """The same between two places, or to the camera; if lamps hide nothing, there must be no media that scatter."""
-    if scene.media.scatter:
-        return light_through_null(scene, sampler, ray, light, lit)
-    return scene.light_between(ray, light, not lamps_hide, lit)
 
 
 def is_half_open(scene: Scene) -> bool:

@@ -70,7 +70,7 @@ def walk(
         way.times = lane.times
         si = integrator.trace(scene, lane.state, way)
         v = integrator.advance(scene, lane.sampler, lane.state, way, si)
-        reflected, depth = integrator.arriving(scene, lane.sampler, v), lane.state.depth
+        reflected, depth = integrator.transmittance(scene, lane.sampler, v), lane.state.depth
         if bounces:
             radiance = [
                 r + dr.select(depth == k, v.emitted, dr.select(depth + 1 == k, reflected, 0))

@@ -1,4 +1,4 @@
-"""Shadow rays through null surfaces and media."""
+"""The transmittance of shadow rays through null surfaces and media."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from djpt.samplers.independent import IndependentStream
 if TYPE_CHECKING:
     from djpt.scene.scene import Scene
 
-__all__ = ["Aim", "light_through_null", "passable_surfaces"]
+__all__ = ["Aim", "null_transmittance", "passable_surfaces", "transmittance"]
 
 
 @dataclass
-class Passage:
+class PassedMedia:
     """What a shadow ray has passed of media so far, as derivatives need it: loop state."""
 
     lengths: list[Float]
@@ -51,46 +51,66 @@ class Shadow:
     """The distance of the next surface; infinite if there is none."""
     face: UInt32
     near: Any
-    light: Color3f
-    passage: Passage | None
+    left: Color3f
+    """The transmittance so far."""
+    passed: PassedMedia | None
     """What it has passed so far; None unless there are derivatives."""
     sampler: Any
     active: Bool
 
 
-def light_through_null(
-    scene: Scene, sampler: SampleStream, ray: Ray3f, light: Color3f, lit: Bool | None = None
+def transmittance(
+    scene: Scene,
+    sampler: SampleStream,
+    ray: Ray3f,
+    weight: Color3f,
+    lit: Bool | None = None,
+    *,
+    to_emitter: bool = True,
+    through_lights: bool = False,
 ) -> Color3f:
-    """The part of `light` that arrives along a shadow ray, through null surfaces and whatever media lie between.
+    """`Scene.transmittance`; among media that scatter, an estimate that looks through null surfaces.
 
-    Unlike `Scene.light_through` it leaves out no shape: a point in a medium may lie behind a wall that stands around
-    everything else. It has derivatives with respect to the media and `light`; those with respect to null surfaces are
-    left out. Where `lit`, the way is followed although `light` is black.
+    The estimate leaves out no shape, and shapes that emit always hide: `through_lights` has no effect on it.
     """
-    shines = dr.max(light) > 0
+    if scene.media.scatter:
+        return null_transmittance(scene, sampler, ray, weight, lit)
+    return scene.transmittance(ray, weight, lit, to_emitter=to_emitter, through_lights=through_lights)
+
+
+def null_transmittance(
+    scene: Scene, sampler: SampleStream, ray: Ray3f, weight: Color3f, lit: Bool | None = None
+) -> Color3f:
+    """An estimate of the transmittance of a shadow ray through null surfaces and media, times `weight`.
+
+    It is the product of V, which is 0 behind a surface that isn't null, of the transmittance of each null surface,
+    and of exp(-tau) of each medium between them, which ratio tracking estimates where it has no closed form.
+    Unlike `Scene.transmittance` it leaves out no shape: a point in a medium may lie behind a wall that stands around
+    everything else. It has derivatives with respect to the media and `weight`; those with respect to null surfaces are
+    left out. Where `lit`, the ray is followed although `weight` is black.
+    """
+    shines = dr.max(weight) > 0
     lit = shines if lit is None else shines | lit
-    if not scene.has_null:
+    if not scene.bsdfs.have_null:
         # What stands in the way needs no light in the medium.
-        way = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
-        free = ~scene.geometry.any_hit(way, lit)
-        return dr.select(free, light * left_over(scene, sampler, way, lit & free), 0)
-    differentiable = any(
-        scene.lookup.attaches(leaf) for ensemble in scene.media.ensembles for leaf in ensemble.leaves()
-    )
+        aimed_ray = ray if ray.medium is None else aimed(ray, ray.o, ray.medium)
+        free = ~scene.geometry.any_hit(aimed_ray, lit)
+        return dr.select(free, weight * left_over(scene, sampler, aimed_ray, lit & free), 0)
     # No loop can be differentiated here; the transmittance is computed again behind it.
     with dr.suspend_grad():
         # Leaves that are made in a loop can't be used behind it.
-        plain = scene.with_lookup(scene.lookup.plain())
-        end = Way(plain, dr.detach(ray)).walked(sampler, dr.detach(lit), differentiable)
+        plain = scene.replace(lookup=scene.lookup.plain())
+        walk = ShadowWalk(plain, dr.detach(ray))
+        end = walk.end(sampler, dr.detach(lit), measured=scene.media.are_attached())
     go_on_with(sampler, end.sampler)
-    arrives = dr.select(lit, end.light, 0)
-    if end.passage is not None:
-        arrives = reattached(scene, sampler, ray, arrives, end.passage)
-    return light * arrives
+    left = dr.select(lit, end.left, 0)
+    if end.passed is not None:
+        left = reattached(scene, sampler, ray, left, end.passed)
+    return weight * left
 
 
-class Way:
-    """The way of a shadow ray through null surfaces.
+class ShadowWalk:
+    """The walk of a shadow ray from one null surface to the next.
 
     If they can be told apart from all others, whether anything opaque stands in the way is known before.
     """
@@ -99,8 +119,8 @@ class Way:
         self._scene, self._ray = scene, ray
         self._surfaces = passable_surfaces(scene)
 
-    def walked(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
-        """The end of the ray, whose `light` is the share that arrives; with its passage if `measured`.
+    def end(self, sampler: SampleStream, lit: Bool, measured: bool) -> Shadow:
+        """The end of the ray, whose `left` is its transmittance; if `measured`, with what derivatives need.
 
         Where not `lit`, the result means nothing.
         """
@@ -114,8 +134,8 @@ class Way:
             t=t,
             face=face,
             near=near,
-            light=dr.select(free, Color3f(1), 0),
-            passage=begun(self._scene, ray) if measured else None,
+            left=dr.select(free, Color3f(1), 0),
+            passed=begun(self._scene, ray) if measured else None,
             sampler=sampler,
             active=lit & free,
         )
@@ -139,15 +159,15 @@ class Way:
         hit, stopped = shadow.t < dr.inf, Bool(False)
         segment.maxt = dr.select(hit, shadow.t, segment.maxt)
         if not self._surfaces.are_apart:
-            stopped = hit & ~has_flag(scene.bsdf_of(shadow.face).flags(), BSDFFlags.Null)
+            stopped = hit & ~has_flag(scene.bsdfs.at(shadow.face).flags(), BSDFFlags.Null)
         sampler = shadow.sampler
-        left = shadow.light * left_over(scene, sampler, segment, active & ~stopped)
-        light = dr.select(active, dr.select(stopped, 0, left), shadow.light)
-        passage = shadow.passage
-        if passage is not None:
-            passage = longer(scene, passage, segment, active & ~stopped)
-        goes_on = active & hit & (dr.max(light) > 0)
-        return replace(shadow, light=light, passage=passage, sampler=sampler, active=goes_on)
+        left = shadow.left * left_over(scene, sampler, segment, active & ~stopped)
+        left = dr.select(active, dr.select(stopped, 0, left), shadow.left)
+        passed = shadow.passed
+        if passed is not None:
+            passed = longer(scene, passed, segment, active & ~stopped)
+        goes_on = active & hit & (dr.max(left) > 0)
+        return replace(shadow, left=left, passed=passed, sampler=sampler, active=goes_on)
 
     def _pass_surface(self, shadow: Shadow) -> Shadow:
         """Go through a surface, and find the next one."""
@@ -166,63 +186,62 @@ class Way:
             t=t,
             face=face,
             near=near,
-            light=shadow.light * si.bsdf().eval_null_transmission(si),
+            left=shadow.left * si.bsdf().eval_null_transmission(si),
             active=shadow.active & ahead,
         )
 
 
-def begun(scene: Scene, ray: Ray3f) -> Passage:
-    """That of a shadow ray that hasn't left."""
+def begun(scene: Scene, ray: Ray3f) -> PassedMedia:
+    """What a shadow ray has passed at its origin: nothing."""
     lengths = [Float(0) for _ in scene.media.plugins]
-    return Passage(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
+    return PassedMedia(lengths, Float(0), Point3f(0), Float(0), UInt32(scene.media.vacuum), own_stream(ray, ray.maxt))
 
 
-def longer(scene: Scene, passage: Passage, segment: Ray3f, active: Bool) -> Passage:
-    """A passage with one more segment: its uniform point moves there in proportion to the length."""
+def longer(scene: Scene, passed: PassedMedia, segment: Ray3f, active: Bool) -> PassedMedia:
+    """`passed` with one more segment: its uniform point moves there in proportion to the length."""
     lengths = [
         total + dr.select(active & (segment.medium == number), segment.maxt, 0)
-        for number, total in enumerate(passage.lengths)
+        for number, total in enumerate(passed.lengths)
     ]
     assert segment.medium is not None
-    start, end = scene.media.in_box(segment, segment.maxt, scene.lookup)
+    start, end = scene.media.in_box(segment, segment.maxt)
     length = dr.select(active & (end < FAR), end - start, 0)
-    place = passage.stream.next_1d() * (passage.tracked + length)
+    place = passed.stream.next_1d() * (passed.tracked + length)
     here = (place < length) & (length > 0)
-    return Passage(
+    return PassedMedia(
         lengths=lengths,
-        tracked=passage.tracked + length,
-        o=dr.select(here, segment.o, passage.o),
-        at=dr.select(here, start + place, passage.at),
-        medium=dr.select(here, segment.medium, passage.medium),
-        stream=passage.stream,
+        tracked=passed.tracked + length,
+        o=dr.select(here, segment.o, passed.o),
+        at=dr.select(here, start + place, passed.at),
+        medium=dr.select(here, segment.medium, passed.medium),
+        stream=passed.stream,
     )
 
 
-def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, arrives: Color3f, passage: Passage) -> Color3f:
-    """The share of light that arrives, with its derivatives by what the way through each medium leaves."""
-    sigma_t = passage.tracked * scene.media.extinction_at(
-        passage.medium,
-        MediumInteraction3f.on(aimed(ray, passage.o, passage.medium), passage.at),
-        passage.stream.next_1d(),
-        scene.lookup,
-        passage.tracked > 0,
+def reattached(scene: Scene, sampler: SampleStream, ray: Ray3f, left: Color3f, passed: PassedMedia) -> Color3f:
+    """The transmittance `left`, with its derivatives by what the way through each medium leaves."""
+    sigma_t = passed.tracked * scene.media.extinction_at(
+        passed.medium,
+        MediumInteraction3f.on(aimed(ray, passed.o, passed.medium), passed.at),
+        passed.stream.next_1d(),
+        passed.tracked > 0,
     )
-    attached = arrives * (1 + (dr.detach(sigma_t) - sigma_t))
-    for number, length in enumerate(passage.lengths):
+    attached = left * (1 + (dr.detach(sigma_t) - sigma_t))
+    for number, length in enumerate(passed.lengths):
         if scene.media.plugins[number].is_tracked:
             continue
         segment = aimed(ray, ray.o, UInt32(number))
         segment.maxt = length
-        left = left_over(scene, sampler, segment, Bool(False))
-        fixed = dr.detach(left)
-        attached = attached * dr.select(fixed > 0, left * dr.rcp(fixed), 1)
-    return dr.replace_grad(arrives, attached)  # type: ignore[func-returns-value, return-value]
+        of_medium = left_over(scene, sampler, segment, Bool(False))
+        fixed = dr.detach(of_medium)
+        attached = attached * dr.select(fixed > 0, of_medium * dr.rcp(fixed), 1)
+    return dr.replace_grad(left, attached)  # type: ignore[func-returns-value, return-value]
 
 
 def passable_surfaces(scene: Scene) -> PassableSurfaces:
     """Queries of a scene that tell its null surfaces from all others."""
     null = [has_flag(bsdf.flags(), BSDFFlags.Null) for bsdf in scene.bsdfs.plugins]
-    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdf_of_shape])
+    return PassableSurfaces(scene.geometry, [null[number] for number in scene.bsdfs.of_shape])
 
 
 @dataclass
@@ -268,6 +287,4 @@ def toward(o: Point3f, to_light: Vector3f, finite: Bool, d: Vector3f, medium: UI
 
 def left_over(scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool) -> Color3f:
     """The share of light that a medium leaves on a ray, up to its end."""
-    if not scene.media or ray.medium is None:
-        return Color3f(1)
-    return scene.media.transmittance(ray, ray.maxt, scene.lookup, sampler, active)
+    return scene.media.transmittance(ray, ray.maxt, sampler, active)

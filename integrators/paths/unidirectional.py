@@ -73,10 +73,10 @@ class UnidirectionalPath(Terminating, PathIntegrator):
             p=Point3f(0),
             throughput=Color3f(1),
             bsdf_pdf=Float(0),
-            eta=Float(1) if scene.refracts else None,
+            eta=Float(1) if scene.bsdfs.refract else None,
             depth=UInt32(0),
-            n=Normal3f(0) if scene.emitter_choice.looks_at_normal else None,
-            covered=Bool(False) if scene.has_null else None,
+            n=Normal3f(0) if scene.lights.choice.looks_at_normal else None,
+            covered=Bool(False) if scene.bsdfs.have_null else None,
         )
 
     # ---- pieces of a vertex ------------------------------------------------------------

@@ -94,7 +94,7 @@ class PhotonMapping(SplattingIntegrator):
 
     def prepare_scene(self, scene: Scene) -> None:
         super().prepare_scene(scene)
-        scene.brightness  # noqa: B018
+        scene.lights.brightness  # noqa: B018
 
     def held_bytes(self) -> int:
         return bytes_of(self.photon_count, self.weighs_photons)

@@ -67,4 +67,4 @@ def test_media_have_no_notes(tmp_path: Path) -> None:
     description["sensor"]["medium"] = {"type": "ref", "id": "air"}
     scene = djpt.load_dict(description)
     integrator = djpt.load_dict({"type": "volpath", "max_depth": 4})
-    assert noted_hits.blank_notes(integrator, scene.with_media(), 16) == ()
+    assert noted_hits.blank_notes(integrator, scene.replace(all_media=True), 16) == ()

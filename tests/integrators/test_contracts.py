@@ -62,13 +62,13 @@ def test_light_arrives_where_nothing_stands_between() -> None:
     si = scene.ray_intersect(rays(2000, 1))
     ds, _ = scene.sample_emitter_direction(si, Point2f(0.3, 0.6), test_visibility=False)
     ray = scene.shadow_ray(si, ds)
-    arrived = np.array(scene.light_through(ray))
+    arrived = np.array(scene.transmittance(ray))
     free = ~np.array(scene.ray_test(ray))
     valid = np.array(si.is_valid()) & (np.array(dr.dot(si.n, ds.d)) > 1e-3)
     assert 0 < free[valid].mean() < 1
     # The lamp itself and the wall behind it stand in the way of no ray to the lamp.
     np.testing.assert_array_equal(arrived[0][valid], free[valid].astype(np.float32))
-    colored = np.array(scene.light_through(ray, Color3f(1, 2, 3)))
+    colored = np.array(scene.transmittance(ray, Color3f(1, 2, 3)))
     np.testing.assert_array_equal(colored, arrived * np.array([[1], [2], [3]], np.float32))
 
 
@@ -79,7 +79,9 @@ def test_light_fades_in_matter() -> None:
     p = Point3f([0.0, 0.1, 3.0], 0.0, 0.0)
     ray = Ray3f(p, Vector3f(0, 0, 1), medium=scene.medium_at(p))
     expected = np.exp(-SIGMA * np.array([0.5, 0.25, 0.0]))
-    np.testing.assert_allclose(np.array(scene.transmittance(ray, Float(0.5, 0.25, 7.0))).T[:, 0], expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.array(scene.media.transmittance(ray, Float(0.5, 0.25, 7.0))).T[:, 0], expected, rtol=1e-6
+    )
     si = scene.ray_intersect(Ray3f(p, Vector3f(0, 0, 1), medium=ray.medium))
     inward, outward = (np.array(si.medium_beyond(Vector3f(0, 0, sign))) for sign in (-1, 1))
     np.testing.assert_array_equal(inward[:2], np.array(ray.medium)[:2])

@@ -12,7 +12,7 @@ import pytest
 import djpt
 from djpt.emitters.light_samplers import CHOICES
 from djpt.samplers.seeds import gradient_seed
-from djpt.scene.scene import Scene
+from djpt.scene.lights import Lights
 from djpt.validation import agreement
 from djpt.validation.statistics import Batches, block_test, mean_test
 from tests.kit.emitters import NAMES, entry
@@ -55,7 +55,7 @@ def choosing(name: str, integrator: str = "path") -> dict[str, Any]:
 
 def test_each_emitter_can_be_chosen_where_it_shines() -> None:
     scene = djpt.load_dict(floor_scene(everything()))
-    choice = scene.choosing_emitters("tree").emitter_choice
+    choice = scene.replace(emitter_choice="tree").lights.choice
     rng, size = np.random.default_rng(6), 4000
     lit = 0
     for i in range(len(scene.emitters())):
@@ -126,8 +126,8 @@ def test_gradients_by_radiance_equal_differences(monkeypatch: pytest.MonkeyPatch
     """Of the estimator as it is: densities don't move with the radiance, so the choice is kept."""
     scene = djpt.load_dict(floor_scene(lamps(), integrator=choosing("tree"), size=16))
     params = djpt.traverse(scene)
-    kept = scene.choosing_emitters("tree").emitter_choice
-    monkeypatch.setattr(Scene, "emitter_choice", property(lambda self: kept))
+    kept = scene.replace(emitter_choice="tree").lights.choice
+    monkeypatch.setattr(Lights, "choice", property(lambda self: kept))
     keys = ("area-rectangle.emitter.radiance.value", "globe.emitter.radiance.value", "constant-colour.radiance.value")
     seed = gradient_seed(0, 0)
     for key in keys:
@@ -156,7 +156,7 @@ def test_edits_renew_the_choice_and_compile_nothing() -> None:
     def chance() -> float:
         """Of the globe, at a point of the floor."""
         choice, p, n = (
-            scene.choosing_emitters("tree").emitter_choice,
+            scene.replace(emitter_choice="tree").lights.choice,
             djpt.Point3f(0.3, -1, 0.4),
             djpt.Vector3f(0, 1, 0),
         )

@@ -334,7 +334,7 @@ def test_sheets_of_one_structure_are_one_group_and_edits_compile_nothing() -> No
             "b": {"type": "rectangle", "bsdf": mask(two_sided(BLUE), 0.7)},
         }
     )
-    assert sorted(len(group.plugins) for group in scene.bsdfs.groups) == [2, 3]
+    assert sorted(len(group.plugins) for group in scene.bsdfs.ensemble.groups) == [2, 3]
     params = djpt.traverse(scene)
 
     def render() -> tuple[set[Any], Any]:

@@ -152,7 +152,7 @@ def test_a_script_gives_mitsubas_pixels(integrator: dict[str, Any]) -> None:
 
 def test_instances_are_traced_as_one_and_keep_their_values() -> None:
     scene = djpt.load_dict(box(16, "box", PATH, scripted))
-    groups = {type(group.plugins[0]).__name__: len(group.plugins) for group in scene.bsdfs.groups}
+    groups = {type(group.plugins[0]).__name__: len(group.plugins) for group in scene.bsdfs.ensemble.groups}
     assert groups == {"Velvet": 3, "Gloss": 1, "Diffuse": 1}
     params = djpt.traverse(scene)
     assert float(np.array(params["red.rim"]).item()) == pytest.approx(0.3)
@@ -167,7 +167,7 @@ def test_instances_are_traced_as_one_and_keep_their_values() -> None:
     djpt.register_bsdf("velvet", Alone)
     try:
         apart = djpt.load_dict(box(16, "box", PATH, scripted))
-        assert len(apart.bsdfs.groups) == 5
+        assert len(apart.bsdfs.ensemble.groups) == 5
         np.testing.assert_allclose(pixels(djpt.render(scene, spp=4)), pixels(djpt.render(apart, spp=4)), rtol=1e-5)
     finally:
         djpt.register_bsdf("velvet", CLASSES["Velvet"])

@@ -96,7 +96,7 @@ def test_what_is_not_reported_sets_instances_apart() -> None:
         c={"type": "script_hidden", "tint": tint, "scale": 0.5},
         d={"type": "script_hidden", "tint": tint, "gray": True},
     )
-    assert sorted(len(group.plugins) for group in scene.bsdfs.groups) == [1, 1, 2]
+    assert sorted(len(group.plugins) for group in scene.bsdfs.ensemble.groups) == [1, 1, 2]
     found = albedos(scene, a=0, b=0, c=0, d=0)
     expected = {"a": tint, "b": [0.9, 0.1, 0.5], "c": [0.1, 0.2, 0.3], "d": [0.4] * 3}
     for name, color in expected.items():

@@ -165,7 +165,7 @@ def test_other_integrators_see_no_fog() -> None:
     """As in Mitsuba; and they pay nothing."""
     clear = foggy_room(fog(), "path")
     scene = djpt.load_dict(clear)
-    assert scene.camera_medium is None and scene.with_media().camera_medium is not None
+    assert scene.camera_medium is None and scene.replace(all_media=True).camera_medium is not None
     clear["fog"].pop("interior")
     with pytest.warns(UserWarning, match="leaves out fog"):
         foggy = pixels(djpt.render(scene, spp=4))

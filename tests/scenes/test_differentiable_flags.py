@@ -111,7 +111,7 @@ def test_what_is_marked_has_derivatives(kind: str, name: str, tmp_path: Path, mo
         params[key] = value
         params.set_dirty(key)
         params.update()
-        view = scene.with_media()
+        view = scene.replace(all_media=True)
         found = attached_parameters(view)
         assert [*found, *shape_parameters(view), *unused_values(view, found)], f"{key} reaches no integrator"
         dr.disable_grad(value)

@@ -73,7 +73,7 @@ def test_many_bitmaps_share_one_trace() -> None:
             for i in range(n)
         }  # fmt: skip
         scene = djpt.load_dict(room(0.5, **balls))
-        return len(scene.bsdfs.groups)
+        return len(scene.bsdfs.ensemble.groups)
 
     assert count(5) == count(1)
 

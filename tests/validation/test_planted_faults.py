@@ -73,8 +73,8 @@ FAULTS = (
     ),
     Fault(
         "shadows left out",
-        "djpt.scene.scene:Scene.light_through",
-        "self.geometry.blocked(ray, shines if lit is None else shines | lit)",
+        "djpt.scene.queries:SceneQueries.transmittance",
+        "self.geometry.blocked(ray, followed)",
         "Bool(False)",
         "half a sky",
     ),

@@ -81,7 +81,7 @@ class GuideIntegrator(Terminating, Integrator):
             pi = scene.closest_hit(way, through_lights=first if self.hide_emitters else None)
             si = scene.surface_interaction(way, pi)
             hit = si.is_valid()
-            throughput = look.throughput * scene.transmittance(way, si.t)
+            throughput = look.throughput * scene.media.transmittance(way, si.t)
             lamp = si.emitter().eval(si)
             sky = dr.select(hit | (first & self.hide_emitters), 0, lamp)
 

@@ -156,7 +156,8 @@ class BothEnds:
                 there = None if joints.aside is None else joints.aside.read(i)
                 with dr.resume_grad():
                     way, value, weight = integrator.connection(scene, arrived, hit.place, v)
-                    value = scene.light_between(way, value, lit=Bool(True) if dr.grad_enabled(value) else None)
+                    lit = Bool(True) if dr.grad_enabled(value) else None
+                    value = scene.transmittance(way, value, lit, to_emitter=False)
                     joint = Joint(value * dr.detach(weight), delta, arrived.aside, there, joints.beside, i)
                     joined = tally.connect(joined, joint)
                 return i + 1, joined, joints

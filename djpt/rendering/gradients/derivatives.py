@@ -220,7 +220,7 @@ class AttachedDerivative:
         fresh = [type(value)(value) for value in self.snapshot]
         dr.enable_grad(fresh)
         overrides = {(id(p.owner), p.attribute): leaf for p, leaf in zip(self.parameters, fresh, strict=True)}
-        view = self.job.with_scene(self.job.scene.with_lookup(Attached(overrides)))
+        view = self.job.with_scene(self.job.scene.replace(lookup=Attached(overrides)))
         return fresh, self.schedule.samples(view, Band(0, self.job.height), 0, self.job.spp)
 
     def backward(self, image: TensorXf) -> list[Any]:

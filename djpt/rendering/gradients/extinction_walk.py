@@ -89,7 +89,7 @@ def detour_past(
     scene: Scene, known: Detour, path: VolumetricPathState, ray: Ray3f, flown: Float, length: Float, active: Bool
 ) -> Detour:
     """The detour of a path after a segment: from there, or the one that is `known`."""
-    point, weight = scene.media.scattering_point(ray, flown, length, scene.lookup, active)
+    point, weight = scene.media.scattering_point(ray, flown, length, active)
     # A factor that is set aside, see `djpt.rendering.gradients.zero_weights`, belongs to what comes to the camera, too.
     assert path.aside is not None
     weight = dr.select(active, path.throughput * path.aside * weight, 0)
@@ -176,7 +176,7 @@ def run(
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
-            arrived = integrator.arriving(view, lane.sampler, v)
+            arrived = integrator.transmittance(view, lane.sampler, v)
         assert isinstance(v.state, VolumetricPathState)
         assert v.state.flown is not None
         ended, runs = ~v.active, lane.k < lanes.end
@@ -221,5 +221,5 @@ def scattered(scene: Scene, detour: Detour, radiance: Color3f, active: Bool) -> 
     ray = detour.ray
     assert ray.medium is not None
     mei = MediumInteraction3f.on(ray, Float(0))
-    sigma_t = scene.media.extinction(ray.medium, mei, scene.lookup, active)
+    sigma_t = scene.media.extinction(ray.medium, mei, active)
     return sigma_t * (detour.shade * (detour.total * radiance))

@@ -48,7 +48,9 @@ class Notes:
 def blank_notes(integrator: PathIntegrator, scene: Scene, lanes: int) -> tuple[Notes, ...]:
     """Room for the notes of a loop's lanes; none where a path may make several searches for a vertex, or cheap ones."""
     triangles, kind = scene.geometry.triangles, type(integrator)
-    one_each = kind.trace is PathIntegrator.trace and kind.arriving is PathIntegrator.arriving and not scene.media
+    one_each = (
+        kind.trace is PathIntegrator.trace and kind.transmittance is PathIntegrator.transmittance and not scene.media
+    )
     if triangles is None or triangles.tree.stepwise or not one_each:
         return ()
     words = 2 if triangles.tree.instanced else 1
@@ -77,7 +79,7 @@ class Page:
         """A view of a scene whose searches are answered by these notes: one for a hit, and one for a shadow ray."""
         triangles = scene.geometry.triangles
         assert triangles is not None
-        return scene.with_geometry(scene.geometry.with_triangles(NotedTriangles(triangles, self)))
+        return scene.replace(geometry=scene.geometry.with_triangles(NotedTriangles(triangles, self)))
 
     def hit(self, found: Found) -> Found:
         """The result of a search: what is known of it, else what was `found`, which is noted."""

@@ -103,7 +103,7 @@ def measured(
         # What has derivatives decides where paths go on, and so which numbers are drawn.
         with dr.resume_grad():
             v = integrator.advance(scene, lane.sampler, lane.state, way, si)
-            here = dr.detach(v.emitted + integrator.arriving(scene, lane.sampler, v))
+            here = dr.detach(v.emitted + integrator.transmittance(scene, lane.sampler, v))
         gained, behind = collected(lane.state.aside, lane.found.behind, here)
         onward, state, found = dr.detach(v.ray), dr.detach(v.state), Measured(lane.found.radiance + gained, behind)
         return (FirstLoop(onward.o, onward.d, onward.medium, lane.sampler, state, found, v.active),)
@@ -162,7 +162,7 @@ def replayed(
         si = integrator.trace(scene, lane.state, way)
         with dr.resume_grad():
             v = integrator.advance(scene, lane.sampler, lane.state, way, si)
-            here = v.emitted + integrator.arriving(scene, lane.sampler, v)
+            here = v.emitted + integrator.transmittance(scene, lane.sampler, v)
             left = lane.radiance - dr.detach(here)
             outgoing, left = outgoing_radiance(v, lane.state, here, left, lane.behind)
             delta = differentiated(mode, outgoing, lane.delta)

@@ -85,7 +85,7 @@ class LightWalk:
 
 def vanishes(scene: Scene) -> bool:
     """Whether AD leaves may make factors of light paths vanish: see `djpt.rendering.gradients.zero_weights`."""
-    return sets_aside(scene) or bool(scene.lights.vanishing(scene.lookup))
+    return sets_aside(scene) or bool(scene.lights.ensemble.vanishing(scene.lookup))
 
 
 def nothing(scene: Scene, lanes: int) -> Carried:

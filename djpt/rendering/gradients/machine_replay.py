@@ -96,7 +96,7 @@ def run(job: Job, values: Detached, numbering: Numbering, lanes: TiledLanes, mod
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, stream, lane.path, ray, si)
-            reflected = view.left_by_media(v.shadow_ray, v.reflected)
+            reflected = v.reflected * view.media.transmittance(v.shadow_ray)
             visible = lane.again & known_free(scene, integrator, lane, v.shadow_ray)
             shines = dr.max(dr.detach(reflected)) > 0
             if v.lit is not None and dr.grad_enabled(reflected):

@@ -60,7 +60,7 @@ class Mode:
     def view(self, scene: Scene, values: Detached, numbering: Numbering) -> tuple[Leaves, Scene]:
         """Fresh leaves for one vertex, and the scene that reads them."""
         leaves = Leaves(values, numbering, None)
-        return leaves, scene.with_lookup(leaves)
+        return leaves, scene.replace(lookup=leaves)
 
     def visit(
         self, walk: Walk, leaves: Leaves, v: Vertex, arrived: Color3f, differentiate: Bool
@@ -156,7 +156,7 @@ class Forward(Mode):
 
     def view(self, scene: Scene, values: Detached, numbering: Numbering) -> tuple[Leaves, Scene]:
         leaves = Leaves(values, numbering, self.tangents)
-        return leaves, scene.with_lookup(leaves)
+        return leaves, scene.replace(lookup=leaves)
 
     def differentiate(self, walk: Walk, leaves: Leaves, outgoing: Color3f, active: Bool) -> tuple[Color3f, list[Float]]:
         change = dr.forward_to(outgoing) if dr.grad_enabled(outgoing) else Color3f(0)

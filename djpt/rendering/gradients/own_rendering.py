@@ -28,14 +28,14 @@ def attached_view(scene: Scene, values: dict[tuple[int, str], Any]) -> Scene:
     """
     lookup = Attached(values)
     lookup.prepare(leaf for ensemble in scene.ensembles() for leaf in ensemble.leaves())
-    return scene.with_lookup(lookup)
+    return scene.replace(lookup=lookup)
 
 
 def image_by_itself(scene: Scene, params: Any, settings: RenderSettings) -> TensorXf:
     """The image of an integrator's own `render`, whose derivatives are those of its `render_forward`, `.._backward`."""
     integrator = settings.integrator
     if integrator.follows_media:
-        scene = scene.with_media()
+        scene = scene.replace(all_media=True)
     parameters = [*attached_parameters(scene), *shape_parameters(scene)]
 
     def primal() -> TensorXf:

@@ -94,7 +94,7 @@ def run(
         si.scene = view
         with dr.resume_grad():
             v = integrator.advance(view, lane.sampler, lane.path, lane.ray, si)
-            arrived = integrator.arriving(lit, lane.sampler, v)
+            arrived = integrator.transmittance(lit, lane.sampler, v)
         second = lane.again & (lane.k < lanes.end)
         lane.radiance, lane.behind, lane.delta, lane.sums = mode.visit(lane, leaves, v, arrived, second)
 

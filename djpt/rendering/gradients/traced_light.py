@@ -40,7 +40,7 @@ class TracedLight:
         """See `LightPaths`."""
         scene = self._scene
         si = scene.surface_interaction(state.ray, scene.closest_hit(state.ray), full=scene.needs_uv)
-        arriving = replace(state, flux=state.flux * scene.transmittance(state.ray, si.t))
+        arriving = replace(state, flux=state.flux * scene.media.transmittance(state.ray, si.t))
         v = self._integrator.vertex(scene, self._job.camera, sampler, arriving, si)
         light = self._integrator.seen(scene, v)
         return Step(

@@ -35,7 +35,7 @@ State = TypeVar("State", bound=PathState)
 
 def sets_aside(scene: Scene) -> bool:
     """Whether AD leaves may make factors vanish: those of media, and values of materials that are nearly 0 or 1."""
-    return bool(scene.bsdfs.vanishing(scene.lookup)) or scene.media.are_attached(scene.lookup)
+    return bool(scene.bsdfs.ensemble.vanishing(scene.lookup)) or scene.media.are_attached()
 
 
 def begun(state: State, scene: Scene) -> State:

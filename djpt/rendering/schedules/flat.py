@@ -136,7 +136,7 @@ def run(job: Job, lanes: Lanes, sink: Sink) -> list[Any]:
     def step(lane: Lane, waiting: Finished | None) -> tuple[Lane, Finished | None]:
         si = integrator.trace(scene, lane.path, lane.ray)
         v = integrator.advance(scene, lane.sampler, lane.path, lane.ray, si)
-        here = v.emitted + integrator.arriving(scene, lane.sampler, v)
+        here = v.emitted + integrator.transmittance(scene, lane.sampler, v)
         running = lane.k < lanes.end
         ready, held = ~v.active & running, None
         valid: Any = v.valid

@@ -88,7 +88,7 @@ def walk_light(
     def step(lane: Lane) -> tuple[LightPath, Bool]:
         ray = lane.path.ray
         si = scene.surface_interaction(ray, scene.closest_hit(ray), full=scene.needs_uv)
-        arriving = replace(lane.path, flux=lane.path.flux * scene.transmittance(ray, si.t))
+        arriving = replace(lane.path, flux=lane.path.flux * scene.media.transmittance(ray, si.t))
         return vertex(lane.sampler, arriving, si)
 
     begin, end = begin * width * height, end * width * height

@@ -140,7 +140,7 @@ def run(job: Job, lanes: TiledLanes, write: Write) -> UInt32:
             query=geometry.begin(new_ray, sample.left, lit, integrator.path_passes_lights(path, lit)),
             medium=new_ray.medium,
             shadow=lit,
-            pending=scene.left_by_media(v.shadow_ray, v.reflected),
+            pending=v.reflected * scene.media.transmittance(v.shadow_ray),
             next_ray=next_ray,
             active=active,
             valid=valid,

@@ -107,7 +107,7 @@ class Walk:
         assert isinstance(job.integrator, VolumetricPath)
         self._job, self._lanes, self._write = job, lanes, write
         self._scene, self._integrator = job.scene, job.integrator
-        self._trackers = Trackers(job.scene.media, job.scene.lookup)
+        self._trackers = Trackers(job.scene.media)
         self._surfaces = passable_surfaces(job.scene)
 
     def run(self) -> UInt32:
@@ -214,7 +214,7 @@ class Walk:
         if ahead is not None:
             hit.t, hit.face = dr.select(on, ahead.t, hit.t), dr.select(on, ahead.face, hit.face)
         else:
-            opaque = ~has_flag(scene.bsdf_of(hit.face).flags(), BSDFFlags.Null)
+            opaque = ~has_flag(scene.bsdfs.at(hit.face).flags(), BSDFFlags.Null)
             stopped = on & (hit.t < dr.inf) & opaque
             pending = dr.select(stopped, 0, pending)
         track, end = self._trackers.begun(new_ray, length_of(new_ray, hit), sampler, sample.left & ~stopped)

@@ -150,7 +150,7 @@ def first_radius(job: Job, store: PhotonStore) -> float:
         return LARGEST_SIDE * side if 0 < side < np.inf else LARGEST_SIDE
     # Whatever the seed is: rounds of one image begin alike.
     paths = min(integrator.photon_count, FIRST_PATHS)
-    looking = integrator.looking_at(PhotonMap(largest, integrator.photon_count, scene.brightness))
+    looking = integrator.looking_at(PhotonMap(largest, integrator.photon_count, scene.lights.brightness))
     count = walk(scene, looking, store, paths, sample_tea_32(dr.opaque(UInt32, APART), UInt32(0))[0])
     wanted = integrator.crowd * paths / integrator.photon_count
     return radius_of_crowd(seen, lambda photons: photons.fill(store, count), paths, wanted)
@@ -161,7 +161,7 @@ def trace(job: Job, store: PhotonStore, first: float, number: int) -> PhotonMapp
     scene, integrator = job.scene, job.integrator
     assert isinstance(integrator, PhotonMapping)
     paths = integrator.photon_count
-    photons = PhotonMap(integrator.radius(first, number), paths, scene.brightness)
+    photons = PhotonMap(integrator.radius(first, number), paths, scene.lights.brightness)
     looking = integrator.looking_at(photons)
     seed, _ = sample_tea_32(job.seed_value, dr.opaque(UInt32, (number + APART) & 0xFFFFFFFF))
     photons.fill(store, walk(scene, looking, store, paths, seed))

@@ -26,7 +26,7 @@ class Splatting(Schedule):
     def image(self, job: Job) -> TensorXf:
         assert isinstance(job.integrator, SplattingIntegrator)
         layers = len(job.integrator.layer_names())
-        splats = Splats(job.film, job.scene.brightness, 1 + layers // 3)
+        splats = Splats(job.film, job.scene.lights.brightness, 1 + layers // 3)
         samples = self.samples_with(splats)
         image = image_of_rows(job, stored_rows(job, samples, *samples.passes(job)))
         # As many as `job.spp`, unless a signal ended the last pass.

@@ -46,7 +46,7 @@ class PathReplay(RBIntegrator, PathIntegrator):
 
         The state is the radiance; before a second run, a `Measured`: what the second run needs to know of each path.
         """
-        scene = scene.choosing_emitters(self.emitter_choice)
+        scene = scene.replace(emitter_choice=self.emitter_choice)
         if mode == dr.ADMode.Primal and isinstance(scene.lookup, Attached):
             found = measured(self, scene, sampler, ray, active)
             return found.radiance, Bool(True), [], found

@@ -9,7 +9,7 @@ import drjit as dr
 from djpt.core.records import DirectionSample3f, Interaction3f
 from djpt.errors import RenderError
 from djpt.integrators.ad_integrator import attached
-from djpt.integrators.paths.transmittance import light_through_null
+from djpt.integrators.paths.transmittance import null_transmittance
 from djpt.integrators.prbvolpath import PRBVolumetricPath
 from djpt.jit.types import Bool, Color3f, Float, TensorXf, UInt32
 from djpt.media.flight import of_channel
@@ -39,15 +39,15 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
         develop: bool = True,
         evaluate: bool = True,
     ) -> TensorXf:
-        return super().render(scene.with_media(), sensor, seed, spp, develop, evaluate)
+        return super().render(scene.replace(all_media=True), sensor, seed, spp, develop, evaluate)
 
     def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> TensorXf:
-        return super().render_forward(scene.with_media(), params, sensor, seed, spp)
+        return super().render_forward(scene.replace(all_media=True), params, sensor, seed, spp)
 
     def render_backward(
         self, scene: Any, params: Any, grad_in: TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
     ) -> None:
-        super().render_backward(scene.with_media(), params, grad_in, sensor, seed, spp)
+        super().render_backward(scene.replace(all_media=True), params, grad_in, sensor, seed, spp)
 
     def sample(  # type: ignore[override]
         self,
@@ -61,7 +61,7 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
         **kwargs: Any,
     ) -> tuple[Color3f, Bool, list[Float], Any]:
         """The result of all samples: see `ADIntegrator.sample`. The state is the radiance."""
-        scene = scene.with_media()
+        scene = scene.replace(all_media=True)
         if scene.media and ray.medium is None:
             ray = ray.replaced(medium=UInt32(scene.media.vacuum))
         return super().sample(mode, scene, sampler, ray, δL, state_in, active, **kwargs)
@@ -108,7 +108,7 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
         """
         if mode == dr.ADMode.Forward:
             raise RenderError("sample_emitter: derivatives of the transmittance are for backward mode; found forward")
-        scene = scene.with_media()
+        scene = scene.replace(all_media=True)
         in_medium, on_surface = Bool(active_medium), Bool(active_surface)
         at = dr.zeros(Interaction3f)
         at.p = dr.select(on_surface, si.p, mei.p)
@@ -123,9 +123,9 @@ class PRBVolpathIntegrator(PathReplay, PRBVolumetricPath):
             shadow.medium = dr.select(crosses, scene.media.beyond(si, ds.d), shadow.medium)
         light = dr.select(lit, Color3f(1), 0)
         if mode != dr.ADMode.Backward or adj_emitted is None:
-            return dr.select(lit, weight, 0) * dr.detach(light_through_null(scene, sampler, shadow, light)), ds
+            return dr.select(lit, weight, 0) * dr.detach(null_transmittance(scene, sampler, shadow, light)), ds
         with dr.resume_grad(), attached(self, scene, dr.ADMode.Backward) as view:
-            arrives = light_through_null(view, sampler, shadow, light)
+            arrives = null_transmittance(view, sampler, shadow, light)
             share = dr.detach(arrives)
             if dr.grad_enabled(arrives):
                 dr.backward(arrives * dr.select(share > 0, dr.detach(Color3f(δL) * adj_emitted) / share, 0))

@@ -1,0 +1,193 @@
+"""The parts of a scene, and the queries of them that integrators make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+
+from djpt.core.records import DirectionSample3f, PreliminaryIntersection3f, Ray3f, SurfaceInteraction3f
+from djpt.description.plugin import Plugin
+from djpt.dispatch.ensemble import Ensemble, Lookup
+from djpt.emitters.pointer import EmitterPtr
+from djpt.geometry.aggregate import Geometry
+from djpt.geometry.parity import is_inside
+from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
+from djpt.materials.pointer import BSDFPtr
+from djpt.scene.bsdfs import BSDFs
+from djpt.scene.lights import Lights
+from djpt.scene.media_placement import Media
+from djpt.textures.uses import reads_uv
+
+__all__ = ["SceneQueries"]
+
+
+class SceneQueries(Plugin):
+    """A scene as integrators see it: its parts, and what takes several of them to answer.
+
+    Queries take per-lane rays and points. Values of plugins are read through `lookup`; a view of the scene
+    (`Scene.replace`) reads them in another way.
+    """
+
+    kind: ClassVar[str] = "scene"
+    units: Any = None
+    """Of a scene in a working frame: what lengths and points are in its description
+    (`djpt.scene.normalization.units`)."""
+    is_view = False
+    """Whether it is a view of a scene, which rendering has made."""
+
+    lookup: Lookup
+    """The way to read the plugins' values."""
+    geometry: Geometry
+    """What rays hit."""
+    bsdfs: BSDFs
+    """The BSDFs of shapes."""
+    lights: Lights
+    """The emitters, and the way to choose among them."""
+    media: Media
+    """The media that are followed along rays: those that absorb without scattering or, in some views, all."""
+    every_medium: Media
+    """All media."""
+    camera_medium: UInt32 | None
+    """The number of the medium that camera rays start in; None if no media are followed."""
+    outer_medium: UInt32 | None = None
+    """The number of the medium outside of all bodies, if a sensor says that there is one."""
+    near_share: Float
+    """The share of a camera ray's `maxt` between the camera and its near plane: see `Sensor.near_share`."""
+
+    def ensembles(self) -> Sequence[Ensemble[Any]]:
+        """The plugins whose values a path vertex looks up: BSDFs, emitters, and media if there are any."""
+        return self.bsdfs.ensemble, self.lights.ensemble, *self.media.ensembles
+
+    @property
+    def needs_uv(self) -> bool:
+        """True if a BSDF or an emitter looks at uv or its derivatives."""
+        return any(reads_uv(plugin) for ensemble in self.ensembles() for plugin in ensemble.plugins)
+
+    # ---- surfaces ------------------------------------------------------------------------
+
+    def closest_hit(
+        self, ray: Ray3f, active: Bool | bool = True, *, through_lights: Bool | None = None
+    ) -> PreliminaryIntersection3f:
+        """The face that a ray hits first, and the distance: all that integrators need to go on.
+
+        Lanes with `through_lights` ignore shapes that emit.
+        """
+        pi = self.geometry.closest(ray, through_lights)
+        if active is not True:
+            pi.t = dr.select(active, pi.t, dr.inf)
+        return pi
+
+    def is_inside(self, p: Point3f, active: Bool | bool = True) -> Bool:
+        """True where a point is within an odd number of closed surfaces; open shapes don't count."""
+        return is_inside(self.geometry, p, active)
+
+    def surface_interaction(self, ray: Ray3f, pi: PreliminaryIntersection3f, full: bool = True) -> SurfaceInteraction3f:
+        """The surface point of a preliminary intersection; uv and dp/du, dp/dv only if `full`."""
+        valid = pi.is_valid()
+        surface = self.geometry.surface(ray, pi, self.lookup, full)
+        si: SurfaceInteraction3f = SurfaceInteraction3f.holding(
+            p=surface.p,
+            n=surface.n,
+            sh_frame=surface.sh_frame,
+            uv=surface.uv,
+            dp_du=surface.dp_du,
+            dp_dv=surface.dp_dv,
+            wi=dr.select(valid, surface.sh_frame.to_local(-ray.d), -ray.d),
+            shape_index=dr.select(valid, pi.shape_index, 0),
+            face=pi.face,
+            media=ray.media,
+            prim_uv=surface.prim_uv,
+            home={self: ()},
+        )
+        si.found_at(pi.t, valid)
+        if ray.times:
+            si.time = ray.time
+        return si
+
+    def revisit(self, p: Point3f, d: Vector3f, face: UInt32, full: bool = False) -> SurfaceInteraction3f:
+        """The surface interaction at a stored point `p` of a face, as for a ray of direction `d`.
+
+        uv and its derivatives are computed if BSDFs or emitters need them, or if `full`. A face that belongs to an
+        instance can't be revisited: its number doesn't say which instance.
+        """
+        hit = PreliminaryIntersection3f.found(Float(0), face, self.geometry.shape_of(face))
+        return self.surface_interaction(Ray3f(p, d), hit, full=full or self.needs_uv)
+
+    def primitive_index(self, si: SurfaceInteraction3f) -> UInt32:
+        """The primitive of its shape that `si` lies on, numbered as in Mitsuba: triangles of meshes and boxes."""
+        return self.geometry.primitive_index(si.face, si.uv, si.p, self.lookup)
+
+    # ---- plugins at surface points ---------------------------------------------------------
+
+    def bsdf_at(self, si: SurfaceInteraction3f) -> BSDFPtr:
+        """The BSDF of the shape at `si`."""
+        return self.bsdfs.at(si.face)
+
+    def emitter_index_at(self, si: SurfaceInteraction3f) -> UInt32:
+        """The number of the emitter seen at `si`; the count of emitters means none."""
+        return self.lights.index_at(si.face, si.is_valid())
+
+    def emitter_at(self, si: SurfaceInteraction3f) -> EmitterPtr:
+        """The emitter seen at `si`: that of the shape, or the environment on a miss."""
+        return self.lights.at(self.emitter_index_at(si))
+
+    def emitter_ptr(self, index: UInt32) -> EmitterPtr:
+        """The emitters with the numbers `index`, per lane."""
+        return self.lights.at(index)
+
+    def medium_beyond(self, si: SurfaceInteraction3f, d: Vector3f) -> UInt32 | None:
+        """The medium of a ray that leaves `si` in the world direction `d`."""
+        return self.media.beyond(si, d) if self.media else si.medium
+
+    def medium_at(self, p: Point3f) -> UInt32 | None:
+        """The medium that each point lies in, for rays that begin there; None in scenes without media."""
+        return self.media.at(p, outside=self.outer_medium) if self.media else None
+
+    # ---- what arrives of light ---------------------------------------------------------------
+
+    def shadow_ray(self, si: SurfaceInteraction3f, ds: DirectionSample3f) -> Ray3f:
+        """The ray from `si` to the emitter sample `ds`."""
+        infinite = self.lights.from_infinity(ds.emitter_index)
+        if infinite is None:
+            return si.spawn_ray_to(ds.p)
+        to_point, to_sky = si.spawn_ray_to(ds.p), si.spawn_ray(ds.d)
+        return dr.select(infinite, to_sky, to_point)
+
+    def transmittance(
+        self,
+        ray: Ray3f,
+        weight: Color3f | None = None,
+        lit: Bool | None = None,
+        *,
+        to_emitter: bool = True,
+        through_lights: Bool | bool = False,
+    ) -> Color3f:
+        """The transmittance V exp(-tau) of the segment of a ray, times `weight`: what arrives of light.
+
+        V is 0 if a surface lies between the ends, else 1; tau is the optical thickness of the ray's medium. Null
+        surfaces hide like all others, and media must have a closed form: see
+        `djpt.integrators.paths.transmittance` for what lies behind and in the others.
+
+        Args:
+            ray: A segment such as `shadow_ray` gives.
+            weight: The light that sets out, default 1. Surfaces are looked for only where it isn't black.
+            lit: Lanes whose surfaces are looked for anyway: black light may have derivatives.
+            to_emitter: Whether the segment ends at a sampled point of an emitter. Then shapes are left out that
+                can't lie between, such as the walls around everything; from another surface or a camera these may
+                hide what is behind them.
+            through_lights: Lanes in which shapes that emit hide nothing; only for segments that aren't `to_emitter`.
+        """
+        left = self.media.transmittance(ray)
+        if weight is not None:
+            left = weight * left
+        shines = dr.max(left) > 0
+        followed = shines if lit is None else shines | lit
+        if to_emitter:
+            hidden = self.geometry.blocked(ray, followed)
+        elif through_lights is False:
+            hidden = self.geometry.any_hit(ray, followed)
+        else:
+            hidden = self.closest_hit(ray, through_lights=Bool(through_lights)).is_valid()
+        return dr.select(hidden, 0, left)
