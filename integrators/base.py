@@ -69,13 +69,13 @@ class Integrator(Plugin):
     in a frame of another unit. Counts for the class that says so, not for those derived from it."""
 
     from_script: ClassVar[bool] = False
-    """Whether the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
+    """True if the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
 
     follows_silhouettes: ClassVar[bool] = False
     """True if derivatives by the place of shapes know what appears and disappears at their outlines."""
 
     unproven_gradients: bool = False
-    """Whether derivatives that are known to be wrong are computed all the same: see
+    """True if derivatives that are known to be wrong are computed all the same: see
     `djpt.rendering.gradients.unproven`."""
 
     _cancelled = False
@@ -100,7 +100,7 @@ class Integrator(Plugin):
         return self.stepwise or self.starts_at_lights
 
     def fits_any_frame(self) -> bool:
-        """Whether it, and what is nested in it, is known to render the same `in_any_frame`."""
+        """True if it, and what is nested in it, is known to render the same `in_any_frame`."""
         return bool(vars(type(self)).get("in_any_frame", False))
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
@@ -175,7 +175,7 @@ class Integrator(Plugin):
         self._cancelled = True
 
     def should_stop(self) -> bool:
-        """Whether `cancel` was called since the rendering began."""
+        """True if `cancel` was called since the rendering began."""
         return self._cancelled
 
     def resume(self) -> None:

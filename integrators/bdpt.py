@@ -98,7 +98,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
 
     @property
     def starts_light_paths(self) -> bool:
-        """Whether there are light paths: not if all that is shown comes straight from emitters."""
+        """True if there are light paths: not if all that is shown comes straight from emitters."""
         return not 0 <= self.max_depth <= 1
 
     def layer_names(self) -> Sequence[str]:
@@ -241,7 +241,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         return LightStep(position, shown, weight, onward, active)
 
     def shows_light(self, scene: Scene, camera: Sensor) -> bool:
-        """Whether vertices of light paths are shown to the camera."""
+        """True if vertices of light paths are shown to the camera."""
         # Among media rays to the camera go through null surfaces, but not through lamps.
         return camera.can_be_reached and not (self.hide_emitters and scene.media.scatter)
 
@@ -318,7 +318,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     def light_sample_weight(
         self, scene: Scene, end: End, place: Place, ds: DirectionSample3f, pdf: Float, back: Float
     ) -> Float:
-        """The weight of a light sample, with the densities of both ways at the place: s = 1."""
+        """The weight of a light sample, with the densities of both ways at the vertex: s = 1."""
         chosen = scene.lights.choice.probability(Point3f(0), None, ds.emitter_index)
         position, direction = scene.emitter_ptr(ds.emitter_index).pdf_emission(-ds.d, ds.n, ds.uv)
         finite = ds.dist < dr.inf
@@ -330,7 +330,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
         return mis_weight(by_bsdf + self.shared(by_light, end.depth + 1))
 
     def connection(self, scene: Scene, end: End, place: Place, v: LightVertex) -> tuple[Ray3f, Color3f, Float]:
-        """The ray from a place to the vertex `v` of the light path; what it sends back, and the weight."""
+        """The ray from a vertex to the vertex `v` of the light path, the light that it sends back, and the weight."""
         there = v.place(scene)
         to_light = v.p - place.si.p
         falloff = dr.rcp(dr.squared_norm(to_light))
@@ -368,7 +368,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     # ---- either way --------------------------------------------------------------------
 
     def joinable(self, end: End) -> End:
-        """The end at a vertex that can be joined, with what further ways to join it add to `End.vcm`: nothing."""
+        """The subpath up to a vertex that can be joined; further ways to join it add to `End.vcm`: here none."""
         return end
 
     def shared(self, others: Float, edges: UInt32) -> Float:
@@ -378,7 +378,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     def onwards(
         self, scene: Scene, sampler: SampleStream, hit: LightHit | CameraHit, s: Scattering, roulette_begins: Bool
     ) -> tuple[End, Bool]:
-        """The end of a path after a vertex, by the sampled continuation, and where it survives roulette."""
+        """The subpath after a vertex, by the sampled continuation, and where it survives roulette."""
         end, place = hit.end, hit.place
         eta = None if end.eta is None else end.eta * s.sample.eta
         product, aside = scaled(

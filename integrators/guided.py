@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 __all__ = ["GuidedPath"]
 
 FIRST = 2**15
-"""The paths of the first pass of practice; later ones have twice as many as the one before."""
+"""The paths of the first pass of training; later ones have twice as many as the one before."""
 
 PRACTICE = 2**13, 2**20
-"""The least and the most paths of practice."""
+"""The least and the most training paths."""
 
 VISITS = 2000
 """The visits in a leaf before it is divided."""
@@ -60,7 +60,7 @@ class GuidedState(PathState):
 class GuidedPath(UnidirectionalPath, LearningIntegrator):
     """`path` with directions that are drawn from what earlier paths have learned.
 
-    Passes of practice, each with twice as many paths as the one before, are guided by what those before them have
+    Passes of training, each with twice as many paths as the one before, are guided by what those before them have
     found; the image comes after them, from paths of its own. Before a path leaves a surface, chance decides whether it
     follows the guide of the place or the BSDF, and the direction counts with the density of both together:
 
@@ -86,7 +86,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     in_any_frame = True
 
     guide: Guide
-    """What has been learned; there is none before."""
+    """The distribution that was learned; there is none before."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -101,7 +101,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
         super().prepare_scene(scene)
         scene.lights.brightness  # noqa: B018
 
-    # ---- practice ----------------------------------------------------------------------
+    # ---- training ----------------------------------------------------------------------
 
     def taught(self, lessons: Lessons) -> GuidedPath:
         scene = lessons.scene
@@ -209,7 +209,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
 
 
 def passes(count: int) -> Iterator[tuple[int, int]]:
-    """The passes (begin, end) of practice with `count` paths: a first one, then each as long as all before it."""
+    """The passes (begin, end) of training with `count` paths: a first one, then each as long as all before it."""
     begin, end = 0, FIRST
     while begin < count:
         # What would be left for a last pass of less than half of the usual length is joined to this one.
@@ -219,7 +219,7 @@ def passes(count: int) -> Iterator[tuple[int, int]]:
 
 
 def confidence(leaves: Leaves, visits: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """How far each leaf's guide is to be trusted, from 0 to 1: what few visits have found is mostly chance."""
+    """The reliability of each leaf's guide, from 0 to 1: the result of few visits is mostly chance."""
     of_leaf = np.bincount(leaves.of_cell, visits, leaves.count)
     result: NDArray[np.float64] = of_leaf / (of_leaf + DOUBT)
     return result

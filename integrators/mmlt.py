@@ -30,7 +30,7 @@ MAX_EDGES = 32
 """The most edges of a path."""
 
 FEWEST_STEPS = 512
-"""There are fewer chains than asked for if they had to be shorter, down to `FEWEST_CHAINS`."""
+"""The fewest steps of a chain: rather than shorter ones there are fewer chains, down to `FEWEST_CHAINS`."""
 
 FEWEST_CHAINS = 256
 
@@ -93,7 +93,7 @@ class MultiplexedMetropolis(PassIntegrator):
 
 
 class State:
-    """What passes hand on: the chains, and the sums of their light."""
+    """State that passes hand on: the chains, and the sums of their light."""
 
     def __init__(self, integrator: MultiplexedMetropolis, walks: Walks) -> None:
         width, height = walks.film.crop_size()

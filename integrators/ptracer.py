@@ -42,7 +42,7 @@ class LightVertex:
     shadow_ray: Ray3f
     """The ray from the vertex to the camera."""
     lit: Bool | None
-    """Where light could arrive, if it weren't black; None: nobody asks. Asked for derivatives only."""
+    """True where light could arrive if it weren't black; None unless derivatives are computed."""
     path: LightPath
     """The state of the path that goes on."""
     active: Bool

@@ -35,7 +35,7 @@ class PhotonPath(LightPath):
     """The state of a light path that leaves photons."""
 
     beam: Bool | bool = False
-    """Whether it began with a beam, which no light sample finds."""
+    """True where it began with a beam, which no light sample finds."""
 
 
 class StochasticProgressivePhotonMapping(PhotonMapping, Path):

@@ -1,4 +1,4 @@
-"""Where paths end: after a largest number of edges, and by Russian roulette."""
+"""The ends of paths: after a largest number of edges, and by Russian roulette."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class PhotonPath:
 
     end: End
     power: Float
-    """What the throughput is a share of."""
+    """The power that the throughput is a fraction of."""
 
 
 class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
@@ -78,7 +78,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     # ---- where paths meet --------------------------------------------------------------
 
     def joinable(self, end: End) -> End:
-        """The end at a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
+        """The subpath up to a vertex that can be joined: by connections, whose densities are 1, and by mergings."""
         return replace(end, vcm=end.vcm + self._merging)
 
     def merged(self, scene: Scene, end: End, place: Place, sampler: SampleStream, joins: Bool) -> Color3f:

@@ -35,7 +35,7 @@ class VolumetricPathState(PathState):
     scatters: Bool | None = None
     """True where light is scattered at the ray's origin, a point in a medium; None if no path begins like that."""
     flown: Float | None = None
-    """How far the path has got on its last ray; None unless it is asked for."""
+    """Length of the path's last ray up to its end; None unless it is asked for."""
 
 
 class VolumetricPath(UnidirectionalPath):
@@ -57,7 +57,7 @@ class VolumetricPath(UnidirectionalPath):
     schedules = ("flat", "media_machine", "wave")
     follows_media = True
     spectral_mis = False
-    """Whether each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""
+    """True if each flight draws a channel, and has the density of all together: see `djpt.integrators.volpathmis`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -182,7 +182,7 @@ class VolumetricPath(UnidirectionalPath):
     def flight(
         self, scene: Scene, sampler: SampleStream, state: VolumetricPathState, ray: Ray3f, si: SurfaceInteraction3f
     ) -> Flight:
-        """How far light gets on the way to a surface."""
+        """The flight of light on the way to a surface: up to it, or to a point where a medium scatters."""
         length = dr.select(si.is_valid(), si.t, ray.maxt)
         if state.scatters is not None:
             length = dr.select(state.scatters, 0, length)

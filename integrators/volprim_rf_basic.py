@@ -21,7 +21,7 @@ DENSEST = 0.9999
 ENOUGH = 0.01
 """A ray ends where no channel has more than this share of it left."""
 STEP = 1e-4
-"""How far behind a hit, in units of the ray's direction, it goes on."""
+"""Distance behind a hit, in units of the ray's direction, at which the ray goes on."""
 
 
 class BasicVolumetricPrimitiveRadianceFieldIntegrator(RBIntegrator):

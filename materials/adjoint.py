@@ -16,7 +16,7 @@ FROM_LIGHT, FROM_CAMERA = BSDFContext(TransportMode.Importance), BSDFContext()
 def eval_pdf_light(
     bsdf: BSDF, si: SurfaceInteraction3f, wo: Vector3f, active: Bool | bool = True
 ) -> tuple[Color3f, Float, Float]:
-    """What the flux that arrives from `si.wi` is multiplied by per solid angle of `wo`, and the densities of both ways.
+    """The factor of flux that arrives from `si.wi`, per solid angle of `wo`, and the densities of both ways.
 
     The value is f(wo, wi) abs(cos(wi, ns) cos(wo, ng) / cos(wi, ng)): that of a path from the camera, which comes from
     `wo` and goes on to `wi`, with the cosines that light sees. ns is the shading normal, ng the geometric one; it is 0

@@ -41,10 +41,10 @@ class BSDF(Plugin):
 
     kind: ClassVar[str] = "bsdf"
     absorbs: bool = False
-    """Whether light is attenuated within the body that the surface encloses: see `transmittance`."""
+    """True if light is attenuated within the body that the surface encloses: see `transmittance`."""
 
     symmetric: ClassVar[bool] = True
-    """Whether f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`."""
+    """True if f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`."""
 
     m_flags: int = int(BSDFFlags.Empty)
     """Flags beside those of the lobes; scripts written for Mitsuba set them all."""
@@ -81,18 +81,18 @@ class BSDF(Plugin):
         return functools.reduce(operator.or_, lobes, int(self.m_flags))
 
     def asked(self, ctx: BSDFContext) -> tuple[bool, ...]:
-        """Whether a context asks for each lobe."""
+        """For each lobe, True if a context asks for it."""
         lobes = self.components()
         if ctx.asks_for_all:
             return (True,) * len(lobes)
         return tuple(ctx.is_enabled(flags & int(BSDFFlags.All), i) for i, flags in enumerate(lobes))
 
     def is_asked(self, ctx: BSDFContext) -> bool:
-        """Whether a context asks for any lobe."""
+        """True if a context asks for any lobe."""
         return ctx.asks_for_all or any(self.asked(ctx))
 
     def has_attribute(self, name: str, active: Bool | bool = True) -> bool:
-        """Whether there is a texture or a number of that name among the parameters."""
+        """True if there is a texture or a number of that name among the parameters."""
         return self._attribute(name) is not None
 
     def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
@@ -110,7 +110,7 @@ class BSDF(Plugin):
         return found.eval_1(si, active) if isinstance(found, Plugin) else Float(found)  # type: ignore[attr-defined]
 
     def eval_attribute_3(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The same as `eval_attribute`."""
+        """The value of `eval_attribute`, a colour."""
         return self.eval_attribute(name, si, active)
 
     def _attribute(self, name: str) -> Any:

@@ -70,7 +70,7 @@ class BumpMap(PerturbedBSDF):
 
 
 def sees_tangent(plugin: Plugin) -> bool:
-    """Whether the BSDF looks different if its frame is turned about the normal."""
+    """True if the BSDF looks different if its frame is turned about the normal."""
     if isinstance(plugin, PerturbedBSDF):
         return True
     children = [getattr(plugin, name) for name in plugin.children]

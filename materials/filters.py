@@ -1,4 +1,4 @@
-"""What filters of polarised light do to light that isn't: they let a share of it pass."""
+"""Filters of polarised light, for light that isn't polarised: they let a fraction of it pass."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class Mask(BSDF):
         return self._choose(si, sample1, opacity, *nested)
 
     def _asked(self, ctx: BSDFContext) -> tuple[bool, bool]:
-        """Whether a context asks for a lobe of the nested BSDF, and whether for the way straight on."""
+        """Two flags: True if a context asks for a lobe of the nested BSDF; True if it asks for the way straight on."""
         asked = self.asked(ctx)
         return any(asked[:-1]), asked[-1]
 

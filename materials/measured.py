@@ -64,9 +64,9 @@ class Measured(SharedWorkBSDF):
         turn = 2 * math.pi / float(np.ptp(fields["phi_i"])) if len(fields["phi_i"]) > 2 else 0.0
         self.isotropic = len(fields["phi_i"]) <= 2
         self.symmetry = round(turn)
-        """How many times the measured angles make up a full turn; 0 for isotropic materials."""
+        """The number of times that the measured angles make up a full turn; 0 for isotropic materials."""
         self.weighted = bool(fields["jacobian"][0])
-        """Whether s has to be multiplied by D / (4 sigma)."""
+        """True if s has to be multiplied by D / (4 sigma)."""
 
     def components(self) -> tuple[int, ...]:
         return (int(BSDFFlags.GlossyReflection | BSDFFlags.FrontSide),)

@@ -36,7 +36,7 @@ class BSDFPtr(Pointer[BSDF]):
         return Bool(False)
 
     def has_attribute(self, name: str, active: Bool | bool = True) -> Bool:
-        """Whether the BSDF of each lane has a value of that name."""
+        """True where the BSDF of each lane has a value of that name."""
         return self.holds(lambda bsdf: bsdf.has_attribute(name)) & active
 
     def eval_attribute(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
@@ -48,7 +48,7 @@ class BSDFPtr(Pointer[BSDF]):
         return self._attribute(lambda bsdf: bsdf.eval_attribute_1(name, si, active), name, Float(0), active)
 
     def eval_attribute_3(self, name: str, si: SurfaceInteraction3f, active: Bool | bool = True) -> Color3f:
-        """The same as `eval_attribute`."""
+        """The value of `eval_attribute`, a colour."""
         return self.eval_attribute(name, si, active)
 
     def _attribute(self, method: Callable[[BSDF], Any], name: str, nothing: Any, active: Bool | bool) -> Any:

@@ -87,7 +87,7 @@ class PrincipledBase(BSDF):
         raise NotImplementedError
 
     def _is_seen(self, at: Any) -> Bool | bool:
-        """Whether the material scatters light to the side that it is seen from."""
+        """True where the material scatters light to the side that it is seen from."""
         return True
 
     # ---- the contract of BSDFs -------------------------------------------------------------

@@ -1,1 +1,1 @@
-"""What everything may use: records, frames, transforms, warps, files. It knows nothing of scenes."""
+"""Records, frames, transforms, warps and files, which everything may use; nothing here knows of scenes."""

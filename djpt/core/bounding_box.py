@@ -49,11 +49,11 @@ class BoundingBox:
     # ---- asking ------------------------------------------------------------------------
 
     def valid(self) -> Bool:
-        """Whether the box holds any point."""
+        """True where the box holds any point."""
         return dr.all(self.max >= self.min)
 
     def collapsed(self) -> Bool:
-        """Whether the box has no extent along some axis."""
+        """True where the box has no extent along some axis."""
         return dr.any(self.min == self.max)
 
     def center(self) -> Any:
@@ -98,13 +98,13 @@ class BoundingBox:
         return index
 
     def contains(self, p: Any = None, strict: bool = False, *, bbox: Any = None) -> Bool:
-        """Whether a point, or another box, lies in the box; `strict` leaves out the faces."""
+        """True if a point, or another box, lies in the box; `strict` leaves out the faces."""
         p = p if bbox is None else bbox
         low, high = p if isinstance(p, BoundingBox) else (as_point(self.Point, p),) * 2
         return dr.all((low > self.min) & (high < self.max) if strict else (low >= self.min) & (high <= self.max))
 
     def overlaps(self, bbox: BoundingBox, strict: bool = False) -> Bool:
-        """Whether two boxes have a point in common; `strict` leaves out the faces."""
+        """True where two boxes have a point in common; `strict` leaves out the faces."""
         low, high = bbox
         return dr.all((low < self.max) & (high > self.min) if strict else (low <= self.max) & (high >= self.min))
 
@@ -150,7 +150,7 @@ class BoundingBox:
 
 
 class SpatialBox(BoundingBox):
-    """What boxes in space offer in addition."""
+    """A box in space, with the methods that need three axes."""
 
     Sphere: ClassVar[Any]
 
@@ -160,7 +160,7 @@ class SpatialBox(BoundingBox):
         return self.Sphere(center, dr.norm(center - self.max))
 
     def ray_intersect(self, ray: Any) -> tuple[Bool, Float, Float]:
-        """Whether the line through a ray meets the box, and the parameters at which it goes in and out.
+        """The intersection of a ray's line with the box: True if it is met, and the parameters of both points.
 
         Negative parameters are behind the ray. Where nothing is hit, the parameters mean nothing.
         """

@@ -37,11 +37,11 @@ class BoundingSphere3f:
         return iter((self.center, self.radius))
 
     def empty(self) -> Bool:
-        """Whether the radius is 0 or less."""
+        """True where the radius is 0 or less."""
         return self.radius <= 0
 
     def contains(self, p: Any, strict: bool = False) -> Bool:
-        """Whether the point `p` lies in the sphere; `strict` leaves out the surface."""
+        """True where the point `p` lies in the sphere; `strict` leaves out the surface."""
         distance = dr.squared_norm(as_point(self.Point, p) - self.center)
         return distance < dr.square(self.radius) if strict else distance <= dr.square(self.radius)
 
@@ -50,7 +50,7 @@ class BoundingSphere3f:
         self.radius = dr.maximum(self.radius, dr.norm(as_point(self.Point, p) - self.center))
 
     def ray_intersect(self, ray: Any) -> tuple[Bool, Float, Float]:
-        """Whether the line through a ray meets the surface, and at which parameters; negative ones are behind it."""
+        """The intersection of a ray's line with the surface: True if it is met, and two parameters, < 0 behind it."""
         o = ray.o - Point3f(self.center)
         a, half_b = dr.squared_norm(ray.d), dr.dot(o, ray.d)
         c = dr.squared_norm(o) - dr.square(self.radius)

@@ -43,7 +43,7 @@ KINDS = {
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
 }
-"""What isn't a regular file, by the type in `st_mode`."""
+"""Names of files that aren't regular ones, by the type in `st_mode`."""
 
 LONGEST = 200
 """The characters of a name that messages show."""
@@ -84,7 +84,7 @@ def open_regular(path: str | os.PathLike[str]) -> IO[bytes]:
 
 
 def is_socket(path: str | os.PathLike[str]) -> bool:
-    """Whether a file that can't be opened is a socket: those can't."""
+    """True if a file that can't be opened is a socket: those can't."""
     try:
         return stat.S_ISSOCK(os.stat(path).st_mode)
     except (OSError, ValueError):
@@ -92,7 +92,7 @@ def is_socket(path: str | os.PathLike[str]) -> bool:
 
 
 def kind_of(status: os.stat_result) -> str | None:
-    """What a file is that isn't a regular one; None for a regular one."""
+    """The name of a file's type, such as a socket; None for a regular file."""
     kind = stat.S_IFMT(status.st_mode)
     return None if kind == stat.S_IFREG else KINDS.get(kind, "something else")
 
@@ -148,7 +148,7 @@ def require_different(outputs: Mapping[str, Path | None], inputs: Mapping[str, P
 
 
 def is_same(a: Path, b: Path) -> bool:
-    """Whether two paths, which needn't exist, are of the same file."""
+    """True if two paths, which needn't exist, are of the same file."""
     try:
         return os.path.realpath(a) == os.path.realpath(b) or os.path.samefile(a, b)
     except (OSError, ValueError):
@@ -214,7 +214,7 @@ def remove_unfinished() -> None:
 
 
 def prefix(real: Path) -> str:
-    """How the names of the temporary files of a target begin."""
+    """The prefix of the names of a target's temporary files."""
     return f".{real.stem[:100]}."
 
 

@@ -45,7 +45,7 @@ FORMER = {
 
 
 def present_path(name: str) -> str | None:
-    """Where the module of a former path is now; None if `name` isn't one."""
+    """The present path of the module at a former path; None if `name` isn't one."""
     package, inside = name, ""
     while package:
         if package in FORMER:

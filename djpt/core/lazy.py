@@ -25,7 +25,7 @@ LINE = re.compile(r"^    from (djpt\S*) import (?:\(\n +)?(\w+) as (\w+)(?:,\n  
 
 
 def lazily(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """What a package needs as its `__getattr__`, `__dir__` and `__all__` to import names at their first use.
+    """The `__getattr__`, `__dir__` and `__all__` of a package that imports names at their first use.
 
     Modules of the package are attributes, too, as if they had been imported.
     """

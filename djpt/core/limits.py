@@ -1,4 +1,4 @@
-"""What a description may have at most, so that a small file can't ask for endless time or memory."""
+"""Limits of descriptions, so that a small file can't ask for endless time or memory."""
 
 from __future__ import annotations
 

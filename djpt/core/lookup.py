@@ -65,7 +65,7 @@ def is_in_table(index: UInt32, ranges: list[tuple[int, int]], size: int) -> Bool
 
 
 def is_single(ranges: list[tuple[int, int]]) -> bool:
-    """Whether the ranges hold one number at most: then one comparison finds it."""
+    """True if the ranges hold one number at most: then one comparison finds it."""
     return not ranges or (len(ranges) == 1 and ranges[0][0] == ranges[0][1])
 
 

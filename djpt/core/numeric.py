@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 FEW = 16
-"""So many numbers, those of a matrix, are checked sooner one by one than as an array."""
+"""The most numbers, those of a matrix, that are checked sooner one by one than as an array."""
 
 _shorten = reprlib.Repr()
 _shorten.maxstring = _shorten.maxother = 60
@@ -87,7 +87,7 @@ def as_array(value: Any) -> NDArray[np.float64]:
 
 
 def is_finite(array: NDArray[np.float64]) -> bool:
-    """Whether all numbers are finite in single precision."""
+    """True if all numbers are finite in single precision."""
     if array.size <= FEW:
         return all(-LARGEST <= number <= LARGEST for number in array.ravel().tolist())
     return bool((np.abs(array) <= LARGEST).all())

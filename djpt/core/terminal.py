@@ -1,4 +1,4 @@
-r"""What the command line writes to a terminal: text that can be seen, and nothing that the terminal would obey.
+r"""Text for terminals: characters that can be seen, and nothing that the terminal would obey.
 
 Names in scenes, names of files and channels, options and the messages of libraries may hold anything, control
 characters and overrides of the direction of writing among them. All that the process prints goes through
@@ -34,7 +34,7 @@ def visible(text: str, kept: str = "") -> str:
 
 
 def can_be_seen(character: str) -> bool:
-    """Whether a character has a picture, or is a space."""
+    """True if a character has a picture, or is a space."""
     return character.isprintable() or unicodedata.category(character) == "Zs"
 
 
@@ -51,7 +51,7 @@ class VisibleText(io.TextIOBase):
 
     @property
     def errors(self) -> str | None:  # type: ignore[override]
-        """What the other stream does with characters that it can't encode."""
+        """The other stream's treatment of characters that it can't encode."""
         return self.stream.errors
 
     @property
@@ -73,7 +73,7 @@ class VisibleText(io.TextIOBase):
         return True
 
     def isatty(self) -> bool:
-        """Whether the other stream is a terminal."""
+        """True if the other stream is a terminal."""
         return self.stream.isatty()
 
     def fileno(self) -> int:

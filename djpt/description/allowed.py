@@ -23,7 +23,7 @@ class Allowed:
     low: float | None = None
     high: float | None = None
     low_open: bool = False
-    """Whether `low` itself is outside of the range."""
+    """True if `low` itself is outside of the range."""
 
     def within(self, other: Allowed) -> Allowed:
         """The intersection of two ranges."""

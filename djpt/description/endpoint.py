@@ -1,4 +1,4 @@
-"""What emitters and sensors have in common: they are the ends of light paths."""
+"""The base of emitters and sensors, the ends of light paths."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ class Endpoint(Plugin):
     # ---- samples --------------------------------------------------------------------------------
 
     def needs_sample_2(self) -> bool:
-        """Whether `sample_ray` may look at its second sample."""
+        """True if `sample_ray` may look at its second sample."""
         return self.m_needs_sample_2
 
     def needs_sample_3(self) -> bool:
-        """Whether `sample_ray` may look at its third sample."""
+        """True if `sample_ray` may look at its third sample."""
         return self.m_needs_sample_3
 
     def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
@@ -85,7 +85,7 @@ class Endpoint(Plugin):
         raise self.unanswered("no density of directions")
 
     def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-        """What arrives along a direction of `sample_direction`."""
+        """The light that arrives along a direction of `sample_direction`."""
         raise self.unanswered("nothing that arrives from a given direction")
 
     def sample_position(self, ref: Any, ds: Any, active: Any = True) -> Any:
@@ -97,11 +97,11 @@ class Endpoint(Plugin):
         raise self.unanswered("no density of positions")
 
     def eval(self, si: Any, active: Any = True) -> Any:
-        """What leaves its surface at `si` towards `si.wi`."""
+        """The light that leaves its surface at `si` towards `si.wi`."""
         raise self.unanswered("no surface to look at")
 
     def sample_wavelengths(self, si: Any, sample: Any, active: Any = True) -> Any:
-        """No wavelengths, and what `eval` returns."""
+        """Sample wavelengths: none, and the value of `eval`."""
         raise self.unanswered("no surface to look at")
 
     def unanswered(self, what: str) -> RenderError:

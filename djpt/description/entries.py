@@ -24,7 +24,7 @@ REQUIRED: Final[Any] = type("Required", (), {"__repr__": lambda self: "REQUIRED"
 
 
 class EntryType(enum.Enum):
-    """What an entry holds; the numbers are Mitsuba's."""
+    """The type of an entry; the numbers are Mitsuba's."""
 
     Bool = 1
     Integer = 2
@@ -142,7 +142,7 @@ class Entries:
         )
 
     def type(self, key: str, /) -> EntryType:
-        """What the entry holds."""
+        """The type of the entry."""
         if key not in self._values:
             raise SceneError(f"{self.node}: there is no entry '{key}'{near_miss(key, self._values)}")
         return type_of(self._values[key])
@@ -189,7 +189,7 @@ class Entries:
         return key in self._values
 
     def was_queried(self, key: str, /) -> bool:
-        """Whether an entry was asked for."""
+        """True if an entry was asked for."""
         if key not in self._values:
             raise SceneError(f"{self.node}: there is no entry '{key}'{near_miss(key, self._values)}")
         return key in self._used
@@ -256,7 +256,7 @@ def storable(key: str, value: Any) -> Any:
 
 
 def type_of(value: Any) -> EntryType:
-    """What a value is for Mitsuba."""
+    """The type of a value in Mitsuba's terms."""
     kinds: list[tuple[Any, EntryType]] = [
         ((bool, np.bool_), EntryType.Bool),
         ((int, np.integer), EntryType.Integer),
@@ -275,7 +275,7 @@ def type_of(value: Any) -> EntryType:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two entries are equal, type and all."""
+    """True if two entries are equal, type and all."""
     if type(a) is not type(b):
         return False
     if dr.is_array_v(a) or isinstance(a, np.ndarray):

@@ -59,7 +59,7 @@ class FileResolver:
         raise FileError(f"'{shortened(name)}' doesn't exist; searched: {searched}")
 
     def allows(self, path: str) -> bool:
-        """Whether a file lies within the root."""
+        """True if a file lies within the root."""
         return self.root is None or os.path.commonpath([self.root, os.path.realpath(path)]) == self.root
 
     def resolve(self, path: str | os.PathLike[str], /) -> Path:
@@ -146,7 +146,7 @@ def resolve(name: str) -> Path:
 
 
 def confined() -> bool:
-    """Whether the description being loaded is a stranger's, which may not leave a folder."""
+    """True if the description being loaded is a stranger's, which may not leave a folder."""
     resolver = _current.get() or _of_process
     return resolver.root is not None
 
@@ -171,7 +171,7 @@ _kept: ContextVar[dict[str, dict[Hashable, Any]] | None] = ContextVar("kept", de
 
 
 def read_once(name: str, form: Hashable, read: Callable[[], T]) -> T:
-    """What `read` gives or, if the file `name` was read before in the same `form`, what it gave then.
+    """The result of `read` or, if the file `name` was read before in the same `form`, the result of then.
 
     Results may be shared, so they must not be changed.
     """

@@ -61,11 +61,11 @@ class Loader:
         """The path of a node by each name that a reference can use: its path or its ``id`` entry."""
         self.plugins: dict[str, Plugin] = {}
         self.parts: dict[int, int] = {}
-        """How many plugins one consists of, itself among them, by its `id()`; one counts wherever it is referred to."""
+        """The number of plugins in one, itself included, by its `id()`; one counts wherever it is referred to."""
         self.merging = Merging()
-        """Which plugins are described alike."""
+        """The plugins that are described alike."""
         self.files: Counter[str] = Counter()
-        """How many nodes name each file."""
+        """The number of nodes that name each file."""
         self.open: list[str] = []
         """Paths of the nodes under construction, outermost first; a reference to one of them is a cycle."""
 
@@ -245,7 +245,7 @@ class Loader:
         return plugin
 
     def _count_parts(self, name: str, where: str, nested: list[Plugin]) -> int:
-        """How many plugins one of the type `name` consists of; raises `SceneError` if they are too many.
+        """The number of plugins in one of the type `name`; raises `SceneError` if they are too many.
 
         References are built once, but what they refer to is used wherever they stand: levels of two references each
         would grow exponentially.

@@ -1,4 +1,4 @@
-"""What Mitsuba's loader merges if it is told to optimise: nodes that are described alike."""
+"""Merging of nodes that are described alike, as by Mitsuba's loader if it is told to optimise."""
 
 from __future__ import annotations
 

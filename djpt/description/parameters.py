@@ -56,7 +56,7 @@ class Entry:
         setattr(self.owner, self.attribute, value)
 
     def is_computed(self) -> bool:
-        """Whether the value is computed anew at each read."""
+        """True if the value is computed anew at each read."""
         return isinstance(getattr(type(self.owner), self.attribute, None), property)
 
 
@@ -76,12 +76,12 @@ class Loan:
         self.state = state_of(value)
 
     def is_edited(self) -> bool:
-        """Whether the value has changed since the caller read it."""
+        """True if the value has changed since the caller read it."""
         return state_of(self.value) != self.state
 
 
 def lent(value: Any) -> Any:
-    """What a caller who reads a parameter gets: a transform of Dr.Jit matrices for one on the host, else the value."""
+    """The value of a parameter as callers get it: a transform of Dr.Jit matrices for one on the host, else itself."""
     if not isinstance(value, ScalarTransform4f):
         return value
     from djpt.core.transforms.lanes import Transform4f
@@ -169,7 +169,7 @@ class SceneParameters(Mapping[str, Any]):
         return key in self._entries
 
     def flags(self, key: str) -> ParamFlags:
-        """Whether a parameter is differentiable, and whether it moves edges (`Discontinuous`)."""
+        """The flags of a parameter: whether it is differentiable, and whether it moves edges (`Discontinuous`)."""
         return self._entry(key).flags
 
     def owners(self, key: str) -> Iterator[Plugin]:
@@ -346,7 +346,7 @@ def state_of(value: Any) -> Any:
 
 
 def is_same(value: Any, current: Any) -> bool:
-    """Whether two values are of one type and known to be equal, gradients included."""
+    """True if two values are of one type and known to be equal, gradients included."""
     if type(value) is not type(current) or (dr.is_tensor_v(value) and value.shape != current.shape):
         return False
     return bool(state_of(value) == state_of(current))

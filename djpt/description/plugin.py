@@ -36,7 +36,7 @@ class ParamFlags(enum.IntFlag):
 
     @property
     def differentiable(self) -> bool:
-        """Whether derivatives with respect to the parameter are computed."""
+        """True if derivatives with respect to the parameter are computed."""
         return not self & ParamFlags.NonDifferentiable
 
 
@@ -108,7 +108,7 @@ class Plugin(Holder):
     statics: ClassVar[Sequence[str]] = Inferred("statics", ())  # type: ignore[assignment]
 
     infers: ClassVar[bool] = False
-    """Whether the class declares none of these, so that they are inferred from the attributes of instances."""
+    """True if the class declares none of these, so that they are inferred from the attributes of instances."""
 
     _id: str = ""
 
@@ -262,7 +262,7 @@ def sorts_of(plugin: Plugin) -> Sorts:
 
 
 def is_uniform(value: Any) -> bool:
-    """Whether `value` is a Dr.Jit number, vector or matrix of width 1."""
+    """True if `value` is a Dr.Jit number, vector or matrix of width 1."""
     if not dr.is_array_v(value) or dr.is_tensor_v(value) or not dr.is_jit_v(value):
         return False
     kind = type(value)
@@ -270,7 +270,7 @@ def is_uniform(value: Any) -> bool:
 
 
 def is_plain(value: Any) -> bool:
-    """Whether `value` consists of Python's own immutable types."""
+    """True if `value` consists of Python's own immutable types."""
     return all(map(is_plain, value)) if isinstance(value, (tuple, frozenset)) else isinstance(value, PLAIN)
 
 

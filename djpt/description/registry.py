@@ -77,7 +77,7 @@ def register(kind: str, name: str, factory: Factory) -> None:
 
 
 def is_own(factory: Factory) -> bool:
-    """Whether the factory is part of djpt itself."""
+    """True if the factory is part of djpt itself."""
     return str(getattr(factory, "__module__", "")).split(".")[0] == "djpt"
 
 

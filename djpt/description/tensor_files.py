@@ -27,7 +27,7 @@ TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64
 
 @dataclass(frozen=True)
 class TensorField:
-    """Where a tensor stands in a file."""
+    """The position of a tensor in a file."""
 
     dtype: str
     """The type of its numbers, in NumPy's words."""

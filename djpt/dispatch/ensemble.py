@@ -46,7 +46,7 @@ P = TypeVar("P", bound=Plugin)
 
 
 def structure(plugin: Plugin) -> Hashable:
-    """What kernels know of a plugin: its class, statics, types of values, and the structure of its children."""
+    """The structure of a plugin for kernels: class, statics, types of values, and the structure of its children."""
     children = []
     for name in plugin.children:
         child = getattr(plugin, name)
@@ -85,7 +85,7 @@ class Lookup(Protocol):
         """The value of `leaf` for the member number `slot` of its group."""
 
     def attaches(self, leaf: Leaf) -> bool:
-        """Whether looked-up values of `leaf` are AD leaves, or depend on some."""
+        """True if looked-up values of `leaf` are AD leaves, or depend on some."""
 
     def vanishing_members(self, leaf: Leaf) -> list[int]:
         """The members of the group whose values of `leaf` are AD leaves that may make a factor of paths vanish."""
@@ -103,7 +103,7 @@ class BufferTable:
 
     @property
     def attached(self) -> bool:
-        """Whether the entries depend on AD leaves."""
+        """True if the entries depend on AD leaves."""
         return self.buffer.attached
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
@@ -157,7 +157,7 @@ class Detached:
         return clone
 
     def vanishes(self, owner: Plugin, attribute: str) -> bool:
-        """Whether a plugin's value may make a factor of paths vanish: see `may_vanish`."""
+        """True if a plugin's value may make a factor of paths vanish: see `may_vanish`."""
         if recording():
             return True
         key = (id(owner), attribute)
@@ -241,7 +241,7 @@ NEARLY = 2e-3
 
 
 def may_vanish(value: Any) -> bool:
-    """Whether one of the numbers is nearly 0 or 1, so that a factor of paths, itself or its complement, may vanish.
+    """True if one of the numbers is nearly 0 or 1, so that a factor of paths, itself or its complement, may vanish.
 
     While a frozen function is recorded numbers can't be read: then it is true.
     """
@@ -279,7 +279,7 @@ class Group(Generic[P]):
 
 
 def is_attached(group: Group[Any], lookup: Lookup) -> bool:
-    """Whether the group's methods compute with AD leaves."""
+    """True if the group's methods compute with AD leaves."""
     return any(lookup.attaches(leaf) for leaf in group.leaves())
 
 
@@ -323,7 +323,7 @@ class Ensemble(Generic[P]):
         self._slots = {id(group): Numbers(self._positions(group)) for group in self.groups}
 
     def is_current(self) -> bool:
-        """Whether all plugins still have the structure of their group."""
+        """True if all plugins still have the structure of their group."""
         return all(structure(plugin) == key for key, group in self._keys for plugin in group.plugins)
 
     def _positions(self, group: Group[P]) -> list[int]:

@@ -1,4 +1,4 @@
-"""What per-lane plugins of all kinds have in common: a family of plugins, and the number of one in each lane."""
+"""The base of per-lane plugins of all kinds: a family of plugins, and the number of one in each lane."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class Pointer(Record, Generic[P]):
 
     @classmethod
     def may_hold(cls, plugin: Plugin | None) -> bool:
-        """Whether pointers of this type point to a plugin; to None, and to others, they don't."""
+        """True if pointers of this type point to a plugin; to None, and to others, they don't."""
         return plugin is not None
 
     # ---- the family -----------------------------------------------------------------------
@@ -169,7 +169,7 @@ class Pointer(Record, Generic[P]):
 
     @property
     def is_of_script(self) -> bool:
-        """Whether a script has made the pointer, not a scene."""
+        """True if a script has made the pointer, not a scene."""
         return not isinstance(only(tuple(self.home)), Family)
 
     @property

@@ -22,7 +22,7 @@ _latest: WeakKeyDictionary[Ensemble[Any], tuple[Any, Attached]] = WeakKeyDiction
 
 
 def is_tracking() -> bool:
-    """Whether gradients are tracked here, and not suspended."""
+    """True if gradients are tracked here, and not suspended."""
     probe = Float(0)
     dr.enable_grad(probe)
     return bool(dr.grad_enabled(probe))

@@ -39,7 +39,7 @@ class Table(Protocol):
 
     @property
     def attached(self) -> bool:
-        """Whether the entries are AD leaves, or depend on some."""
+        """True if the entries are AD leaves, or depend on some."""
 
     def at(self, index: UInt32, active: Bool | bool = True) -> Any:
         """Entry number `index`, counted row by row: `Float`, `Color3f` for three channels, `ArrayXf` for six."""
@@ -99,7 +99,7 @@ class Buffer:
 
     @property
     def attached(self) -> bool:
-        """Whether the memory depends on AD leaves."""
+        """True if the memory depends on AD leaves."""
         return bool(dr.grad_enabled(self._memory))
 
     def address(self, slot: UInt32, index: UInt32) -> UInt32:

@@ -76,7 +76,7 @@ class Area(Emitter):
 
     @property
     def follows_texture(self) -> bool:
-        """Whether points are drawn by the radiance, not by the shape."""
+        """True if points are drawn by the radiance, not by the shape."""
         return not self.radiance.is_constant and self.shape.has_parameterization
 
     def _sample_texture(self, sample: Point2f) -> tuple[PositionSample3f, Float]:

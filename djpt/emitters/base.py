@@ -39,9 +39,9 @@ class Emitter(EmitterQuestions):
 
     kind: ClassVar[str] = "emitter"
     on_shape: ClassVar[bool] = False
-    """Whether it must be nested in a shape; the scene then sets `shape`."""
+    """True if it must be nested in a shape; the scene then sets `shape`."""
     in_time: ClassVar[bool] = False
-    """Whether the light depends on the time of a ray: rays of cameras then have one."""
+    """True if the light depends on the time of a ray: rays of cameras then have one."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -60,7 +60,7 @@ class Emitter(EmitterQuestions):
         return super().check_parameter(name, value)
 
     def flags(self, active: Bool | bool = True) -> int:
-        """What the light comes from: `EmitterFlags`, combined."""
+        """The kind of emitter: `EmitterFlags`, combined."""
         return int(self.m_flags)
 
     @property
@@ -98,13 +98,13 @@ class Emitter(EmitterQuestions):
         raise NotImplementedError
 
     def bounds(self) -> LightBounds | None:
-        """Where the light comes from and goes to; None for light from infinity."""
+        """Bounds of the light's origins and directions; None for light from infinity."""
         raise NotImplementedError
 
     # ---- in kernels --------------------------------------------------------------------
 
     shares_lookup: ClassVar[bool] = False
-    """Whether the emitter is an environment whose `eval_or_sample` is faster than the methods that it stands for."""
+    """True if the emitter is an environment whose `eval_or_sample` is faster than the methods that it stands for."""
 
     def eval_or_sample(
         self, si: SurfaceInteraction3f, sample: Point2f, active: Bool | bool = True

@@ -1,4 +1,4 @@
-"""Where an emitter's light comes from and goes to, for estimates of its importance."""
+"""Bounds of an emitter's light, its origins and directions, for estimates of its importance."""
 
 from __future__ import annotations
 

@@ -306,7 +306,7 @@ def sine(d: Vector3f) -> Float:
 
 
 def is_attached(table: Any) -> bool:
-    """Whether what is read from a table is attached to AD leaves; outside of kernels it is a tensor."""
+    """True if what is read from a table is attached to AD leaves; outside of kernels it is a tensor."""
     return dr.grad_enabled(table) if dr.is_tensor_v(table) else table.attached
 
 

@@ -1,4 +1,4 @@
-"""What scripts ask an emitter by itself, with Mitsuba's arguments."""
+"""Queries of single emitters by scripts, with Mitsuba's arguments."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class EmitterQuestions(Endpoint):
     """The parameter `sampling_weight`."""
 
     def sampling_weight(self) -> float:
-        """How often light sampling chooses the emitter, relative to others."""
+        """The relative probability with which light sampling chooses the emitter."""
         return self.share
 
     def is_environment(self) -> bool:
-        """Whether the emitter surrounds the scene: rays that miss everything see it."""
+        """True if the emitter surrounds the scene: rays that miss everything see it."""
         flags = self.flags()  # type: ignore[attr-defined]
         return bool(has_flag(flags, EmitterFlags.Infinite) and not has_flag(flags, EmitterFlags.Delta))
 
@@ -60,7 +60,7 @@ class EmitterQuestions(Endpoint):
         return ScalarBoundingBox3f(np.full(3, np.inf), np.full(3, -np.inf))
 
     def eval_direction(self, it: Observer, ds: DirectionSample3f, active: Bool | bool = True) -> Color3f:
-        """What arrives at `it` from the point of `ds`, whatever stands between.
+        """The light that arrives at `it` from the point of `ds`, whatever stands between.
 
         That is the radiance; of a point, intensity / dist^2; of parallel light, the irradiance.
         """
@@ -107,5 +107,5 @@ class EmitterQuestions(Endpoint):
         return Float(0) if self.shape is None else self.shape.pdf_position(ps, active)
 
     def sample_wavelengths(self, si: Interaction3f, sample: Any, active: Bool | bool = True) -> tuple[Any, Color3f]:
-        """No wavelengths, since light is RGB, and the radiance at `si`."""
+        """Sample wavelengths: none, since light is RGB, and the radiance at `si`."""
         return Wavelengths(), self.eval(si, active)

@@ -118,7 +118,7 @@ class EmitterPtr(Pointer[Emitter]):
     def sample_wavelengths(
         self, si: SurfaceInteraction3f, sample: Any, active: Bool | bool = True
     ) -> tuple[Any, Color3f]:
-        """No wavelengths, since light is RGB, and the radiance at `si`."""
+        """Sample wavelengths: none, since light is RGB, and the radiance at `si`."""
         value = self.ensemble.call(self.index, self.lookup, lambda e: e.eval(si, active), Color3f(0))
         return Wavelengths(), dr.select(active, value, 0)
 

@@ -111,7 +111,7 @@ class Film(Plugin):
         return ScalarArray2u(*self._crop_offset)
 
     def sample_border(self) -> bool:
-        """Whether pixels beside the crop are sampled, as far as the filter reaches."""
+        """True if pixels beside the crop are sampled, as far as the filter reaches."""
         return self._sample_border
 
     def rfilter(self) -> ReconstructionFilter:
@@ -197,7 +197,7 @@ class Film(Plugin):
 
     @property
     def filters(self) -> bool:
-        """Whether samples reach neighbouring pixels."""
+        """True if samples reach neighbouring pixels."""
         return not isinstance(self._rfilter, Box)
 
     @property

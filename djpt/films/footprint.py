@@ -23,7 +23,7 @@ and returns the new state, a tuple."""
 
 
 def in_window(position: Point2f) -> Bool:
-    """Whether a position is in the crop window, [0, 1)^2."""
+    """True where a position is in the crop window, [0, 1)^2."""
     return (position.x >= 0) & (position.x < 1) & (position.y >= 0) & (position.y < 1)
 
 

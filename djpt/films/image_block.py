@@ -125,7 +125,7 @@ class ImageBlock:
         return self._border
 
     def has_border(self) -> bool:
-        """Whether there is a border."""
+        """True if there is a border."""
         return self._border > 0
 
     def rfilter(self) -> ReconstructionFilter | None:
@@ -133,7 +133,7 @@ class ImageBlock:
         return self._rfilter
 
     def normalize(self) -> bool:
-        """Whether each sample's weights are made to sum up to 1."""
+        """True if each sample's weights are made to sum up to 1."""
         return self._normalize
 
     def set_normalize(self, value: bool) -> None:
@@ -141,7 +141,7 @@ class ImageBlock:
         self._normalize = bool(value)
 
     def coalesce(self) -> bool:
-        """Whether all pixels about the sample's own get a weight."""
+        """True if all pixels about the sample's own get a weight."""
         return self._coalesce
 
     def set_coalesce(self, value: bool) -> None:

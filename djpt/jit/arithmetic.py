@@ -1,4 +1,4 @@
-"""What formulas compute with, that serve kernels and compiled functions alike.
+"""The arithmetic of formulas that serve kernels and compiled functions alike.
 
 A formula that takes its functions from a namespace can be written once: Dr.Jit traces it with `KERNELS`, and
 `djpt.jit.llvm.arithmetic` has functions of the same names that write IR.

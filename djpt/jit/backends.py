@@ -41,7 +41,7 @@ class _State:
     name: str | None = None
     module: ModuleType | None = None
     noted: bool = False
-    """Whether it was said that one variant stands for another."""
+    """True if it was said that one variant stands for another."""
 
 
 def variant() -> str:

@@ -25,7 +25,7 @@ IDLE = 0.5
 """Seconds in which the process computes nothing, after which its threads are taken for ones that wait."""
 
 IDLE_INSIDE = 10.0
-"""The same if one of them is within djpt or Dr.Jit: other processes may need the processor."""
+"""The time to wait if a thread is within djpt or Dr.Jit: other processes may need the processor."""
 
 PACKAGES = frozenset({"djpt", "drjit"})
 
@@ -84,7 +84,7 @@ def without_noted(report: Callable[[threading.ExceptHookArgs], Any]) -> Callable
 
 
 def computes(frame: FrameType | None) -> bool:
-    """Whether a thread is within djpt or Dr.Jit."""
+    """True if a thread is within djpt or Dr.Jit."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
             return True
@@ -93,5 +93,5 @@ def computes(frame: FrameType | None) -> bool:
 
 
 def waits(frame: FrameType) -> bool:
-    """Whether a thread waits for another one."""
+    """True if a thread waits for another one."""
     return frame.f_globals.get("__name__") == "threading"

@@ -1,4 +1,4 @@
-"""What functions frozen by `dr.freeze` see of an object, and whether one of them is being recorded.
+"""Objects as functions frozen by `dr.freeze` see them, and whether one of these is being recorded.
 
 A frozen function launches the kernels of an earlier call again, with new arrays. It must therefore be told all arrays
 that its kernels read, and everything else that shaped them. Dr.Jit looks for a `DRJIT_STRUCT`; here it finds one
@@ -50,7 +50,7 @@ SMALL = 64
 
 
 def recording() -> bool:
-    """Whether `dr.freeze` records what is computed now, to repeat it with other arrays.
+    """True if `dr.freeze` records what is computed now, to repeat it with other arrays.
 
     Arrays can't be read on the host then, nor be made of memory that Dr.Jit doesn't own.
     """
@@ -158,7 +158,7 @@ class Inventory:
         del self._parts, self._arrays, self._visited
 
     def is_current(self, root: Any) -> bool:
-        """Whether everything is still where it was; arrays may have been changed in place."""
+        """True if everything is still where it was; arrays may have been changed in place."""
         return (
             self._root() is root
             and self._shared == len(SHARED)
@@ -237,7 +237,7 @@ def values_of(holder: Container) -> Iterable[Any]:
 
 
 def members(value: Any) -> tuple[Any, ...]:
-    """What an object refers to besides its attributes."""
+    """The objects that an object refers to besides its attributes."""
     if isinstance(value, types.FunctionType):
         return tuple(inspect.getclosurevars(value).nonlocals.values()) if value.__closure__ else ()
     if isinstance(value, types.MethodType):

@@ -208,7 +208,7 @@ def aligned(shape: tuple[int, ...]) -> NDArray[np.uint32]:
 
 
 def aligned_floats(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """The same for floats."""
+    """Zeros in aligned memory, as `aligned`, of floats."""
     return aligned(shape).view(np.float32)
 
 

@@ -45,7 +45,7 @@ class Medium(Plugin):
 
     kind: ClassVar[str] = "medium"
     is_tracked: ClassVar[bool] = True
-    """Whether flights are tracked, collision by collision; else they have a closed form."""
+    """True if flights are tracked, collision by collision; else they have a closed form."""
 
     m_sample_emitters: bool = True
     m_is_homogeneous: bool = False
@@ -93,19 +93,19 @@ class Medium(Plugin):
         return self.phase
 
     def use_emitter_sampling(self) -> bool:
-        """Whether emitters are sampled from points in the medium."""
+        """True if emitters are sampled from points in the medium."""
         return self.m_sample_emitters
 
     def is_homogeneous(self) -> bool:
-        """Whether the medium is the same everywhere."""
+        """True if the medium is the same everywhere."""
         return self.m_is_homogeneous
 
     def has_spectral_extinction(self) -> bool:
-        """Whether the extinction may differ between the channels."""
+        """True if the extinction may differ between the channels."""
         return self.m_has_spectral_extinction
 
     def emits(self) -> bool:
-        """Whether the medium glows."""
+        """True if the medium glows."""
         return self.emission is not None
 
     def of_extinction(self) -> Sequence[Plugin]:
@@ -126,7 +126,7 @@ class Medium(Plugin):
         raise NotImplementedError
 
     def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
-        """Whether a ray meets the box around the medium, and where it enters and leaves it."""
+        """The intersection of a ray with the medium's box: True if it is met, and where it is entered and left."""
         raise NotImplementedError
 
     # ---- in kernels: collisions, as scripts ask for them ---------------------------------

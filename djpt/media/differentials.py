@@ -72,7 +72,7 @@ class ScatteringPoint:
 
     @staticmethod
     def none() -> ScatteringPoint:
-        """No point."""
+        """The scattering point of lanes that have none: its weight is 0."""
         return ScatteringPoint(Float(0), Float(0), Float(0))
 
 

@@ -1,4 +1,4 @@
-"""How far light gets in a medium."""
+"""Free flights of light in a medium."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Flight:
     """A segment of a path in a medium, as long as it was sampled."""
 
     t: Float
-    """Where light is scattered; unspecified where it isn't."""
+    """Distance at which light is scattered; unspecified where it isn't."""
     scattered: Bool
     """True where the segment ends in the medium, else the light has passed it."""
     value: Color3f

@@ -107,7 +107,7 @@ class Heterogeneous(Medium):
         self._place()
 
     def _is_of_flakes(self) -> bool:
-        """Whether the extinction depends on the direction."""
+        """True if the extinction depends on the direction."""
         return bool(has_flag(self.phase.flags(), PhaseFunctionFlags.Microflake))
 
     def has_spectral_extinction(self) -> bool:

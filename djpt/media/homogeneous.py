@@ -155,7 +155,7 @@ class Homogeneous(Medium):
 
 
 def channel_shares(sigma_t: Color3f, throughput: Color3f) -> Color3f:
-    """How often each channel samples a flight; the sum is 1.
+    """The probability with which each channel samples a flight; the sum is 1.
 
     Light of a dense channel comes from near and is scattered often, and there is less of it: relative to that, its
     noise would be the largest. So a channel counts by what is left in it, `throughput`, and more where it is dense;

@@ -49,7 +49,7 @@ class MediumPtr(Pointer[Medium]):
         return dr.select(active, found, nothing)
 
     def intersect_aabb(self, ray: Ray3f) -> tuple[Bool, Float, Float]:
-        """Whether a ray meets the medium's box, and where it enters and leaves it."""
+        """The intersection of a ray with the medium's box: True if it is met, and where it is entered and left."""
         nothing = (Bool(False), Float(0), Float(dr.inf))
         return self._ask(lambda medium: medium.intersect_aabb(ray), nothing)
 

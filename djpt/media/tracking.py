@@ -115,7 +115,7 @@ def landing(
 
 
 def importance_of(throughput: Color3f) -> Color3f:
-    """How much each channel of a path counts, with the mean 1."""
+    """The importance of each channel of a path, with the mean 1."""
     return dr.detach(throughput) * dr.rcp(dr.mean(dr.detach(throughput)))
 
 
@@ -188,7 +188,7 @@ def transmittance(
 
 
 def thinned(transmittance: Color3f, share: Color3f, meets: Bool) -> tuple[Color3f, Float, Bool]:
-    """What a collision leaves of a transmittance, the chance to survive that gives it, and where it is taken."""
+    """The transmittance after a collision, the chance to survive that gives it, and where it is taken."""
     left = dr.select(meets, transmittance * (1 - share), transmittance)
     chance = dr.max(left) * (1 / KEPT)
     return left, chance, meets & (chance * KEPT < LITTLE)

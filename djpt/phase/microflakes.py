@@ -116,4 +116,4 @@ def sggx_projected_area(wi: Vector3f, s: Any) -> Float:
 
 
 SMALLEST = 1e-30
-"""What stands for 0 where something is divided by an area of flakes that aren't seen."""
+"""The divisor in place of an area of flakes that is 0, since none is seen."""

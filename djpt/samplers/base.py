@@ -157,7 +157,7 @@ class Sampler(Plugin):
 
     @property
     def has_streams(self) -> bool:
-        """Whether samples can be computed in any order: each has a stream of its own.
+        """True if samples can be computed in any order: each has a stream of its own.
 
         Classes of scripts may override `next_1d` or `next_2d` in place of `stream`. Such a sampler is nothing but the
         stream of all lanes of a wavefront.
@@ -262,5 +262,5 @@ def go_on_with(stream: SampleStream, other: SampleStream) -> None:
 
 
 def is_state(value: Any) -> bool:
-    """Whether a value consists of Dr.Jit's variables."""
+    """True if a value consists of Dr.Jit's variables."""
     return value is not None and bool(dr.is_array_v(value) or dr.is_struct_v(value))

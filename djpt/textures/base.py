@@ -28,14 +28,14 @@ class Texture(Plugin):
 
     kind: ClassVar[str] = "texture"
     is_constant: ClassVar[bool] = False
-    """Whether the texture is the same everywhere: kernels then don't compute uv."""
+    """True if the texture is the same everywhere: kernels then don't compute uv."""
 
     def eval(self, si: Any, active: Bool | bool = True) -> Color3f:
         """The colour at `si`."""
         raise NotImplementedError
 
     def eval_3(self, si: Any, active: Bool | bool = True) -> Color3f:
-        """The same as `eval`: colours have three channels."""
+        """The colour at `si`: `eval`, since colours have three channels."""
         return self.eval(si, active)
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:
@@ -49,7 +49,7 @@ class Texture(Plugin):
         raise NotImplementedError
 
     def is_spatially_varying(self) -> bool:
-        """Whether the texture can differ from point to point."""
+        """True if the texture can differ from point to point."""
         return not self.is_constant
 
     def resolution(self) -> ScalarArray2i:
@@ -71,7 +71,7 @@ class Texture(Plugin):
     wavelength_range = spectral_resolution = pdf_spectrum
 
     def sample_spectrum(self, si: Any, sample: Any = None, active: Bool | bool = True) -> tuple[Any, Color3f]:
-        """No wavelengths, and the colour at `si`, as in Mitsuba; raises `RenderError` unless `is_constant`."""
+        """Sample wavelengths: none, with the colour at `si`, as Mitsuba; raises `RenderError` unless `is_constant`."""
         if not self.is_constant:
             raise self.unknown(SPECTRA)
         return Wavelengths(), self.eval(si, active)

@@ -69,7 +69,7 @@ class Bitmap(UVTexture):
         self.distribution: DiscreteDistribution2D | None = None
         """Cells of the unit square by their brightness, if the texture is that of a light."""
         self.tents = False
-        """Whether the cells are texels, and the density is interpolated bilinearly between them."""
+        """True if the cells are texels, and the density is interpolated bilinearly between them."""
         self._twin: Bitmap | None = None
         self._measure()
 

@@ -24,7 +24,7 @@ class TexturePtr(Pointer[Texture]):
         return self._ask(lambda texture: Color3f(texture.eval(si, active)), Color3f(0), active)
 
     def eval_3(self, si: Any, active: Bool | bool = True) -> Color3f:
-        """The same as `eval`: colours have three channels."""
+        """The colour at `si`: `eval`, since colours have three channels."""
         return self.eval(si, active)
 
     def eval_1(self, si: Any, active: Bool | bool = True) -> Float:

@@ -1,4 +1,4 @@
-"""What plugins do with the textures in them."""
+"""Uses of textures by the plugins that hold them."""
 
 from __future__ import annotations
 

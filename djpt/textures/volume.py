@@ -40,7 +40,7 @@ class VolumeTexture(Texture):
         return self.volume.max()
 
     def mean(self) -> Float:
-        """That of the whole volume: what a shape shows of it isn't known."""
+        """The mean of the whole volume: the part that a shape shows isn't known."""
         return self.volume.mean()
 
     def restrict(self, allowed: Allowed, where: str) -> None:

@@ -10,7 +10,7 @@ from djpt.jit.types import Float, UInt32
 __all__ = ["WRAP_MODES", "wrapped"]
 
 WRAP_MODES = ("repeat", "mirror", "clamp")
-"""What lies beyond the border: the grid again, its mirror image, or the last point."""
+"""Values beyond the border: the grid again, its mirror image, or the last point."""
 
 
 def wrapped(i: Float, count: Float, mode: str) -> UInt32:

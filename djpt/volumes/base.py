@@ -36,11 +36,11 @@ class Volume(Plugin):
 
     kind: ClassVar[str] = "volume"
     is_constant: ClassVar[bool] = False
-    """Whether the volume is the same everywhere."""
+    """True if the volume is the same everywhere."""
 
     @property
     def is_grey(self) -> bool:
-        """Whether `eval` gives three equal numbers wherever it is asked, now and after edits."""
+        """True if `eval` gives three equal numbers wherever it is asked, now and after edits."""
         return False
 
     def __init__(self, props: Properties) -> None:

@@ -157,7 +157,7 @@ class VolumeGrid:
 
 
 def is_file(source: Any) -> bool:
-    """Whether the source of a grid is a path or an open file."""
+    """True if the source of a grid is a path or an open file."""
     return isinstance(source, (str, os.PathLike)) or hasattr(source, "read")
 
 

@@ -26,7 +26,7 @@ class Departure:
     """A ray that leaves an emitter."""
 
     o: Point3f
-    """Where it begins, off the surface."""
+    """The origin, off the surface."""
     emitter: EmitterPtr
     inverse: Float
     """1 / the probability of choosing the emitter."""
@@ -50,7 +50,7 @@ def departure(scene: Scene, sampler: SampleStream) -> Departure:
 
 
 def is_beam(flags: Any) -> Any:
-    """Whether light leaves a surface in one direction only: flags are `EmitterFlags`."""
+    """True if light leaves a surface in one direction only: flags are `EmitterFlags`."""
     return has_flag(flags, EmitterFlags.Surface) & has_flag(flags, EmitterFlags.DeltaDirection)
 
 
@@ -77,12 +77,12 @@ class LightVertex(KeptSurface):
         return vertex
 
     def place(self, scene: Scene) -> Place:
-        """The place of the vertex."""
+        """The vertex as connections see it."""
         return Place(self.interaction(scene), None)
 
 
 class VertexInMatter(LightVertex):
-    """A vertex of a light path that may be a place in a medium."""
+    """A vertex of a light path that may be a point in a medium."""
 
     medium: UInt32
     """The number of the medium; `NOWHERE` on surfaces."""

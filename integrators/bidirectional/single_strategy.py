@@ -72,7 +72,7 @@ class LastVertex(KeptSurface):
         return si
 
     def end(self, si: SurfaceInteraction3f) -> End:
-        """The end of the path that has arrived here, at `surface`."""
+        """The subpath that ends here, at the surface point `si`."""
         d = dr.select(si.is_valid(), si.to_world(self.wi), self.wi)
         return End(Ray3f(self.p, -d), self.throughput, self.vcm, self.vc, Float(0), None, self.depth)
 
@@ -274,5 +274,5 @@ class OneStrategy:
 
 
 def smooth(si: SurfaceInteraction3f) -> Bool:
-    """Whether vertices can be joined at a surface point."""
+    """True where vertices can be joined at a surface point."""
     return has_flag(si.bsdf().flags(), BSDFFlags.Smooth)

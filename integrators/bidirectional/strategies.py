@@ -37,7 +37,7 @@ class Ledger:
         """`position`: the camera ray's in the crop window, which strategies with t > 1 light."""
         self._sink, self._position, self._by_strategy = sink, position, by_strategy
         self.inside = in_window(position)
-        """Whether the camera ray's position is in the crop window."""
+        """True if the camera ray's position is in the crop window."""
 
     def weighed(self, value: Color3f, weight: Float, s: UInt32, t: UInt32) -> Color3f:
         """The light `value` of the strategy (s, t) with its weight; what the sample's own pixel receives."""

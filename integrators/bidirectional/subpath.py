@@ -72,18 +72,18 @@ def meeting(vcm: Float, vc: Float, density: Float, back: Float, h: Heuristic) ->
 
 @dataclass
 class End:
-    """The end of a path that grows from the camera or from a light."""
+    """A path that grows from the camera or from a light, up to its last vertex."""
 
     ray: Ray3f
     """The next edge."""
     throughput: Color3f
-    """What the path is worth: importance from the camera, power from a light, over the density."""
+    """Importance carried from the camera, or power from a light, over the density of the path."""
     vcm: Float
     """h(1 / density of the last vertex); at first times that of the vertex before, if that is sampled directly."""
     vc: Float
     """The sum of h(density ratio) over all strategies with fewer vertices on this side, over that of the last edge."""
     before: Float
-    """How far before the ray's origin its directions part; inf if the rays are parallel."""
+    """Distance from the ray's origin back to the point where its directions part; inf if the rays are parallel."""
     eta: Float | None
     """Product of relative indices of refraction; None in scenes without refraction."""
     depth: UInt32
@@ -92,7 +92,7 @@ class End:
     """While derivatives are replayed, the factor of each channel that was set aside, or 1: see `scaled`. Else None."""
 
     def arrived(self, place: Place, passed: Color3f, h: Heuristic) -> End:
-        """The end at the place that its ray has reached: densities are per unit area there.
+        """The subpath with the vertex that its ray has reached: densities are per unit area there.
 
         `passed` is what media have left.
         """
@@ -104,7 +104,7 @@ class End:
         return replace(self, throughput=self.throughput * passed, vcm=self.vcm * spread * inverse, vc=self.vc * inverse)
 
     def scattered(self, place: Place, s: Scattering, throughput: Color3f, h: Heuristic) -> End:
-        """The end of the path that goes on from a place as `s` says, with the given throughput."""
+        """The subpath that goes on from a vertex as `s` says, with the given throughput."""
         d = place.direction(s)
         cos = place.cos(d)
         delta = has_flag(s.sample.sampled_type, BSDFFlags.Delta)
@@ -186,23 +186,23 @@ class LightHit:
     """The path that has arrived."""
     flux: Color3f
     vertex: LightVertex
-    """What is kept for connections."""
+    """The fields that connections read."""
     joins: Bool
-    """Whether other paths can be joined to it."""
+    """True where other paths can be joined to it."""
     active: Bool
     """True where there is something."""
 
 
 @dataclass
 class LightStep:
-    """What a light path does at a vertex. Colours are attached where the scene's values are, and not weighted."""
+    """Scattering at a vertex of a light path. Colours are attached where the scene's values are, and not weighted."""
 
     position: Point2f
     """The place on the film that shows it, in [0, 1)^2 of the crop window."""
     shown: Color3f | None
     """The light that the film receives there; None from sensors that light can't be traced to."""
     weight: Float
-    """That of `shown`."""
+    """The weight of `shown` against the other strategies."""
     end: End
     """The path that goes on."""
     active: Bool
@@ -223,21 +223,21 @@ class CameraHit:
     met: Color3f
     """The light that the path has met."""
     weight: Float
-    """That of `met`."""
+    """The weight of `met` against the other strategies."""
     joins: Bool
-    """Whether light paths can be joined to the vertex."""
+    """True where light paths can be joined to the vertex."""
     active: Bool
     """True where there is something, and an edge left to go on from it."""
 
 
 @dataclass
 class CameraStep:
-    """What a camera path does at a vertex, connections aside. Colours are as in `LightStep`."""
+    """Scattering at a vertex of a camera path, without connections. Colours are as in `LightStep`."""
 
     scattering: Scattering
     lit: Color3f
     """The light of the light sample."""
     weight: Float
-    """That of `lit`."""
+    """The weight of `lit` against the other strategies."""
     covers: Bool
     """True where there is a surface that the path doesn't pass straight through."""

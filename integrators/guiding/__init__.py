@@ -2,5 +2,5 @@
 
 * `cells`: the places that are told apart, as leaves of a tree over the scene.
 * `guide`: a distribution of directions for each leaf, and how to draw from it.
-* `practice`: paths that are only followed to learn from.
+* `training`: paths that are only followed to learn from.
 """

@@ -29,7 +29,7 @@ TICKETS = 1024
 
 
 class Guide:
-    """Where paths that leave a surface are sent, by place and side of the surface."""
+    """Distributions of directions in which paths leave surfaces, by position and side of the surface."""
 
     def __init__(self, cells: Cells, leaves: Leaves, weights: NDArray[np.float64], share: NDArray[np.float64]) -> None:
         """Make the tables.
@@ -82,7 +82,7 @@ class LocalGuide:
         return direction_at(dr.fma(corner + within, 2 / SIDE, -1))
 
     def heading(self, d: Vector3f, active: Bool | bool = True) -> Heading:
-        """What is known of a direction; nothing on lanes that aren't active."""
+        """The square and the density of a direction; 0 on lanes that aren't active."""
         place, spread = place_of(d)
         column, row = (UInt32(minimum(dr.fma(c, SIDE / 2, SIDE / 2), SIDE - 1.0)) for c in place)
         square = dr.fma(self.leaf, SQUARES, dr.fma(row, SIDE, column))

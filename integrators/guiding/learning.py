@@ -15,7 +15,7 @@ __all__ = ["LearningIntegrator", "Lessons"]
 
 
 class Lessons(Protocol):
-    """What an integrator learns from: paths that no image counts."""
+    """Paths that an integrator learns from, and that no image counts."""
 
     @property
     def scene(self) -> Scene:

@@ -1,4 +1,4 @@
-"""Practice: paths that are followed to learn where light comes from.
+"""Training: paths that are followed to learn where light comes from.
 
 A path remembers each choice of a direction: the square of the guide's map, the density, and the light that it had found
 by then. What it finds later, over its throughput, is an estimate C of the light that the chosen direction brings. Per
@@ -56,9 +56,9 @@ class Choice:
     square: UInt32
     density: Float
     throughput: Float
-    """That of the path before the choice, mean of the channels."""
+    """Throughput of the path before the choice, mean of the channels."""
     radiance: Float
-    """What the path had found by then, mean of the channels."""
+    """Radiance that the path had found by then, mean of the channels."""
 
 
 @dataclass
@@ -80,7 +80,7 @@ class Lane:
 
 @dataclass
 class Notes:
-    """What practice has found."""
+    """The results of training."""
 
     sums: NDArray[np.float64]
     """(leaves, SQUARES): the sums of C^2 p, in units of their own."""

@@ -39,7 +39,7 @@ EVEN = 0.2
 
 
 def brightness(light: Color3f) -> Float:
-    """What chains are distributed by: the largest component, so that no colour counts for little."""
+    """The density of chains: the largest component, so that no colour counts for little."""
     return maximum(maximum(light.x, light.y), light.z)
 
 
@@ -56,7 +56,7 @@ class Start:
 
 @dataclass
 class Family:
-    """What chains of one length have in common, per chain."""
+    """Values that all chains of one length share, per chain."""
 
     edges: UInt32
     mean: Float
@@ -134,7 +134,7 @@ class Chains:
     memory: Any
     """The numbers of the chain and of its proposal: see `Mutated`."""
     second: Bool
-    """Which of the two are the chain's."""
+    """True where the second of the two is the chain's."""
     last: Any
     """Local memory of `OneStrategy.sample`."""
     s: UInt32

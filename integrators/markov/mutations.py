@@ -49,11 +49,11 @@ class Mutated:
     generator: IndependentStream
     memory: Any
     own: UInt32
-    """Where the next number of the chain stands."""
+    """Index of the next number of the chain."""
     other: UInt32
-    """Where the proposal's is to stand."""
+    """Index at which the proposal's number is stored."""
     is_large: Bool
-    """Whether all numbers are drawn afresh."""
+    """True where all numbers are drawn afresh."""
     largest: Float
     """The largest step of the others."""
 

@@ -40,7 +40,7 @@ class LightPath:
 
 
 class Walks(Protocol):
-    """What a pass works with: the image to be made, and walks through the scene."""
+    """The interface of passes: the image to be made, and walks through the scene."""
 
     @property
     def scene(self) -> Scene:

@@ -1,4 +1,4 @@
-"""Places where paths of both ends scatter light: points of surfaces, and points in media."""
+"""Vertices at which subpaths from lights and from the camera scatter light: on surfaces, and in media."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ __all__ = ["Matter", "Place", "Reached", "Scattering", "is_half_open", "reach"]
 
 @dataclass
 class Matter:
-    """What scatters light at a place in a medium, where there is one."""
+    """The medium that scatters light at a vertex, on the lanes whose vertex is in one."""
 
     inside: Bool
-    """True at places in a medium, else the place is on a surface."""
+    """True at vertices in a medium, else the vertex is on a surface."""
     medium: UInt32
     """The medium of the ray that has come there."""
     wi: Vector3f
@@ -46,7 +46,7 @@ class Matter:
 
 @dataclass
 class Scattering:
-    """What a path asks of a place."""
+    """The results of scattering at a vertex: a value for a given direction, and a sampled direction."""
 
     value: Color3f
     """f abs(cos) towards the given direction, or the phase function."""
@@ -58,7 +58,7 @@ class Scattering:
     back_of_sample: Float
     """The density of the way back from the sampled direction."""
     d: Vector3f | None = None
-    """In media, the sampled direction in world space where that is a place in one; None in scenes without."""
+    """In media, the sampled direction in world space at vertices in one; None in scenes without."""
 
 
 Evaluated = tuple[Color3f, Float, Float]
@@ -76,11 +76,11 @@ class Place:
 
     @property
     def reference(self) -> Reference:
-        """The place as the reference point of light sampling."""
+        """The vertex as the reference point of light sampling."""
         return Reference(self.si.p, self.si.n)
 
     def is_smooth(self) -> Bool:
-        """Whether other paths can be joined there."""
+        """True where other paths can be joined there."""
         smooth = has_flag(self.si.bsdf().flags(), BSDFFlags.Smooth)
         return smooth if self.matter is None else smooth | self.matter.inside
 
@@ -94,11 +94,11 @@ class Place:
         return self.in_medium(self.si.spawn_ray(d))
 
     def ray_to(self, p: Point3f) -> Ray3f:
-        """The ray to another place, of which maxt = 1."""
+        """The ray to another vertex, with maxt = 1."""
         return self.in_medium(self.si.spawn_ray_to(p))
 
     def in_medium(self, ray: Ray3f) -> Ray3f:
-        """A ray that leaves the place, in its medium."""
+        """A ray that leaves the vertex, in its medium."""
         if self.matter is not None and ray.medium is not None:
             ray.medium = dr.select(self.matter.inside, self.matter.medium, ray.medium)
         return ray
@@ -109,7 +109,7 @@ class Place:
         return d if self.matter is None or s.d is None else dr.select(self.matter.inside, s.d, d)
 
     def passes(self, s: Scattering) -> Bool:
-        """Where the sampled direction goes straight through a surface."""
+        """True where the sampled direction goes straight through a surface."""
         return self._on_surface() & has_flag(s.sample.sampled_type, BSDFFlags.Null)
 
     def _on_surface(self) -> Bool:
@@ -156,7 +156,7 @@ class Place:
     def _scattered_by_matter(
         self, scene: Scene, s: Scattering, d: Vector3f, sample1: Float, sample2: Point2f
     ) -> Scattering:
-        """What a path asks of a place, be it on a surface, as `s` says, or in a medium."""
+        """Scattering at a vertex: as `s` says on surfaces, by the phase function in media."""
         assert self.matter is not None
         inside, mei = self.matter.inside, self._point(self.matter.wi)
         phase = scene.media.phases(self.matter.medium)
@@ -186,22 +186,25 @@ def evaluated(bsdf: BSDF, si: SurfaceInteraction3f, from_camera: bool, wo: Vecto
     return eval_pdf_light(bsdf, si, wo, active)
 
 
-# ---- ways between places ---------------------------------------------------------------------
+# ---- from vertex to vertex -------------------------------------------------------------------
 
 
 @dataclass
 class Reached:
-    """Where a ray has got to."""
+    """The vertex that a ray has reached."""
 
     place: Place
     passed: Color3f
-    """What media leave of the light, over the density of having come that far."""
+    """Transmittance of media, over the density of having come that far."""
     glow: Color3f | None
     """The light that media have added on the way; None if none of them glows."""
 
 
 def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3f, sampler: SampleStream) -> Reached:
-    """How far a ray gets on its way to the surface `si`, with light of a throughput."""
+    """The next vertex of a path on its way to the surface `si`: there, or before it in a medium.
+
+    `throughput` is that of the path, by which media choose a channel.
+    """
     if not scene.media.scatter:
         return Reached(Place(si, None), scene.media.transmittance(ray, si.t), None)
     length = dr.select(si.is_valid(), si.t, ray.maxt)
@@ -213,7 +216,7 @@ def reach(scene: Scene, ray: Ray3f, si: SurfaceInteraction3f, throughput: Color3
 
 
 def is_half_open(scene: Scene) -> bool:
-    """Whether paths go straight through surfaces that scatter light, too, without a vertex."""
+    """True if paths go straight through surfaces that scatter light, too, without a vertex."""
     return scene.media.scatter and any(
         has_flag(bsdf.flags(), BSDFFlags.Null) and has_flag(bsdf.flags(), BSDFFlags.Smooth)
         for bsdf in scene.bsdfs.plugins

@@ -27,7 +27,7 @@ class PathLoop:
     d: Vector3f
     medium: UInt32 | None
     times: Any
-    """That of the ray, see `Ray3f.times`: a tuple, whose type Dr.Jit needn't know."""
+    """Time of the ray, see `Ray3f.times`: a tuple, whose type Dr.Jit needn't know."""
     sampler: SampleStream
     state: Any
     """A `PathState`; the type is `Any`, because Dr.Jit would look for the name in this module."""

@@ -1,4 +1,4 @@
-"""How much of the disk about a point is surface: what sums over photons near edges and corners are divided by.
+"""The fraction of the disk about a point that is surface: the divisor of sums of photons near edges and corners.
 
 A sum over the photons of a disk is divided by its area. Where a surface ends within the disk, at an edge or at the foot
 of a wall, photons can only lie on the share c of it, and the sum is too small by as much: all edges are dark by a

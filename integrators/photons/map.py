@@ -47,13 +47,13 @@ WIDTH = 2.0
 """Its width along y and z."""
 
 SHIFT = 0.382
-"""Where the origin lies in its cell along y and z: floors at 0 are common, and shouldn't lie between two cells."""
+"""Position of the origin in its cell along y and z: floors at 0 are common, and shouldn't lie between two cells."""
 
 MOST_ALONG, MOST_ACROSS = 6, 4
 """The cells along x, and along y or z, that a ball may reach into: one more than fit, since numbers are rounded."""
 
 FLATNESS = 0.1
-"""How far from the tangent plane photons count, in relation to the radius: those on other sides of an edge don't."""
+"""The largest distance of photons from the tangent plane over the radius: beyond edges they don't count."""
 
 FACING = 0.5
 """The least cosine of a photon's normal to the surface's: those on walls don't count for the floor below."""
@@ -68,7 +68,7 @@ FEWEST = 2**10
 """Hash values of a map with few photons."""
 
 ALONG_Y, ALONG_Z = 19349663, 83492791
-"""What the hash grows by from cell to cell; by 1 along x. No two cells that a ball reaches into have equal hashes."""
+"""Growth of the hash from cell to cell; by 1 along x. No two cells that a ball reaches into have equal hashes."""
 
 
 class PhotonMap:
@@ -87,7 +87,7 @@ class PhotonMap:
         """The photons within the radius per density of light paths: pi radius^2 paths."""
         self.radius, self._square = as_float(radius), as_float(radius**2)
         self.height = as_float(FLATNESS * radius)
-        """How far from the tangent plane they count."""
+        """The largest distance from the tangent plane at which they count."""
         self._width = as_float(WIDTH * radius)
         self._per_length, self._per_width = as_float(1 / (LENGTH * radius)), as_float(1 / (WIDTH * radius))
         self._scale, self._unit = as_float(2.0**DIGITS / (unit * density)), as_float(unit * 2.0**-DIGITS)
@@ -139,7 +139,7 @@ class PhotonMap:
         return start, stop + dr.select(wraps, self._count, 0)
 
     def _distance(self, c: Float, number: Int32) -> Float:
-        """How far a coordinate y or z is from the cells of a number."""
+        """The distance of a coordinate y or z from the cells of a number."""
         low = (Float(number) - SHIFT) * self._width
         beside: Float = dr.maximum(low - c, c - low - self._width)
         return dr.select(beside > 0, beside, Float(0))

@@ -112,7 +112,7 @@ class PhotonStore:
 
     @property
     def sinks(self) -> Any:
-        """What kernels that add photons write to."""
+        """The arrays to which kernels add photons."""
         return self._count, self.photons, self.weights
 
     def add(self, photon: Photon, active: Bool) -> None:

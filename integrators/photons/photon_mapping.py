@@ -72,7 +72,7 @@ class PhotonMapping(SplattingIntegrator):
     """The photons within the first radius about a point that the camera sees, on average, unless it is given."""
 
     weighs_photons: ClassVar[bool] = False
-    """Whether photons keep the weights of their light paths."""
+    """True if photons keep the weights of their light paths."""
 
     photons: PhotonMap | None = None
     """The map of the pass at hand."""
@@ -121,7 +121,7 @@ class PhotonMapping(SplattingIntegrator):
 
 
 def scatters(si: SurfaceInteraction3f) -> Bool:
-    """Whether the BSDF at a surface point has lobes that aren't delta functions, so that photons are of use there."""
+    """True where the BSDF at a surface point has lobes that aren't delta functions: photons are of use there."""
     found: Bool = has_flag(si.bsdf().flags(), BSDFFlags.Smooth)
     return found
 

@@ -26,7 +26,7 @@ FEW_SAMPLES = 1 << 20
 
 
 class ProjectiveDetail:
-    """What a `PSIntegrator`, `parent`, needs for the derivatives at silhouettes."""
+    """The part of a `PSIntegrator`, `parent`, that computes derivatives at silhouettes."""
 
     ProjectOperation = ProjectOperation
 
@@ -224,7 +224,7 @@ class ProjectiveDetail:
         self.guiding_distr = tree
 
     def _mass(self, scene: Any, sensor: Any, points: Any, sampler: Any, active: Bool | bool = True) -> Float:
-        """What a guide learns: the largest channel of the integrand, without the speed; finite."""
+        """The density that a guide learns: the largest channel of the integrand, without the speed; finite."""
         value, _, _ = self.eval_indirect_integrand(scene, sensor, points, sampler, preprocess=True, active=active)
         mass = dr.max(value)
         return dr.select(dr.isfinite(mass), mass, 0)

@@ -45,7 +45,7 @@ class PSIntegrator(RBIntegrator):
 
     follows_silhouettes = True
     radiative_backprop = True
-    """Whether the derivative within surfaces is computed in a second run of `sample`."""
+    """True if the derivative within surfaces is computed in a second run of `sample`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

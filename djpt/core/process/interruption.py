@@ -33,11 +33,11 @@ class Terminated(SystemExit):
 
 
 class Interruption:
-    """Whether a signal has come, and what is to be done about it."""
+    """The signals that have come while something is rendered, and what is to be done about them."""
 
     def __init__(self, keeps: bool = False) -> None:
         self.keeps = keeps
-        """Whether what exists is kept."""
+        """True if what exists is kept."""
         self.signal: int | None = None
         """The signal that has come."""
         self.done, self.total = 0, 0
@@ -49,12 +49,12 @@ class Interruption:
 
     @property
     def requested(self) -> bool:
-        """Whether the render is to end."""
+        """True if the render is to end."""
         return self.signal is not None
 
     @property
     def ends_kept(self) -> bool:
-        """Whether the render is to end with what exists."""
+        """True if the render is to end with what exists."""
         return self.keeps and self.requested
 
     @property

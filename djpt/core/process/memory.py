@@ -26,7 +26,7 @@ SMALL = RESERVE + 2**26
 
 
 def shortage(needed: int) -> str | None:
-    """What is missing, for a message, if `needed` bytes are more than is free; None if they are there."""
+    """The missing memory, for a message, if `needed` bytes are more than is free; None if they are there."""
     if needed <= SMALL:
         return None
     free = free_memory()
@@ -52,7 +52,7 @@ def free_memory() -> int | None:
 
 
 def limits() -> Iterator[int]:
-    """What each of the limits leaves."""
+    """The bytes that each of the limits leaves."""
     with suppress(OSError, ValueError, KeyError):
         meminfo = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
         yield int(meminfo["MemAvailable"].split()[0]) * 1024

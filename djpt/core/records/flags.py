@@ -98,7 +98,7 @@ class DiscontinuityFlags(enum.IntFlag):
     PerimeterType = 0x1
     """Edges: where a surface ends, or its normal jumps."""
     InteriorType = 0x2
-    """Where a smooth surface turns away from the viewer."""
+    """Silhouettes of smooth surfaces, where they turn away from the viewer."""
     DirectionLune = 0x4
     """Directions at an edge are those in which one of its two faces is seen from the front."""
     DirectionSphere = 0x8
@@ -131,7 +131,7 @@ C = TypeVar("C", bound="ComponentContext")
 
 
 class ComponentContext:
-    """What is asked of plugins with several components: the direction of transport, and components."""
+    """A query of plugins with several components: the direction of transport, and components."""
 
     mode: TransportMode
     type_mask: int
@@ -156,7 +156,7 @@ class ComponentContext:
 
 @dataclass
 class BSDFContext(ComponentContext):
-    """What BSDFs are asked for: the direction of transport, and lobes.
+    """A query of BSDFs: the direction of transport, and lobes.
 
     It is structure: kernels are traced for it.
     """
@@ -170,17 +170,17 @@ class BSDFContext(ComponentContext):
 
     @property
     def asks_for_all(self) -> bool:
-        """Whether no lobe is left out."""
+        """True if no lobe is left out."""
         return self.component == ALL_COMPONENTS and not int(BSDFFlags.All) & ~self.type_mask
 
     def is_enabled(self, type: BSDFFlags | int, component: int = 0) -> bool:
-        """Whether the lobe number `component`, of the type `type`, is asked for."""
+        """True if the lobe number `component`, of the type `type`, is asked for."""
         return not int(type) & ~self.type_mask and self.component in (ALL_COMPONENTS, component)
 
 
 @dataclass
 class PhaseFunctionContext(ComponentContext):
-    """What phase functions are asked for: the direction of transport, and components.
+    """A query of phase functions: the direction of transport, and components.
 
     It is structure: kernels are traced for it.
     """

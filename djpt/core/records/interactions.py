@@ -25,7 +25,7 @@ class SceneView(Protocol):
     """The share of a camera ray's `maxt` between the camera and its near plane."""
 
     units: Any
-    """What lengths and points are in the scene's description, if this is a scene in a working frame; else None."""
+    """Conversion of lengths and points to the scene's description, for a scene in a working frame; else None."""
 
     def bsdf_at(self, si: SurfaceInteraction3f) -> Any:
         """The `djpt.materials.pointer.BSDFPtr` of the shape at `si`."""
@@ -80,7 +80,7 @@ class PreliminaryIntersection3f(Instanced):
 
     @staticmethod
     def found(t: Float, face: UInt32, shape_index: UInt32, near: Any = None) -> PreliminaryIntersection3f:
-        """What a search has found; see the fields."""
+        """The intersection that a search has found; see the fields."""
         nearby = () if near is None else (near,)
         pi: PreliminaryIntersection3f = PreliminaryIntersection3f.holding(
             t=t, face=face, shape_index=shape_index, nearby=nearby

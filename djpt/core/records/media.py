@@ -34,7 +34,7 @@ class MediumInteraction3f(Interaction3f):
     combined_extinction: Color3f
     """The majorant."""
     mint: Float
-    """Where the ray enters the medium's box."""
+    """Distance at which the ray enters the medium's box."""
     pointers: tuple[Any, ...]
     """The medium, a pointer, or nothing: see `medium`."""
 

@@ -107,4 +107,4 @@ class Interaction3f(Record):
 
 
 Observer: TypeAlias = "Reference | Interaction3f"
-"""What light is sampled for: `p` is looked at, and `n` by some ways of choosing an emitter."""
+"""A point for which light is sampled: `p` counts always, `n` for some light samplers."""

@@ -106,7 +106,7 @@ class RayDifferential3f(Ray3f):
         for name, value in own.items():
             setattr(self, name, value)
         self.has_differentials = getattr(o, "has_differentials", False)
-        """Whether the differentials mean anything."""
+        """True if the differentials mean anything."""
 
     def scale_differential(self, amount: Float | float) -> None:
         """Move the neighbouring rays closer to this one (`amount` < 1), as for several samples per pixel."""

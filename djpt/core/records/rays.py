@@ -103,7 +103,7 @@ class Ray3f(Record):
 
 
 def is_zero(number: Any) -> bool:
-    """Whether a number is 0 and nothing else: known without computing, and without derivatives."""
+    """True if a number is 0 and nothing else: known without computing, and without derivatives."""
     if not dr.is_array_v(number):
         return bool(number == 0)
     known = number.state == dr.VarState.Literal and dr.width(number) == 1

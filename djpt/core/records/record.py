@@ -1,4 +1,4 @@
-"""What all records have in common: fields of Dr.Jit arrays that are made when they are first read."""
+"""The base of records: fields of Dr.Jit arrays that are made when they are first read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all transforms have in common: how they are chained, composed and applied."""
+"""The base of transforms: how they are chained, composed and applied."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ class Transform:
     size: ClassVar[int]
     """Rows of the matrix: 4 for maps of space, 3 for maps of the plane."""
     projective: ClassVar[bool] = False
-    """Whether the last row of the matrix may be any; else it is (0, .., 0, 1)."""
+    """True if the last row of the matrix may be any; else it is (0, .., 0, 1)."""
     on_lanes: ClassVar[bool] = False
-    """Whether the entries are Dr.Jit arrays."""
+    """True if the entries are Dr.Jit arrays."""
 
     # NumPy must leave `array @ transform` to this class, which refuses it.
     __array_ufunc__ = None
@@ -135,7 +135,7 @@ class Transform:
     # ---- applying ----------------------------------------------------------------------
 
     def _treats_alike(self) -> bool:
-        """Whether points, vectors and the directions of normals are known to be mapped alike."""
+        """True if points, vectors and the directions of normals are known to be mapped alike."""
         raise NotImplementedError
 
     def transform_point(self, p: Any) -> Any:
@@ -151,11 +151,11 @@ class Transform:
         raise NotImplementedError
 
     def apply_vector(self, v: Any) -> Any:
-        """The same as `transform_vector`."""
+        """Map a vector: another name of `transform_vector`."""
         return self.transform_vector(v)
 
     def transform_affine(self, p: Any = None, *, v: Any = None, n: Any = None, ray: Any = None) -> Any:
-        """The same as the operator ``@``; by name, `v` are vectors and `n` normals."""
+        """Apply the transform, as the operator ``@`` does; by name, `v` are vectors and `n` normals."""
         given = [x for x in (p, v, n, ray) if x is not None]
         if len(given) != 1:
             raise SceneError(f"transform_affine: takes one of p, v, n and ray, found {len(given)}")

@@ -160,7 +160,7 @@ class HostTransform(Transform):
     # ---- asking ------------------------------------------------------------------------
 
     def is_singular(self) -> bool:
-        """Whether the transform flattens shapes, in the precision of float32."""
+        """True if the transform flattens shapes, in the precision of float32."""
         linear = self._matrix if self.projective else self._matrix[:-1, :-1]
         if linear.shape == (3, 3) and is_far_from_flat(linear.tolist()):
             return False
@@ -188,12 +188,12 @@ class HostTransform(Transform):
 
     @property
     def is_identity(self) -> bool:
-        """Whether the transform changes nothing."""
+        """True if the transform changes nothing."""
         unchanged = IDENTITIES[self.size]
         return self._matrix is unchanged or np.array_equal(self._matrix, unchanged)
 
     def has_scale(self) -> bool:
-        """Whether the transform changes lengths or angles; mirroring doesn't."""
+        """True if the transform changes lengths or angles; mirroring doesn't."""
         linear = self._matrix[:-1, :-1]
         return bool((np.abs(linear @ linear.T - np.eye(self.size - 1)) > 1e-3).any())
 
@@ -222,7 +222,7 @@ def float_type(value: Any) -> Any:
 
 
 class SpatialHostTransform(HostTransform):
-    """What transforms of space offer in addition."""
+    """A transform of space, with the methods that need three axes."""
 
     __slots__ = ()
 
@@ -300,7 +300,7 @@ class ScalarTransform4f(SpatialHostTransform):
     __slots__ = ()
 
     def extract(self) -> ScalarTransform3f:
-        """What the transform does to x and y: the matrix without its third row and column."""
+        """The transform of x and y: the matrix without its third row and column."""
         return ScalarTransform3f(self._matrix[np.ix_([0, 1, 3], [0, 1, 3])])
 
 

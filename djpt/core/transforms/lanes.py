@@ -236,7 +236,7 @@ class LaneTransform(Transform):
         return self.Vector(*(self._matrix[i, self.size - 1] for i in range(self.size - 1)))
 
     def has_scale(self) -> Bool:
-        """Whether the transform changes lengths or angles; mirroring doesn't."""
+        """True where the transform changes lengths or angles; mirroring doesn't."""
         m, n = self._matrix, self.size - 1
         found = Bool(False)
         for i in range(n):
@@ -266,7 +266,7 @@ SMALLER = {
 
 
 def is_known(x: Any) -> bool:
-    """Whether Python knows the number, which is the same on all lanes, without running a kernel."""
+    """True if Python knows the number, which is the same on all lanes, without running a kernel."""
     return bool(x.state == dr.VarState.Literal and dr.width(x) == 1 and not dr.grad_enabled(x))
 
 
@@ -284,7 +284,7 @@ def dot(row: Any, matrix: Any, j: int, n: int, start: Any = 0) -> Any:
 
 
 class SpatialLaneTransform(LaneTransform):
-    """What transforms of space offer in addition."""
+    """A transform of space, with the methods that need three axes."""
 
     size: ClassVar[int] = 4
 
@@ -344,7 +344,7 @@ class SpatialLaneTransform(LaneTransform):
 
 
 class PlanarLaneTransform(LaneTransform):
-    """What transforms of the plane offer in addition."""
+    """A transform of the plane, with the methods that need two axes."""
 
     size: ClassVar[int] = 3
 
@@ -372,7 +372,7 @@ class AffineTransform4f(SpatialLaneTransform):
     """The class of the result of `extract`."""
 
     def extract(self) -> Any:
-        """What the transform does to x and y: the matrix without its third row and column."""
+        """The transform of x and y: the matrix without its third row and column."""
         kept = [0, 1, 3]
         matrix, inverse_transpose = (
             [[part[i, j] for j in kept] for i in kept] for part in (self._matrix, self.inverse_transpose)

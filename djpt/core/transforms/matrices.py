@@ -27,7 +27,7 @@ __all__ = [
 Matrix = NDArray[np.float64]
 
 ALIKE = 1e-5
-"""How far from a rotation with a uniform scale a linear part may be, relative to the scale, to count as one."""
+"""The largest deviation of a linear part from a rotation with a uniform scale, relative to the scale."""
 
 
 # ---- identities ------------------------------------------------------------------------
@@ -90,7 +90,7 @@ def cross_matrix(vector: Matrix) -> Matrix:
 
 
 def is_unit(length: float) -> bool:
-    """Whether an axis of this length is a unit vector, in the precision of rounded numbers."""
+    """True if an axis of this length is a unit vector, in the precision of rounded numbers."""
     return abs(length - 1) < 1e-3
 
 
@@ -114,7 +114,7 @@ def rotation_of_plane(angle: Any) -> Matrix:
 
 
 def treats_alike(matrix: Matrix) -> bool:
-    """Whether a transform maps points, vectors and the directions of normals alike.
+    """True if a transform maps points, vectors and the directions of normals alike.
 
     It must not translate, and turn or mirror with a uniform scale.
     """
@@ -127,7 +127,7 @@ def treats_alike(matrix: Matrix) -> bool:
 
 
 def is_far_from_flat(linear: list[list[float]]) -> bool:
-    """Whether it is plain from its determinant that a 3x3 matrix isn't singular; nearly always it is.
+    """True if it is plain from its determinant that a 3x3 matrix isn't singular; nearly always it is.
 
     The determinant of unit columns is the product of the singular values, of which none is above the root of 3.
     """

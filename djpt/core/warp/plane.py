@@ -108,7 +108,7 @@ def linear_to_interval(v0: Float, v1: Float, sample: Float) -> Float:
 
 
 def _sloped(v0: Float, v1: Float) -> Bool:
-    """Whether a line from `v0` to `v1` is steep enough for its inversion to be exact."""
+    """True where a line from `v0` to `v1` is steep enough for its inversion to be exact."""
     return dr.abs(v0 - v1) > 1e-4 * (v0 + v1)
 
 

@@ -26,7 +26,7 @@ OBJECTS = {
 
 
 def is_object(element: Element) -> bool:
-    """Whether an element stands for a plugin."""
+    """True if an element stands for a plugin."""
     return element.tag in OBJECTS or (element.tag == "spectrum" and "type" in element.attributes)
 
 

@@ -26,7 +26,7 @@ def parse_version(text: str) -> Version | None:
 
 
 def is_old(version: Version) -> bool:
-    """Whether files of this version use the old names."""
+    """True if files of this version use the old names."""
     return version < (2, 0, 0)
 
 

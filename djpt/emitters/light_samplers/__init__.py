@@ -1,4 +1,4 @@
-"""The choice of the emitter to sample: one way of choosing per file."""
+"""Light samplers, which choose the emitter to sample: one per file."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ CHOICES = ("uniform", "power", "tree")
 
 
 def make_choice(name: str, emitters: Sequence[Emitter]) -> EmitterChoice:
-    """The way of choosing with one of the names in `CHOICES`.
+    """The light sampler with one of the names in `CHOICES`.
 
     `sampling_weight`s count as in Mitsuba: as soon as one of them isn't 1.
     """

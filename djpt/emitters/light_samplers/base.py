@@ -1,4 +1,4 @@
-"""The contract of light choice."""
+"""The contract of light samplers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["EmitterChoice"]
 
 
 class EmitterChoice:
-    """A way of choosing one of a scene's emitters, for a point that light is to be sampled at.
+    """A distribution over a scene's emitters, for a point that light is to be sampled at.
 
     Built on the host, before kernels are traced; the methods run in kernels.
     """

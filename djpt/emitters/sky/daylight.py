@@ -1,4 +1,4 @@
-"""What lights of the sky have in common."""
+"""The base of lights of the sky."""
 
 from __future__ import annotations
 

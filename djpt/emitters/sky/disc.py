@@ -93,7 +93,7 @@ class SunDisc(Plugin):
         return irradiance * (self.brightness / (2 * math.pi * TRUE_HEIGHT))
 
     def covers(self, d: Vector3f) -> Bool:
-        """Whether a unit vector points to the disc."""
+        """True where a unit vector points to the disc."""
         return squared_chord(self.direction, d) <= 2 * self.height
 
     def pdf(self) -> Float:

@@ -105,7 +105,7 @@ def atmosphere(turbidity: Float, albedo: Color3f) -> Grid:
 
 
 def curve_position(elevation: Float) -> Float:
-    """Where an elevation of the sun, in radians, lies on the curves: in [0, 1)."""
+    """The position of an elevation of the sun, in radians, on the curves: in [0, 1)."""
     # The slope of the cube root at 0 is infinite.
     share = minimum(maximum(elevation * (2 / math.pi), Float(1e-12)), Float(1))
     return minimum(dr.cbrt(share), Float(1 - 2**-24))

@@ -32,7 +32,7 @@ class Instant:
     sun_scale: Float
 
     def is_day(self, local: Vector3f) -> Bool:
-        """Whether light comes from a direction: it is above the horizon, and so is the sun."""
+        """True where light comes from a direction: it is above the horizon, and so is the sun."""
         return (local.z >= 0) & (self.disc.direction.z >= 0)
 
     def radiance(self, local: Vector3f, on_disc: Bool) -> Color3f:

@@ -1,4 +1,4 @@
-"""Where the sun stands at a time and a place."""
+"""The position of the sun at a time and a place."""
 
 from __future__ import annotations
 

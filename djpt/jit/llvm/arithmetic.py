@@ -84,12 +84,12 @@ def smallest(values: Sequence[Value]) -> Value:
 
 
 def any_of(mask: Value) -> Value:
-    """Whether a mask is set in any lane."""
+    """True if a mask is set in any lane."""
     return mask.bits_as(Type("i", mask.type.lanes)) != 0
 
 
 def all_of(conditions: Sequence[Value]) -> Value:
-    """Where all conditions hold."""
+    """The mask of lanes on which all conditions hold."""
     return reduce(lambda a, b: a & b, conditions)
 
 

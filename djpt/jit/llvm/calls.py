@@ -103,7 +103,7 @@ def call(
 
 
 def reason_against(proved: Callable[[], bool], otherwise: str) -> str | None:
-    """What stands against calls on this machine; None if `proved`, which makes some, gets the results that are known.
+    """The reason against calls on this machine; None if `proved`, which makes some, gets the results that are known.
 
     `otherwise` is the reason if it gets others.
     """

@@ -224,7 +224,7 @@ def file_of(digest: str) -> Path:
 
 
 def checksum(code: bytes, digest: str) -> bytes:
-    """What is written behind machine code: also tells one module's from another's."""
+    """The bytes behind stored machine code: also tell one module's from another's."""
     return hashlib.sha256(code + digest.encode()).digest()
 
 

@@ -79,7 +79,7 @@ def function(name: str) -> Any:
 
 
 def missing(*names: str) -> list[str]:
-    """Those of `names`, by default of all `FUNCTIONS`, that this version of Dr.Jit lacks."""
+    """The `names`, by default all `FUNCTIONS`, that this version of Dr.Jit lacks."""
 
     def is_missing(name: str) -> bool:
         try:

@@ -27,7 +27,7 @@ class HostFunctions:
         self._asked, self._small_jobs = False, 0
 
     def for_size(self, size: int) -> Run | None:
-        """What runs the functions, for a job of some size; None if that is better done without, or has to be."""
+        """The engine for the functions, for a job of some size; None if it is better done without, or has to be."""
         if size < self.small and self._small_jobs < self.few:
             self._small_jobs += 1
             return None

@@ -112,7 +112,7 @@ def install_llvm() -> Path:
 
 
 def libatomic_missing() -> bool:
-    """Whether Dr.Jit can't be imported because libatomic.so.1 is missing (its Linux wheels link it)."""
+    """True if Dr.Jit can't be imported because libatomic.so.1 is missing (its Linux wheels link it)."""
     if sys.platform != "linux":
         return False
     for name in ["libatomic.so.1", *(os.path.join(folder, "libatomic.so.1") for folder in private_folders())]:

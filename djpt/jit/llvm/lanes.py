@@ -1,4 +1,4 @@
-"""How wide the kernels of Dr.Jit's LLVM backend are: the lanes that one instruction works on."""
+"""The width of the kernels of Dr.Jit's LLVM backend: the lanes that one instruction works on."""
 
 from __future__ import annotations
 
@@ -61,19 +61,19 @@ def small_blocks(lanes: int = BLOCK) -> Iterator[None]:
 
 
 class Target(NamedTuple):
-    """What kernels are compiled for, and by what."""
+    """The processor that kernels are compiled for, and the compiler."""
 
     processor: str
     """LLVM's name of the processor, such as ``znver3``."""
     features: tuple[str, ...]
-    """What LLVM knows of it, such as ``+avx2``, ``-avx512f``."""
+    """LLVM's names of its features, such as ``+avx2``, ``-avx512f``."""
     version: str
     """The version of LLVM."""
 
 
 @cache
 def target() -> Target:
-    """What kernels are compiled for.
+    """The target of kernels.
 
     Ask for it before functions are compiled in other threads: while Dr.Jit records a frozen function it answers this
     thread alone, and others would wait for ever.

@@ -14,7 +14,7 @@ __all__ = ["all_lanes", "can_unmask"]
 
 
 def can_unmask() -> bool:
-    """Whether `all_lanes` works: on processors, with the versions of Dr.Jit that it knows.
+    """True if `all_lanes` works: on processors, with the versions of Dr.Jit that it knows.
 
     Dr.Jit 1.5 writes wrong IR where local memory for `Bool` has a mask, so constant masks must vanish. They stay if its
     flags say that constants aren't propagated, or in debug mode.

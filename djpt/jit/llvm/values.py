@@ -166,7 +166,7 @@ class Value:
         return self.function.emit(f"fptosi {self} to {target}", target)
 
     def bits_as(self, type: Type) -> Value:
-        """The same bits as another type of the same size; a mask becomes an integer, lane 0 the lowest bit."""
+        """Reinterpret the bits as another type of the same size; a mask becomes an integer, lane 0 the lowest bit."""
         return self.function.emit(f"bitcast {self} to {type}", type)
 
     def spread(self, lanes: int) -> Value:
@@ -216,7 +216,7 @@ class Value:
 
 
 Operand = Value | float
-"""What operators take beside a value: another one, or a Python number."""
+"""The other operand of an operator: a value, or a Python number."""
 
 
 class Variable:
