@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import djpt
+from djpt.rendering.settings import RenderSettings
 
 
 @pytest.fixture(scope="module")
@@ -35,3 +38,23 @@ def test_sample_counts_that_are_rounded_up_to_too_many() -> None:
 def test_arguments_that_nothing_can_be_done_with(scene: Any, arguments: dict[str, Any]) -> None:
     with pytest.raises(djpt.RenderError, match=next(iter(arguments))):
         djpt.render(scene, **{"spp": 1, **arguments})
+
+
+def test_settings_are_checked_once_and_varied_by_replacing(scene: Any) -> None:
+    settings = RenderSettings.of(scene, seed=7, spp=np.int64(3))
+    assert (settings.sensor, settings.integrator) == (scene.sensors()[0], scene.integrator())
+    assert (settings.seed, settings.spp) == (7, 3) and type(settings.spp) is int
+    with pytest.raises(FrozenInstanceError):
+        settings.spp = 4  # type: ignore[misc]
+    assert replace(settings, spp=0).sample_count == scene.sensors()[0].sampler().sample_count()
+
+
+def test_settings_count_samples_as_the_sampler_does(scene: Any) -> None:
+    sensor = djpt.load_dict({"type": "perspective", "sampler": {"type": "stratified"}})
+    assert RenderSettings.of(scene, sensor, spp=5).sample_count == 9
+
+
+def test_seeds_of_gradients(scene: Any) -> None:
+    """By default derived from the seed of the image, which None takes itself."""
+    seeds = [RenderSettings.of(scene, seed=7, seed_grad=number).gradient_seed for number in (0, 5, None)]
+    assert seeds[1:] == [5, 7] and seeds[0] not in (0, 5, 7)

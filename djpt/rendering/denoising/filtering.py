@@ -77,7 +77,7 @@ def denoise_pixels(pixels: Pixels, guides: Guides, colours: int, method: str = "
             raise ArgumentError(f"'{name}' must have the shape {(*pixels.shape[:2], 3)}, found {guide.shape}")
     result = pixels.copy()
     noisy = finite(np.repeat(pixels[..., :1], 3, axis=2) if colours == 1 else pixels[..., :3])
-    known = Guides(*(None if guide is None else finite(guide) for guide in (guides.albedo, guides.normal)))
+    known = {name: finite(guide) for name, guide in vars(guides).items() if guide is not None}
     if method == "oidn":
         from djpt.rendering.denoising.open_image_denoise import filtered
     else:

@@ -9,12 +9,11 @@ by samples; here it is estimated from the image, by what is left of it where it 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-
-from djpt.rendering.denoising.filtering import Guides
 
 __all__ = ["filtered"]
 
@@ -34,19 +33,18 @@ NEAR = 4
 """Pixels to each side over which noise is averaged."""
 
 
-def filtered(noisy: Pixels, guides: Guides, clean: bool) -> Pixels:
-    """The image (H, W, 3) of linear values without its noise.
+def filtered(noisy: Pixels, guides: Mapping[str, Pixels], clean: bool) -> Pixels:
+    """The image (H, W, 3) of linear values without its noise. Guides, by name, that aren't `clean` are filtered first.
 
     With an albedo it is the light on surfaces that is filtered, the image divided by the albedo.
     """
-    known = {name: guide for name, guide in vars(guides).items() if guide is not None}
     if not clean:
-        known = {name: means(guide, {}, search=2, patch=1) for name, guide in known.items()}
-    matter = known["albedo"] + np.float32(DARKEST) if "albedo" in known else np.float32(1)
-    return (means(noisy / matter, known) * matter).astype(np.float32)
+        guides = {name: means(guide, {}, search=2, patch=1) for name, guide in guides.items()}
+    matter = guides["albedo"] + np.float32(DARKEST) if "albedo" in guides else np.float32(1)
+    return (means(noisy / matter, guides) * matter).astype(np.float32)
 
 
-def means(image: Pixels, guides: dict[str, Pixels], search: int = SEARCH, patch: int = PATCH) -> Pixels:
+def means(image: Pixels, guides: Mapping[str, Pixels], search: int = SEARCH, patch: int = PATCH) -> Pixels:
     """The weighted mean of the pixels around each one: (H, W, 3)."""
     variance = noise(image)
     floor = np.float32(1e-8 * np.mean(np.square(image)) + 1e-30)

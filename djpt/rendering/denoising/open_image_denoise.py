@@ -6,13 +6,13 @@ The wheel is `mitsuba-oidn`, by the authors of Mitsuba and Dr.Jit: it shares Dr.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from djpt.errors import BackendError
-from djpt.rendering.denoising.filtering import Guides
 
 __all__ = ["filtered", "library"]
 
@@ -32,15 +32,14 @@ def library() -> Any:
         ) from error
 
 
-def filtered(noisy: Pixels, guides: Guides, clean: bool) -> Pixels:
-    """The image (H, W, 3) of linear values without its noise. Guides that aren't `clean` are filtered first.
+def filtered(noisy: Pixels, guides: Mapping[str, Pixels], clean: bool) -> Pixels:
+    """The image (H, W, 3) of linear values without its noise. Guides, by name, that aren't `clean` are filtered first.
 
     A normal without an albedo is left out: the network has no such input.
     """
     oidn = library()
-    albedo, normal = guides.albedo, guides.normal
-    if albedo is None:
-        normal = None
+    albedo = guides.get("albedo")
+    normal = None if albedo is None else guides.get("normal")
     try:
         if not clean:
             # Filters for one guide alone: its name is that of the input and of the network.
