@@ -8,11 +8,11 @@ from functools import cache
 import drjit as dr
 import numpy as np
 
+from djpt.geometry.bvh.build.builder import build
 from djpt.geometry.bvh.calls.calls import call_any, call_closest
 from djpt.geometry.bvh.calls.packets import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
 from djpt.geometry.bvh.calls.placed import Features
 from djpt.geometry.bvh.calls.tree import Functions
-from djpt.geometry.bvh.compiled_build.builder import build
 from djpt.jit.llvm.calls import Code, reason_against
 from djpt.jit.llvm.compiler import compiled
 from djpt.jit.llvm.lanes import lane_count, target

@@ -9,17 +9,15 @@ from numpy.typing import NDArray
 
 from djpt.core.process.memory import shortage
 from djpt.errors import SceneError
+from djpt.geometry.bvh.build.builder import Built, build, refit, workers
+from djpt.geometry.bvh.build.rows import corners_of, write_rows
+from djpt.geometry.bvh.build.wide import REBUILD
 from djpt.geometry.bvh.calls.engine import functions
 from djpt.geometry.bvh.calls.layout import REFERENCE, ROW_WORDS
 from djpt.geometry.bvh.calls.placed import Features
 from djpt.geometry.bvh.calls.tree import CompiledTree
-from djpt.geometry.bvh.compiled_build.builder import build
-from djpt.geometry.bvh.compiled_build.refit import Built, refit
-from djpt.geometry.bvh.compiled_build.rows import corners_of, write_rows
-from djpt.geometry.bvh.compiled_build.workers import workers
 from djpt.geometry.bvh.extent import Extent
 from djpt.geometry.bvh.leaves import PlacedLeaves
-from djpt.geometry.bvh.refit import REBUILD
 from djpt.geometry.mesh_part import MeshPart
 from djpt.jit.kernels import aligned, as_float, as_vector
 from djpt.jit.types import UInt32

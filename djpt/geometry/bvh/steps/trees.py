@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.build.levels import build
-from djpt.geometry.bvh.build.wide import WideTree, collapse
+from djpt.geometry.bvh.build.binary import build
+from djpt.geometry.bvh.build.wide import REBUILD, WideTree, collapse, grown, refit, sah_cost
 from djpt.geometry.bvh.extent import Extent
 from djpt.geometry.bvh.leaves import MixedLeaves, PlacedLeaves, TriangleLeaves
-from djpt.geometry.bvh.refit import REBUILD, grown, refit
-from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.steps.records import Leaves, extent_of, pack, roots
 from djpt.geometry.bvh.steps.tree import StepTree
 from djpt.geometry.mesh_part import MeshPart
