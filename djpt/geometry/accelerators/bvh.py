@@ -14,7 +14,7 @@ from djpt.geometry.bvh.build.binary import Method, build
 from djpt.geometry.bvh.build.wide import collapse, sah_cost
 from djpt.geometry.bvh.leaves import TriangleLeaves
 from djpt.geometry.bvh.steps.records import LEAF, Records, pack
-from djpt.geometry.bvh.steps.search import search
+from djpt.geometry.bvh.steps.trees import search
 from djpt.geometry.query import NONE
 from djpt.jit.types import Bool, Float, UInt32
 

@@ -397,7 +397,7 @@ def add_pick(module: Module) -> None:
 
 
 def add_cut(module: Module) -> None:
-    """Cut faces with some numbers of corners into fans around their first, as `djpt.shapes.meshes.polygons`."""
+    """Cut faces with some numbers of corners into fans around their first, as `djpt.shapes.meshes.ply.fans`."""
     parameters = [("faces", PTR), ("numbers", PTR), ("triangles", PTR), ("count", I64)]
     with module.function("cut", parameters, I64) as f:
         faces, numbers, triangles, count = f.parameters

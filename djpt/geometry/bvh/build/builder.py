@@ -24,8 +24,7 @@ from djpt.geometry.bvh.build.build_functions import ALONE, BIAS, NODE_SIZE, PRIM
 from djpt.geometry.bvh.build.collapse_functions import LEAF_COST, NODE_COST
 from djpt.geometry.bvh.build.functions import functions
 from djpt.geometry.bvh.calls.layout import CHILDREN, LEAF_ROWS, NODE_ROWS, ROOT, ROW_WORDS
-from djpt.geometry.bvh.extent import Extent
-from djpt.geometry.bvh.steps.records import SLACK
+from djpt.geometry.bvh.leaves import Extent
 from djpt.jit.kernels import aligned
 
 __all__ = ["DEEPEST", "Built", "Workers", "binary_nodes", "build", "chunks", "floats", "refit", "workers"]
@@ -244,8 +243,7 @@ def refit(
 def fit(built: Built, extent: Extent, corners: NDArray[np.float32], placed: NDArray[np.float32], team: Workers) -> None:
     """Write all corners and boxes of a tree."""
     built.extent = extent
-    slack = SLACK * max(extent.diagonal, 1e-30)
-    numbers = np.array([*extent.center, slack, extent.scale], np.float32)
+    numbers = np.array([*extent.center, extent.slack, extent.scale], np.float32)
     parts = chunks(built.nodes, FIT_CHUNK)
     crossing = crossing_nodes(built.ends, parts)
     sums = np.zeros((len(parts) + 1, 2), np.float64)

@@ -2,7 +2,7 @@
 
 Triangles are worked through in the order of their faces, `CHILDREN` at a time, mesh by mesh: the functions get a
 table of parts, each some faces of one mesh (see `PART_BYTES`). A record goes to its triangle's place among the
-leaves. The formulas are those of `djpt.geometry.face_frames`, with the same roundings.
+leaves. The formulas are those of `djpt.geometry.bvh.leaves`, with the same roundings.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The corners of meshes' triangles, and their records in a tree, written by all threads.
 
-A record is the row of a triangle, see `djpt.geometry.bvh.calls.layout`: its frame, as `djpt.geometry.face_frames`
+A record is the row of a triangle, see `djpt.geometry.bvh.calls.layout`: its frame, as `djpt.geometry.bvh.leaves`
 computes it, its label and its face.
 """
 
