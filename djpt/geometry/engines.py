@@ -3,7 +3,7 @@
 ``call``
     By functions that Python writes and LLVM compiles: see `djpt.geometry.bvh.calls`.
 ``steps``
-    By steps that all lanes of a kernel take together: see `djpt.geometry.bvh`. Works everywhere.
+    By steps that all lanes of a kernel take together: see `djpt.geometry.bvh.steps`. Works everywhere.
 ``auto``
     By calls if they work on this machine. They are faster in nearly all cases: docs/performance.md, "Calls and steps".
 """
@@ -11,8 +11,7 @@
 from __future__ import annotations
 
 from djpt.errors import SceneError
-from djpt.geometry.bvh.calls.engine import why_not
-from djpt.geometry.bvh.calls.trees import CompiledTrees
+from djpt.geometry.bvh.calls.trees import CompiledTrees, why_not
 from djpt.geometry.bvh.steps.trees import StepTrees
 from djpt.geometry.ray_queries import NAMES, VARIABLE, asked_for, ray_queries
 

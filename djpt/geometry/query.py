@@ -118,7 +118,7 @@ class Found:
     """The result of a search."""
 
     origin: Point3f
-    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.steps.approach.enter`."""
+    """The ray's origin, moved near the triangles: see `djpt.geometry.recentre.enter`."""
     entry: Float
     """How far the origin was moved, in units of the ray's `d`."""
     near_t: Float
@@ -141,7 +141,7 @@ class Near:
     """A hit as the search for triangles gives it."""
 
     origin: Point3f
-    """The ray's origin, moved near the triangles: see `djpt.geometry.bvh.steps.approach.enter`."""
+    """The ray's origin, moved near the triangles: see `djpt.geometry.recentre.enter`."""
     t: Float
     """The distance from `origin`: exact also where the distance from a far origin would be rounded."""
     entry: Float | None

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from djpt.core.frame import Frame3f, coordinate_system
 from djpt.core.lookup import Numbers
 from djpt.core.records import Ray3f
-from djpt.geometry.bvh.steps.approach import enter
 from djpt.geometry.bvh.steps.records import LEAF, NUMBER, PORTAL, SOLID
 from djpt.geometry.bvh.steps.traversal import into_group
 from djpt.geometry.canonical import FLAT_KINDS, PIECE
 from djpt.geometry.canonical import surface as canonical_surface
-from djpt.geometry.curve_segments.piece_set import PieceSet
+from djpt.geometry.curve_segments import PieceSet
 from djpt.geometry.query import DETAIL, LABEL, NONE, Found, Near, RayTree
+from djpt.geometry.recentre import enter
 from djpt.geometry.triangle import RayPlane, intersect_triangle
 from djpt.geometry.two_level_bvh import Forest
 from djpt.jit.kernels import float_in

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.extent import Extent
-from djpt.geometry.bvh.leaves import PlacedLeaves
+from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
 from djpt.geometry.bvh.steps.records import EMITS, LEAF, ONE_SIDED, PORTAL, SOLID
 from djpt.geometry.canonical import KINDS, PIECE
-from djpt.geometry.curve_segments.piece_set import PieceSet
+from djpt.geometry.curve_segments import PieceSet
 from djpt.geometry.engines import new_trees
-from djpt.geometry.mesh_part import MeshPart
 from djpt.geometry.query import RayTree
 from djpt.shapes.base import Shape
 from djpt.shapes.curve_segments import Pieces

@@ -17,8 +17,7 @@ from djpt.description.plugin import Plugin
 from djpt.dispatch.ensemble import Ensemble, Group, Lookup, is_attached
 from djpt.dispatch.family import Family, Pointer
 from djpt.errors import SceneError
-from djpt.geometry.aggregate import Geometry
-from djpt.geometry.contents import unseen
+from djpt.geometry.aggregate import Geometry, unseen
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.media import tracking

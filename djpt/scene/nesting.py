@@ -11,7 +11,7 @@ from djpt.description.properties import Properties
 from djpt.description.registry import registered
 from djpt.emitters import Emitter
 from djpt.errors import SceneError, near_miss
-from djpt.geometry.contents import unseen
+from djpt.geometry.aggregate import unseen
 from djpt.materials import BSDF, Diffuse
 from djpt.sensors import Sensor
 from djpt.shapes import Shape

@@ -42,7 +42,7 @@ class Pieces:
     """The pieces of one shape; the first axis of most arrays is the piece."""
 
     maps: Array
-    """The maps into the pieces' spaces, (P, 3, 4): see `djpt.geometry.curve_segments.formula`."""
+    """The maps into the pieces' spaces, (P, 3, 4): see `djpt.geometry.canonical`."""
     radii: NDArray[np.float32]
     """The radii there, (P, 2)."""
     boxes: Array

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.records import PositionSample3f
+from djpt.core.warp import square_to_uniform_triangle
 from djpt.description.plugin import ParamFlags, TraversalCallback
 from djpt.description.properties import Properties
 from djpt.errors import ParameterError, SceneError
@@ -20,12 +21,9 @@ from djpt.shapes.axes import AxisPool
 from djpt.shapes.base import Shape
 from djpt.shapes.meshes.cleaning import clean
 from djpt.shapes.meshes.data import MeshData, unit
-from djpt.shapes.meshes.edits import Edits
-from djpt.shapes.meshes.making import check_prefix, of_arrays, of_zeros, rows
-from djpt.shapes.meshes.measures import Measures, is_remote
+from djpt.shapes.meshes.making import Edits, check_prefix, of_arrays, of_zeros, rows
+from djpt.shapes.meshes.measures import Measures, is_closed, is_remote
 from djpt.shapes.meshes.queries import MeshQueries
-from djpt.shapes.meshes.topology import is_closed
-from djpt.shapes.meshes.triangle_sampling import square_to_triangle
 from djpt.shapes.shape_type import ShapeType
 
 if TYPE_CHECKING:
@@ -385,8 +383,8 @@ class Mesh(MeshQueries, Shape):
             point: PositionSample3f = self.alone().shapes()[0].draw_point(sample)
             return point
         index, y = self.set.areas.sample(self.first_face, self.own_faces, self.area, sample.y)
-        b1, b2 = square_to_triangle(Point2f(sample.x, y))
-        p, n, uv = self.set.point(self.first_face + index, b1, b2)
+        b = square_to_uniform_triangle(Point2f(sample.x, y))
+        p, n, uv = self.set.point(self.first_face + index, b.x, b.y)
         return PositionSample3f.of(p, n, uv, dr.rcp(self.area))
 
     def silhouette_class(self) -> type[Silhouette] | None:

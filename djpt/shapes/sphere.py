@@ -1,4 +1,12 @@
-"""The sphere."""
+"""The sphere, which may be much larger than what stands on it.
+
+Coordinates relative to the centre of a sphere of radius R have errors of R 2^-24, which may be more than a ray's offset
+from the surface. But the surface may pass near the origin, where coordinates are small. So a large sphere is written as
+
+    Q(p) = |p|^2 - 2 p.c + k = 0,    k = |c|^2 - R^2    from double precision,
+
+whose value at a point at height h is 2 R h, with an error of about R |p| 2^-22: that of h is one of |p|, not of R.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.frame import Frame3f
-from djpt.core.records import RAY_EPSILON, DirectionSample3f, PositionSample3f
+from djpt.core.records import RAY_EPSILON, DirectionSample3f, PositionSample3f, Ray3f
 from djpt.core.transforms import ScalarTransform4f
 from djpt.core.warp import square_to_uniform_sphere
 from djpt.description.plugin import ParamFlags
@@ -22,14 +30,44 @@ from djpt.jit.kernels import as_float, as_vector
 from djpt.jit.types import Bool, Float, Point2f, Point3f, UInt32, Vector3f
 from djpt.shapes.axes import AxisPool, ProjectedRay
 from djpt.shapes.base import Hit, Shape
-from djpt.shapes.large_sphere import intersect_large, is_large
 from djpt.shapes.shape_type import ShapeType
 
 if TYPE_CHECKING:
     from djpt.description.frame_change import Frame
     from djpt.shapes.silhouettes.base import Silhouette
 
-__all__ = ["Sphere"]
+__all__ = ["Sphere", "intersect_large", "is_large"]
+
+ROUNDING = 2.0**-21
+"""The error of a hit that is computed relative to the centre, per unit of the coordinates."""
+
+
+def is_large(distance: float, radius: float) -> bool:
+    """Whether hits computed relative to the centre, at a `distance` from the origin, are too rough near the origin.
+
+    That is so if their error may exceed a spawned ray's offset where the surface is nearest to the origin.
+    """
+    return ROUNDING * (distance + radius) > RAY_EPSILON * (1 + abs(distance - radius))
+
+
+def intersect_large(ray: Ray3f, center: Point3f, radius: Float, power: Float) -> tuple[Bool, Float]:
+    """Whether a ray hits a sphere at some t > 0, and the first such t; `power` is k, that of the origin."""
+    d = ray.d
+    inv = dr.rcp(dr.squared_norm(d))
+    # Rays from far away begin at two radii from the point closest to the centre.
+    closest = (dr.dot(center, d) - dr.dot(ray.o, d)) * inv
+    start = dr.maximum(closest - 2 * radius * dr.sqrt(inv), 0)
+    o = dr.fma(d, start, ray.o)
+    slope = dr.dot(o, d) - dr.dot(center, d)
+    value = dr.dot(o, o - 2 * center) + power
+    discriminant = dr.fma(slope, slope, -dr.squared_norm(d) * value)
+    # One solution is a sum of equal signs, the other their product divided by it: nothing cancels.
+    both = -(slope + dr.mulsign(dr.sqrt(discriminant), slope))
+    first, second = value * dr.rcp(both), both * inv
+    near, far = dr.minimum(first, second), dr.maximum(first, second)
+    t = start + dr.select(near > 0, near, far)
+    return (discriminant >= 0) & (t > start) & (t < math.inf), t
+
 
 HIDDEN = ParamFlags.NonDifferentiable
 
@@ -49,7 +87,7 @@ class Sphere(Shape):
     values = dict.fromkeys(("center", "radius", "area", "axis_x", "axis_y", "axis_z"), HIDDEN)
     statics = ("flip_normals",)
     large = False
-    """Whether the sphere is much larger than its distance from the origin: see `djpt.shapes.large_sphere`."""
+    """Whether the sphere is much larger than its distance from the origin: see `djpt.shapes.sphere`."""
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

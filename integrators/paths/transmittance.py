@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.records import SHADOW_EPSILON, BSDFFlags, PreliminaryIntersection3f, Ray3f, has_flag
 from djpt.core.records.media import MediumInteraction3f
-from djpt.geometry.null_surfaces import PassableSurfaces
+from djpt.geometry.aggregate import PassableSurfaces
 from djpt.jit.kernels import wide
 from djpt.jit.types import Bool, Color3f, Float, Point3f, UInt32, Vector3f
 from djpt.media.differentials import own_stream

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.build.levels import build as build_binary
-from djpt.geometry.bvh.build.wide import collapse
-from djpt.geometry.bvh.compiled_build.builder import DEEPEST, build
-from djpt.geometry.bvh.compiled_build.refit import Built, refit
-from djpt.geometry.bvh.statistics import sah_cost
-from djpt.geometry.bvh.tree import half_area
+from djpt.geometry.bvh.build.binary import build as build_binary
+from djpt.geometry.bvh.build.binary import half_area
+from djpt.geometry.bvh.build.builder import DEEPEST, Built, build, refit
+from djpt.geometry.bvh.build.wide import collapse, sah_cost
 from tests.kit.triangle_soups import SOUPS, sphere
 
 Floats = NDArray[np.float32]

@@ -16,8 +16,8 @@ from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import SceneError
 from djpt.geometry import engines
 from djpt.geometry.accelerators.brute_force import BruteForce
-from djpt.geometry.bvh.calls import engine
-from djpt.geometry.bvh.calls.tree import CompiledTree
+from djpt.geometry.bvh.calls import trees
+from djpt.geometry.bvh.calls.trees import CompiledTree
 from djpt.geometry.engines import chosen, ray_queries
 from djpt.jit.llvm.calls import CallError
 from djpt.jit.types import Bool, Float, Point3f, UInt32, Vector3f
@@ -26,7 +26,7 @@ from tests.kit.triangle_soups import SOUPS, sphere
 
 pytestmark = [
     pytest.mark.narrow,
-    pytest.mark.skipif(engine.why_not() is not None, reason="calls don't work on this machine"),
+    pytest.mark.skipif(trees.why_not() is not None, reason="calls don't work on this machine"),
 ]
 
 Floats = NDArray[np.float64]
@@ -271,9 +271,9 @@ def test_either_way_can_be_forced(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_fails_its_test_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(engines.VARIABLE, raising=False)
-    right = engine.call_any
-    monkeypatch.setattr(engine, "call_any", lambda *arguments: ~right(*arguments))
-    assert not engine.proved()
+    right = trees.call_any
+    monkeypatch.setattr(trees, "call_any", lambda *arguments: ~right(*arguments))
+    assert not trees.proved()
     monkeypatch.setattr(engines, "why_not", lambda: "rays with known hits got other results")
     assert chosen() == "steps"
     assert not is_called(scene("auto", mesh(sphere(30))))
@@ -285,9 +285,9 @@ def test_a_missing_function_of_the_core_is_told(monkeypatch: pytest.MonkeyPatch)
     def missing(*_: Any) -> Bool:
         raise CallError("this version of Dr.Jit has no calls of functions")
 
-    monkeypatch.setattr(engine, "call_closest", missing)
-    engine.why_not.cache_clear()
+    monkeypatch.setattr(trees, "call_closest", missing)
+    trees.why_not.cache_clear()
     try:
-        assert engine.why_not() == "this version of Dr.Jit has no calls of functions"
+        assert trees.why_not() == "this version of Dr.Jit has no calls of functions"
     finally:
-        engine.why_not.cache_clear()
+        trees.why_not.cache_clear()

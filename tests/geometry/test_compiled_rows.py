@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.compiled_build import rows
-from djpt.geometry.bvh.compiled_build.rows import corners_of, write_rows
-from djpt.geometry.bvh.compiled_build.workers import Workers, workers
-from djpt.geometry.face_frames import face_frames
+from djpt.geometry.bvh.build import rows
+from djpt.geometry.bvh.build.builder import Workers, workers
+from djpt.geometry.bvh.build.rows import corners_of, write_rows
+from djpt.geometry.bvh.leaves import face_frames
 from djpt.shapes.mesh import Mesh
 from tests.kit.triangle_soups import sphere
 

@@ -156,9 +156,9 @@ def test_hits_from_afar_lie_on_the_ray(folder: Path) -> None:
 @pytest.mark.parametrize("kind", SCENES)
 def test_many_rays_at_once(folder: Path, kind: str, count: int) -> None:
     """From 2^18 rays on lanes take ray after ray; a thousand have a lane each, and so has one."""
-    from djpt.geometry.bvh.steps import search
+    from djpt.geometry.bvh.steps.trees import BATCH
 
-    assert count >= 2 * search.BATCH
+    assert count >= 2 * BATCH
     scene = SCENES[kind](folder)
     o, d, maxt = random_rays(count, 5)
     o[123], d[count - 5] = NAN, 0

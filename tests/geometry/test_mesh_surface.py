@@ -12,7 +12,7 @@ import pytest
 import djpt
 from djpt.core.transforms import ScalarTransform4f as T
 from djpt.errors import ParameterError, SceneError
-from djpt.geometry.mesh_part import MeshPart
+from djpt.geometry.bvh.leaves import MeshPart
 from djpt.jit.types import Float, Point2f, UInt32
 from djpt.shapes.meshes.mesh_set import MeshSet
 from tests.kit.axes import unit

@@ -60,7 +60,7 @@ import json
 import djpt
 from djpt.errors import DjptError
 try:
-    from djpt.geometry.bvh.calls.engine import why_not
+    from djpt.geometry.bvh.calls.trees import why_not
     from djpt.geometry.engines import chosen
     print(json.dumps({"chosen": chosen(), "why_not": why_not()}))
 except DjptError as error:

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from djpt.core.records import Ray3f
 from djpt.geometry.accelerators.base import Statistics
-from djpt.geometry.bvh.build.levels import Method, build
-from djpt.geometry.bvh.build.wide import collapse
+from djpt.geometry.bvh.build.binary import Method, build
+from djpt.geometry.bvh.build.wide import collapse, sah_cost
 from djpt.geometry.bvh.leaves import TriangleLeaves
-from djpt.geometry.bvh.statistics import sah_cost
 from djpt.geometry.bvh.steps.records import LEAF, Records, pack
-from djpt.geometry.bvh.steps.search import search
+from djpt.geometry.bvh.steps.trees import search
 from djpt.geometry.query import NONE
 from djpt.jit.types import Bool, Float, UInt32
 

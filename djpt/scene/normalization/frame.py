@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.transforms import ScalarTransform4f
-from djpt.geometry.contents import unseen
+from djpt.geometry.aggregate import unseen
 from djpt.shapes.instance import Instance
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 Numbers are set-wide: the faces of the first mesh come first, then those of the second; vertices
 likewise. Rows of tables are padded to powers of two, so that a kernel reads each with one packet load,
 and tables lie in memory of their own (see `own_copy`). What no mesh has isn't read: kernels for a set
-without vertex normals have no code for them.
+without vertex normals have no code for them. Points on meshes are chosen uniformly by area, as lights need them.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from djpt.core.frame import Frame3f, coordinate_system
 from djpt.errors import SceneError, near_miss
 from djpt.jit.kernels import float_in, own_copy
 from djpt.jit.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
-from djpt.shapes.meshes.triangle_sampling import AreaTable
 from djpt.shapes.surface import Surface
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh
 
-__all__ = ["Corners", "MeshSet"]
+__all__ = ["AreaTable", "Corners", "MeshSet"]
 
 Corners = tuple[Point3f, Point3f, Point3f]
 
@@ -309,3 +308,43 @@ def load_vector(table: UInt32, row: UInt32, active: Bool | bool = True) -> Vecto
     """The first three of a row's four floats."""
     x, y, z, _ = load(table, row, 4, active)
     return Vector3f(float_in(x), float_in(y), float_in(z))
+
+
+# ---- points on meshes --------------------------------------------------------------------------------------------
+
+
+class AreaTable:
+    """The running sums of the areas of faces, for one mesh after the other."""
+
+    def __init__(self, meshes: Sequence[Mesh], least_steps: int = 0) -> None:
+        """Build the table; `least_steps` is the number of steps before an edit, lest fewer faces need a new kernel."""
+        sums = [np.cumsum(mesh.face_areas()).astype(np.float32) for mesh in meshes]
+        self._sums = Float(np.concatenate(sums)) if sums else Float(1)
+        # Unevaluated arithmetic would make its inputs a part of kernels.
+        dr.make_opaque(self._sums)
+        self.steps = max(least_steps, max((len(part) for part in sums), default=1).bit_length())
+
+    def sample(self, first: UInt32, count: UInt32, total: Float, sample: Float) -> tuple[UInt32, Float]:
+        """Choose a face with a probability proportional to its area, and stretch the sample for use within it.
+
+        Args:
+            first: the set-wide number of the mesh's first face.
+            count: the number of its faces.
+            total: the area of all of them.
+            sample: uniform in [0, 1).
+
+        Returns:
+            The number of the face in the mesh, and the stretched sample, uniform in [0, 1) again as in Mitsuba.
+        """
+        wanted = sample * total
+        # The number of faces whose sum lies below, by halving steps; a face without area is never chosen.
+        below = UInt32(0)
+        for k in reversed(range(self.steps)):
+            probe = below + (1 << k)
+            inside = probe < count
+            value = dr.gather(Float, self._sums, first + probe - 1, inside)
+            further = inside & ((value < wanted) | (value == 0)) & (value != total)
+            below = dr.select(further, probe, below)
+        before = dr.gather(Float, self._sums, first + below - 1, below > 0)
+        after = dr.gather(Float, self._sums, first + below)
+        return below, (wanted - before) * dr.rcp(after - before)

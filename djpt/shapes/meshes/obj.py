@@ -3,42 +3,52 @@
 A reader of our own: vertices must be merged and numbered as in Mitsuba (one for each distinct combination of
 indices, in the order of first use), and errors must name the line, which libraries for many formats do not offer.
 
-Files as programs write them are read by compiled functions. All others are read by NumPy: it knows every form of a
-line, and where a line is wrong it says why. Both give the same meshes, bit for bit.
+Files as programs write them are read by compiled functions, see `djpt.shapes.meshes.obj_functions`. All others are read
+line by line: that is slower, but knows every form of a line, and says where and why one is wrong. Both give the same
+meshes, bit for bit.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import SceneError
+from djpt.jit.llvm.host import HostFunctions
 from djpt.shapes.meshes.data import MeshData
-from djpt.shapes.meshes.obj_compiled import read_compiled
-from djpt.shapes.meshes.obj_lines import Lines, parse, sort_lines, word_starts
-from djpt.shapes.meshes.polygons import fans
+from djpt.shapes.meshes.obj_functions import (
+    CORNERS,
+    EXACT_POWERS,
+    FACES,
+    LINES,
+    TRIANGLES,
+    UNKNOWN,
+    WIDTHS,
+    add_obj_functions,
+)
 
-__all__ = ["read_obj"]
+__all__ = ["read_compiled", "read_obj", "read_plainly"]
 
-NAMES = ("vertex", "texture coordinate", "normal")
-LEAST = {"v": 3, "vt": 2, "vn": 3}
-"""How many numbers a line of each kind must have; further ones are ignored (colours, weights)."""
+PARAMETERS = {"measure": 3, "scan": 9, "merge": 8, "pick": 6, "cut": 4}
+"""The compiled functions, and how many parameters each has."""
 
-SLASH = ord("/")
-LONE_SLASH = re.compile(rb"/(?=\s|$)")
+FUNCTIONS = HostFunctions(add_obj_functions, PARAMETERS, small=1 << 15, few=16)
+"""What reads large files, or many."""
 
+POWERS = np.array([float(10**k) for k in range(EXACT_POWERS + 1)])
 
-@dataclass
-class Corners:
-    """All corners of all faces."""
+KINDS = {b"v": "vertex", b"vt": "texture coordinate", b"vn": "normal"}
+"""The keywords of lines with numbers, and what messages call them."""
 
-    keys: NDArray[np.int64]
-    """The numbers of vertex, texture coordinate and normal, (N, 3), counted from 1; 0: none."""
-    counts: NDArray[np.int64]
-    """How many corners each face has."""
+CORNER = re.compile(rb"([+-]?\d{1,18})(?:/([+-]?\d{1,18})?(?:/([+-]?\d{1,18})?)?)?")
+"""A corner of a face: ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; as in Mitsuba, nothing after a slash is no entry."""
+
+Key = tuple[int, int, int]
+"""The numbers of a corner's vertex, texture coordinate and normal, counted from 1; 0: none; -1: before the first."""
 
 
 def read_obj(data: bytes, where: str) -> MeshData:
@@ -46,7 +56,7 @@ def read_obj(data: bytes, where: str) -> MeshData:
 
     Polygons become fans of triangles. Indices may be negative (counted back from the line). A corner
     without texture coordinates gets (0, 0) if others have some; one without a normal gets none.
-    Materials, groups, lines and curves are ignored.
+    Materials, groups, lines and curves are ignored. A backslash at the end of a line joins it with the next one.
 
     Args:
         data: the file's contents.
@@ -55,158 +65,150 @@ def read_obj(data: bytes, where: str) -> MeshData:
     Raises:
         SceneError: a line that can't be understood, or a reference to something that isn't there.
     """
-    return read_compiled(data) or read_carefully(data, where)
+    return read_compiled(data) or read_plainly(data, where)
 
 
-def read_carefully(data: bytes, where: str) -> MeshData:
-    """Do what `read_obj` does by NumPy."""
-    lines = sort_lines(data)
-    tables = {kind: read_numbers(lines[kind], kind, where) for kind in LEAST}
-    corners = read_corners(lines["f"], where)
-    sizes = [len(table) for table in tables.values()]
-    resolve_negative(corners, lines)
-    check_range(corners, sizes, lines["f"].numbers, where)
-    keys, own = first_use(corners.keys, sizes)
-    positions = tables["v"][keys[:, 0] - 1]
-    texcoords = pick(tables["vt"], keys[:, 1])
-    normals = pick(tables["vn"], keys[:, 2])
-    indices = own.astype(np.uint32)
-    if (corners.counts == 3).all():
-        return MeshData(positions, indices.reshape(-1, 3), normals, texcoords)
-    triangles, _ = fans(corners.counts)
-    return MeshData(positions, indices[triangles], normals, texcoords)
+# ---- compiled ----------------------------------------------------------------------------------------------------
 
 
-def read_numbers(lines: Lines, kind: str, where: str) -> NDArray[np.float32]:
-    """Read the first two or three numbers of each line of a kind, (N, 2) or (N, 3)."""
-    count, least = len(lines.numbers), LEAST[kind]
-    if not count:
-        return np.zeros((0, least), np.float32)
-    width = int(lines.words[0])
-    if width >= least and (lines.words == width).all():
-        flat = parse(lines.text, np.float64)
-        if flat is not None and len(flat) == count * width:
-            with np.errstate(over="ignore"):
-                return flat.reshape(count, width)[:, :least].astype(np.float32)
-    result = np.empty((count, least), np.float32)
-    for i, row in enumerate(lines.rows()):
-        words = row.split()[:least]
-        try:
-            if len(words) < least:
-                raise ValueError
-            result[i] = [float(word) for word in words]
-        except ValueError:
-            at = f"{where}, line {lines.numbers[i]}"
-            # Not what was found: the file may be anything that its owner can read, and the scene a stranger's.
-            found = "found fewer words" if len(words) < least else "found other words"
-            raise SceneError(f"{at}: '{kind}' must be followed by {least} numbers, {found}") from None
-    return result
+def read_compiled(data: bytes) -> MeshData | None:
+    """Read the mesh in an OBJ file by compiled functions; None if `read_plainly` must do it.
 
-
-def read_corners(lines: Lines, where: str) -> Corners:
-    """Read the corners of all faces: ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` each."""
-    total = int(lines.words.sum())
-    if not total:
-        return Corners(np.zeros((0, 3), np.int64), lines.words)
-    text = lines.text.replace(b"//", b"/0/")
-    if LONE_SLASH.search(text):
-        # As in Mitsuba, nothing after a slash is no entry.
-        text = LONE_SLASH.sub(b"/0", text)
-    characters = np.frombuffer(text, np.uint8)
-    slash = characters == SLASH
-    slashes = slashes_of_corners(np.flatnonzero(slash), word_starts(characters))
-    flat = parse(text.replace(b"/", b" "), np.int64)
-    if flat is None or slashes.max() > 2 or len(flat) != int(slashes.sum()) + total:
-        raise bad_face(lines, where)
-    keys = np.zeros((total, 3), np.int64)
-    if (slashes == slashes[0]).all():
-        keys[:, : slashes[0] + 1] = flat.reshape(total, -1)
-        return Corners(keys, lines.words)
-    first = np.cumsum(slashes + 1) - (slashes + 1)
-    for k in range(3):
-        has = slashes >= k
-        keys[has, k] = flat[first[has] + k]
-    return Corners(keys, lines.words)
-
-
-def slashes_of_corners(slashes: NDArray[np.int64], starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many slashes each corner has: those up to the start of the next one are its own."""
-    each, rest = divmod(len(slashes), len(starts))
-    if not rest:
-        # Nearly always all corners have as many.
-        if not each:
-            return np.zeros(len(starts), np.int64)
-        in_rows = slashes.reshape(-1, each)
-        if (starts < in_rows[:, 0]).all() and (in_rows[:-1, -1] < starts[1:]).all():
-            return np.full(len(starts), each)
-    return np.diff(np.searchsorted(slashes, starts), append=len(slashes))
-
-
-def bad_face(lines: Lines, where: str) -> SceneError:
-    """The error for the first face that can't be understood."""
-    for row, number in zip(lines.rows(), lines.numbers, strict=True):
-        for word in row.split():
-            parts = word.split(b"/")
-            fine = len(parts) <= 3 and parts[0].removeprefix(b"-").isdigit()
-            if not fine or not all(not part or part.removeprefix(b"-").isdigit() for part in parts[1:]):
-                found = word.decode("latin-1")[:40]
-                return SceneError(
-                    f"{where}, line {number}: can't understand the corner '{found}' of a face; "
-                    "possible: v, v/vt, v//vn, v/vt/vn with whole numbers"
-                )
-    return SceneError(f"{where}: a face has numbers that can't be read")
-
-
-def resolve_negative(corners: Corners, lines: dict[str, Lines]) -> None:
-    """Turn negative indices, of which -1 is the last entry before the face, into counts from 1, in place."""
-    for k, kind in enumerate(LEAST):
-        negative = np.flatnonzero(corners.keys[:, k] < 0)
-        if len(negative):
-            line = np.repeat(lines["f"].numbers, corners.counts)[negative]
-            before = np.searchsorted(lines[kind].numbers, line)
-            value = corners.keys[negative, k] + before + 1
-            # An index before the first entry must not turn into 0, which means none.
-            corners.keys[negative, k] = np.where(value > 0, value, -1)
-
-
-def check_range(corners: Corners, sizes: list[int], numbers: NDArray[np.int64], where: str) -> None:
-    """Raise `SceneError` for the first reference to something that doesn't exist."""
-    keys = corners.keys
-    bad = (keys < 0) | (keys > np.array(sizes))
-    bad[:, 0] |= keys[:, 0] == 0
-    if not bad.any():
-        return
-    row = int(np.argmax(bad.any(axis=1)))
-    k = int(np.argmax(bad[row]))
-    line = int(np.repeat(numbers, corners.counts)[row])
-    number = "0" if keys[row, k] == 0 else f"{keys[row, k]}" if keys[row, k] > 0 else "before the first"
-    have = f"there are {sizes[k]}, counted from 1" if sizes[k] else "there is none"
-    raise SceneError(f"{where}, line {line}: a face refers to the {NAMES[k]} {number}; {have}")
-
-
-def first_use(keys: NDArray[np.int64], sizes: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The distinct keys in the order of first use, (V, 3), and for each corner the number of its key."""
-    if all(not keys[:, k].any() or np.array_equal(keys[:, k], keys[:, 0]) for k in (1, 2)):
-        # Usually the files number all three alike, if they have them.
-        combined, size = keys[:, 0], sizes[0] + 1
-    elif (sizes[0] + 1) * (sizes[1] + 1) * (sizes[2] + 1) < 2**62:
-        combined = (keys[:, 0] * (sizes[1] + 1) + keys[:, 1]) * (sizes[2] + 1) + keys[:, 2]
-        distinct, combined = np.unique(combined, return_inverse=True)
-        size = len(distinct)
-    else:
-        distinct, combined = np.unique(keys, axis=0, return_inverse=True)
-        size = len(distinct)
-    # Writing backwards leaves the first use of each.
-    first = np.full(size, -1)
-    first[combined[::-1]] = np.arange(len(combined))[::-1]
-    order = np.sort(first[first >= 0])
-    rank = np.empty(size, np.int64)
-    rank[combined[order]] = np.arange(len(order))
-    return keys[order], rank[combined]
-
-
-def pick(table: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float32] | None:
-    """Pick rows of a table by numbers from 1; zeros for 0. None if no number is above 0."""
-    if not index.any():
+    That is so for files that have a mistake or very long numbers, for the first few if they are small, and without
+    LLVM.
+    """
+    run = FUNCTIONS.for_size(len(data))
+    if run is None:
         return None
-    return np.concatenate([np.zeros((1, table.shape[1]), np.float32), table])[index]
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"\\\n" in data:
+        data = data.replace(b"\\\n", b"  ")
+    data += b"\n"
+    text = np.frombuffer(data, np.uint8)
+    counts = np.zeros(TRIANGLES + 1, np.int64)
+    run("measure", text, len(data), counts)
+    tables = [np.empty((n, width), np.float32) for n, width in zip(counts[:LINES], WIDTHS, strict=True)]
+    faces, corners = np.empty(counts[FACES], np.uint32), np.empty((counts[CORNERS], 3), np.uint32)
+    if run("scan", text, *tables, faces, corners, counts, POWERS, len(data)) == UNKNOWN:
+        return None
+    total = int(counts[CORNERS])
+    chains = np.zeros(1 << int(counts[:LINES].max()).bit_length(), np.uint32)
+    links, numbers = np.empty(total, np.uint32), np.empty(total, np.uint32)
+    vertices = np.empty((total, 3), np.uint32)
+    distinct = run("merge", corners, counts, chains, links, vertices, numbers, total, len(chains) - 1) - 1
+    if distinct < 0:
+        return None
+    indices = np.empty((counts[TRIANGLES], 3), np.uint32)
+    run("cut", faces, numbers, indices, int(counts[FACES]))
+    columns: list[NDArray[np.float32] | None] = []
+    for k, (table, width) in enumerate(zip(tables, WIDTHS, strict=True)):
+        rows = np.empty((distinct, width), np.float32)
+        used = run("pick", table, vertices, rows, k, width, distinct) > 1
+        columns.append(rows if used or k == 0 else None)
+    positions, texcoords, normals = columns
+    assert positions is not None
+    return MeshData(positions, indices, normals, texcoords)
+
+
+# ---- line by line ------------------------------------------------------------------------------------------------
+
+
+def read_plainly(data: bytes, where: str) -> MeshData:
+    """Do what `read_obj` does line by line."""
+    tables: dict[bytes, list[list[float]]] = {kind: [] for kind in KINDS}
+    vertices: dict[Key, int] = {}
+    lines: list[int] = []  # where each vertex is used first
+    known: dict[bytes, int] = {}
+    triangles: list[tuple[int, int, int]] = []
+    for line, (kind, *words) in split_lines(data):
+        if kind in KINDS:
+            tables[kind].append(read_numbers(words, kind, where, line))
+        elif kind == b"f":
+            polygon = []
+            for word in words:
+                vertex = known.get(word)
+                if vertex is None:
+                    key = read_corner(word, [len(table) for table in tables.values()], where, line)
+                    vertex = vertices.setdefault(key, len(vertices))
+                    if vertex == len(lines):
+                        lines.append(line)
+                    # What a negative index means depends on the line.
+                    if b"-" not in word:
+                        known[word] = vertex
+                polygon.append(vertex)
+            triangles += [(polygon[0], a, b) for a, b in pairwise(polygon[1:])]
+    check_range(vertices, lines, [len(table) for table in tables.values()], where)
+    keys = np.array(list(vertices), np.int64).reshape(-1, 3)
+    positions, texcoords, normals = (
+        pick(table, width, keys[:, k]) for k, (table, width) in enumerate(zip(tables.values(), WIDTHS, strict=True))
+    )
+    return MeshData(
+        positions,
+        np.array(triangles, np.uint32).reshape(-1, 3),
+        normals if keys[:, 2].any() else None,
+        texcoords if keys[:, 1].any() else None,
+    )
+
+
+def split_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
+    """The words of each line that has any, and its number; a joined line has the number of its first part."""
+    lines = enumerate(data.splitlines(), 1)
+    for number, line in lines:
+        while line.endswith(b"\\"):
+            line = line[:-1] + b" " + next(lines, (0, b""))[1]
+        words = line.partition(b"#")[0].split()
+        if words:
+            yield number, words
+
+
+def read_numbers(words: list[bytes], kind: bytes, where: str, line: int) -> list[float]:
+    """Read the first two or three numbers of a line; further ones are ignored (colours, weights)."""
+    least = WIDTHS[list(KINDS).index(kind)]
+    if len(words) < least:
+        found = "found fewer words"
+    else:
+        try:
+            return [float(word) for word in words[:least]]
+        except ValueError:
+            # Not what was found: the file may be anything that its owner can read, and the scene a stranger's.
+            found = "found other words"
+    raise SceneError(f"{where}, line {line}: '{kind.decode()}' must be followed by {least} numbers, {found}")
+
+
+def read_corner(word: bytes, counts: list[int], where: str, line: int) -> Key:
+    """Read a corner of a face; negative indices, of which -1 is the last entry so far, become counts from 1.
+
+    `counts`: entries of each kind in the lines above.
+    """
+    match = CORNER.fullmatch(word)
+    if match is None:
+        raise SceneError(
+            f"{where}, line {line}: can't understand the corner '{word.decode('latin-1')[:40]}' of a face; "
+            "possible: v, v/vt, v//vn, v/vt/vn with whole numbers"
+        )
+    numbers = [int(number or 0) for number in match.groups()]
+    # An index before the first entry must not turn into 0, which means none.
+    a, b, c = (
+        (number + count + 1 if number + count >= 0 else -1) if number < 0 else number
+        for number, count in zip(numbers, counts, strict=True)
+    )
+    return a, b, c
+
+
+def check_range(vertices: dict[Key, int], lines: list[int], sizes: list[int], where: str) -> None:
+    """Raise `SceneError` for the first reference to something that doesn't exist."""
+    for key, line in zip(vertices, lines, strict=True):
+        for k, (number, size, name) in enumerate(zip(key, sizes, KINDS.values(), strict=True)):
+            if 0 < number <= size or (number == 0 and k > 0):
+                continue
+            found = "before the first" if number < 0 else str(number)
+            have = f"there are {size}, counted from 1" if size else "there is none"
+            raise SceneError(f"{where}, line {line}: a face refers to the {name} {found}; {have}")
+
+
+def pick(table: list[list[float]], width: int, index: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Pick rows of a table by numbers from 1; zeros for 0."""
+    with np.errstate(over="ignore"):
+        rows = np.array([[0.0] * width, *table], np.float64).astype(np.float32)
+    return rows[index]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from djpt.errors import SceneError
 from djpt.shapes.meshes.data import MeshData
 from djpt.shapes.meshes.ply_format import Column, Element, read_elements
-from djpt.shapes.meshes.polygons import fans
 
-__all__ = ["read_ply"]
+__all__ = ["fans", "read_ply"]
 
 TEXCOORDS = (("u", "v"), ("texture_u", "texture_v"), ("s", "t"))
 LISTS = ("vertex_indices", "vertex_index")
@@ -126,3 +125,23 @@ def read_attributes(element: Element, prefix: str, used: set[str], where: str) -
     if ignored:
         warnings.warn(f"{where}: ignored properties of '{element.name}': {', '.join(ignored)}", stacklevel=2)
     return result
+
+
+# ---- polygons ----------------------------------------------------------------------------------------------------
+
+
+def fans(counts: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut polygons whose corners lie one after the other in a list.
+
+    Args:
+        counts: corners of each polygon, (P,); those with less than three give nothing.
+
+    Returns:
+        The triangles as positions in the list, (F, 3), and the polygon of each, (F,).
+    """
+    starts = np.cumsum(counts) - counts
+    triangles = np.maximum(counts.astype(np.int64) - 2, 0)
+    polygon = np.repeat(np.arange(len(counts)), triangles)
+    step = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    first = starts[polygon]
+    return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon

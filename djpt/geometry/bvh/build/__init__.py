@@ -1,1 +1,1 @@
-"""The construction of a BVH by NumPy and kernels, level by level."""
+"""The construction of BVHs: by compiled functions, or by NumPy where nothing can be compiled."""

@@ -1,8 +1,13 @@
-"""The collapse of a binary tree into a wide one: a ray takes fewer steps through fewer, larger nodes.
+"""Wide trees, whose rays take fewer steps through fewer, larger nodes: collapsed from binary ones, weighed, refitted.
 
 H. Dammertz, J. Hanika and A. Keller, "Shallow Bounding Volume Hierarchies for Fast SIMD Ray Tracing of
 Incoherent Rays", 2008. Which binary nodes survive is a small dynamic programme: H. Ylitie, T. Karras
 and S. Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", 2017.
+
+Refitting is many times faster than building, but the tree keeps neighbours of old together. When the
+boxes have grown too much, it is time to build again: T. Larsson and T. Akenine-Moeller, "Strategies for
+Bounding Volume Hierarchy Updates for Ray Tracing of Deformable Models", 2003; C. Lauterbach et al.,
+"RT-DEFORM: Interactive Ray Tracing of Dynamic Scenes using BVHs", 2006.
 """
 
 from __future__ import annotations
@@ -12,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from djpt.geometry.bvh.tree import BinaryTree, half_area
+from djpt.geometry.bvh.build.binary import BinaryTree, half_area
 
-__all__ = ["NO_CHILD", "WideTree", "child_leaf", "collapse"]
+__all__ = ["NO_CHILD", "REBUILD", "WideTree", "child_leaf", "collapse", "grown", "refit", "sah_cost"]
 
 NO_CHILD = -1
 
@@ -166,3 +171,66 @@ def depth_first(inner: list[NDArray[np.bool_]]) -> list[NDArray[np.int32]]:
         first = np.cumsum(size, axis=1, dtype=np.int32) - size
         places.append((places[-1][:, None] + 1 + first)[mask])
     return places
+
+
+# ---- quality -----------------------------------------------------------------------------------------------------
+
+
+def sah_cost(tree: BinaryTree | WideTree) -> float:
+    """The number of nodes and primitives that a random line through the root's box meets on average.
+
+    A line that meets a convex body meets a body inside it with the probability A(inner) / A(outer) (Crofton's
+    formula), so the sum over all boxes is C = 1 + sum A(box) / A(root): every node and every primitive costs 1, one
+    step of our traversal. MacDonald and Booth, "Heuristics for Ray Tracing Using Space Subdivision",
+    1990. The lines are uniform, come from outside, and nothing stops them.
+
+    0 for trees over a single point or along a line, which have no surface.
+    """
+    boxes = tree.box[1:] if isinstance(tree, BinaryTree) else tree.box[tree.child != NO_CHILD]
+    root = tree.box[0] if isinstance(tree, BinaryTree) else root_box(tree)
+    area = float(half_area(root.astype(np.float64)))
+    return 1 + float(half_area(boxes).sum(dtype=np.float64)) / area if area > 0 else 0.0
+
+
+def root_box(tree: WideTree) -> np.ndarray:
+    """The bounds of all primitives, (6,): low xyz, high xyz."""
+    children = tree.box[0][tree.child[0] != NO_CHILD]
+    return np.concatenate([children[:, :3].min(axis=0), children[:, 3:].max(axis=0)])
+
+
+# ---- refit -------------------------------------------------------------------------------------------------------
+
+
+REBUILD = 1.5
+"""If rays take more than so many times the steps they took at first, the tree is built again."""
+
+
+def refit(tree: WideTree, low: NDArray[np.float32], high: NDArray[np.float32]) -> WideTree:
+    """The tree with boxes for primitives that are now at `low`, `high` (N, 3); N must not change."""
+    box = np.zeros_like(tree.box)
+    for nodes in reversed(levels(tree)):
+        child = tree.child[nodes]
+        own = np.zeros((*child.shape, 6), np.float32)
+        leaf, inner = child < NO_CHILD, child >= 0
+        primitive = child_leaf(child[leaf])
+        own[leaf] = np.concatenate([low[primitive], high[primitive]], axis=1)
+        # The level below has its boxes already; missing children must not count.
+        below, present = box[child[inner]], (tree.child[child[inner]] != NO_CHILD)[:, :, None]
+        own[inner, :3] = np.where(present, below[:, :, :3], np.float32(np.inf)).min(axis=1)
+        own[inner, 3:] = np.where(present, below[:, :, 3:], np.float32(-np.inf)).max(axis=1)
+        box[nodes] = own
+    return WideTree(tree.child, box, tree.depth)
+
+
+def levels(tree: WideTree) -> list[NDArray[np.int32]]:
+    """The nodes of each level."""
+    result = [np.zeros(1, np.int32)]
+    while len(result[-1]):
+        child = tree.child[result[-1]]
+        result.append(child[child >= 0])
+    return result[:-1]
+
+
+def grown(tree: WideTree, cost_when_built: float) -> float:
+    """The SAH cost divided by the cost when the tree was built: above `REBUILD`, build a new one."""
+    return sah_cost(tree) / cost_when_built if cost_when_built > 0 else np.inf

@@ -1,30 +1,231 @@
-"""The trees of a scene for compiled searches: built, kept, and put into one block of memory."""
+"""Trees whose searches are calls of compiled functions: the functions, their calls in kernels, the trees of a scene."""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from djpt.core.process.memory import shortage
+from djpt.core.records import Ray3f
 from djpt.errors import SceneError
-from djpt.geometry.bvh.calls.engine import functions
-from djpt.geometry.bvh.calls.layout import REFERENCE, ROW_WORDS
-from djpt.geometry.bvh.calls.placed import Features
-from djpt.geometry.bvh.calls.tree import CompiledTree
-from djpt.geometry.bvh.compiled_build.builder import build
-from djpt.geometry.bvh.compiled_build.refit import Built, refit
-from djpt.geometry.bvh.compiled_build.rows import corners_of, write_rows
-from djpt.geometry.bvh.compiled_build.workers import workers
-from djpt.geometry.bvh.extent import Extent
-from djpt.geometry.bvh.leaves import PlacedLeaves
-from djpt.geometry.bvh.refit import REBUILD
-from djpt.geometry.mesh_part import MeshPart
+from djpt.geometry.bvh.build.builder import Built, build, refit, workers
+from djpt.geometry.bvh.build.rows import corners_of, write_rows
+from djpt.geometry.bvh.build.wide import REBUILD
+from djpt.geometry.bvh.calls.layout import ANY_HIT, PASSES_LIGHTS, REFERENCE, ROW_WORDS
+from djpt.geometry.bvh.calls.ray import Features
+from djpt.geometry.bvh.calls.traversal import ANY_OF_PACKET, CLOSEST_OF_PACKET, packet_functions
+from djpt.geometry.bvh.leaves import Extent, MeshPart, PlacedLeaves
+from djpt.geometry.query import NONE, Found
+from djpt.geometry.recentre import enter
 from djpt.jit.kernels import aligned, as_float, as_vector
-from djpt.jit.types import UInt32
+from djpt.jit.llvm.calls import Code, call, reason_against
+from djpt.jit.llvm.compiler import compiled
+from djpt.jit.llvm.lanes import lane_count, target
+from djpt.jit.types import ArrayXu, Bool, Float, Point2f, Point3f, UInt32, Vector3f
 
-__all__ = ["CompiledTrees"]
+__all__ = ["CompiledTree", "CompiledTrees", "Functions", "Met", "call_any", "call_closest", "functions", "why_not"]
+
+# ---- calls -------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Met:
+    """The results of a search."""
+
+    hit: Bool
+    t: Float
+    """The distance; infinity on a miss."""
+    b1: Float
+    b2: Float
+    record: UInt32
+    inside: UInt32
+    """The record of the instance that the hit belongs to, 0 if none."""
+
+
+def call_closest(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> Met:
+    """Find the first hit with 0 < t < maxt of each active lane's ray."""
+    outputs: list[Any] = [Bool(False), Float(0), Float(0), Float(0), UInt32(0), UInt32(0)]
+    return Met(*call(code, scene, arguments(o, d, maxt, active, flags), outputs))
+
+
+def call_any(code: Code, scene: UInt32, o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> Bool:
+    """Whether each active lane's ray has a hit with 0 < t < maxt."""
+    return Bool(call(code, scene, arguments(o, d, maxt, active, flags), [Bool(False)], any_hit=True)[0])
+
+
+def arguments(o: Point3f, d: Vector3f, maxt: Float, active: Bool, flags: UInt32) -> list[Float | UInt32 | Bool]:
+    """The inputs of a call, in Embree's order."""
+    # A negative end would mean "blocked" when it comes back.
+    o, d, maxt = dr.detach(o), dr.detach(d), dr.select(maxt > 0, dr.detach(maxt), 0)
+    # A ray with NaN would meet all boxes, also those of missing children.
+    reach = dr.abs(o.x) + dr.abs(o.y) + dr.abs(o.z)
+    active = active & (reach < 1e18) & dr.isfinite(d.x + d.y + d.z)
+    zero, unused = Float(0), UInt32(0)
+    return [Bool(False), active, o.x, o.y, o.z, zero, d.x, d.y, d.z, zero, maxt, flags, unused, unused]
+
+
+# ---- a tree ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Functions:
+    """The compiled functions of a tree."""
+
+    closest: Code
+    any: Code
+
+
+@dataclass
+class Progress:
+    """How far a search has come: it begins and ends with one call. Loop state."""
+
+    t: Float
+    hit: UInt32
+    waits: Bool
+    """True where the call is still to come."""
+    b: Point2f | None
+    inside: UInt32 | None
+
+    @property
+    def ended(self) -> Bool:
+        """True where the search has come to its end."""
+        return ~self.waits
+
+
+@dataclass
+class CompiledTree:
+    """A tree in one block of memory: see `djpt.geometry.bvh.calls.layout`. The contract is `RayTree`."""
+
+    memory: UInt32
+    functions: Functions
+    center: Point3f
+    radius: Float
+    extent: float
+    instanced: bool
+    kinds: tuple[int, ...]
+    stepwise: bool = False
+
+    @property
+    def bytes(self) -> int:
+        return 4 * dr.width(self.memory)
+
+    def search(
+        self, ray: Ray3f, any_hit: bool, active: Bool | bool = True, through_lights: Bool | None = None
+    ) -> Found:
+        origin, entry = enter(self, ray)
+        maxt, flags = ray.maxt - entry, flags_of(None, through_lights)
+        if any_hit:
+            hit = call_any(self.functions.any, self.memory, origin, ray.d, maxt, Bool(active), flags)
+            return Found(origin, entry, maxt, dr.select(hit, UInt32(1), NONE), None)
+        met = call_closest(self.functions.closest, self.memory, origin, ray.d, maxt, Bool(active), flags)
+        inside = dr.select(met.hit, met.inside, NONE) if self.instanced else None
+        b = Point2f(met.b1, met.b2)
+        return Found(origin, entry, dr.select(met.hit, met.t, maxt), dr.select(met.hit, met.record, NONE), inside, b)
+
+    def start(
+        self, o: Point3f, d: Vector3f, maxt: Float, active: Bool | bool, hit: UInt32 | int, weights: bool
+    ) -> Progress:
+        inside = UInt32(NONE) if self.instanced else None
+        return Progress(Float(maxt), UInt32(hit), Bool(active), Point2f(0) if weights else None, inside)
+
+    def turn(self, cursor: Progress, o: Point3f, d: Vector3f, any_hit: Bool, through_lights: Bool | None) -> Progress:
+        flags = flags_of(any_hit, through_lights)
+        met = call_closest(self.functions.closest, self.memory, o, d, cursor.t, cursor.waits, flags)
+        return Progress(
+            # Whether there is any hit is told by a finite distance.
+            dr.select(met.hit, dr.select(any_hit, 0, met.t), cursor.t),
+            dr.select(met.hit, met.record, cursor.hit),
+            cursor.waits & False,
+            None if cursor.b is None else dr.select(met.hit, Point2f(met.b1, met.b2), cursor.b),
+            None if cursor.inside is None else dr.select(met.hit, met.inside, cursor.inside),
+        )
+
+    def row(self, record: UInt32) -> list[UInt32]:
+        words: Any = dr.gather(ArrayXu, self.memory, record, shape=(ROW_WORDS, 1))
+        return list(words)
+
+    def word(self, record: UInt32, index: int, active: Bool | bool = True) -> UInt32:
+        word: UInt32 = dr.gather(UInt32, self.memory, record * ROW_WORDS + index, active)
+        return word
+
+    def map_rows(self, record: UInt32) -> list[UInt32]:
+        # Where there is no record, any row will do.
+        return [*self.row(dr.select(record == NONE, NONE, record - 1)), *self.row(record)]
+
+    def corners(self, record: UInt32) -> None:
+        return None
+
+
+def flags_of(any_hit: Bool | None, through_lights: Bool | None) -> UInt32:
+    """The flags of rays."""
+    flags = UInt32(0)
+    if any_hit is not None:
+        flags |= dr.select(any_hit, UInt32(ANY_HIT), 0)
+    if through_lights is not None:
+        flags |= dr.select(through_lights, UInt32(PASSES_LIGHTS), 0)
+    return flags
+
+
+# ---- compiled functions ------------------------------------------------------------------------------------------
+
+
+@cache
+def functions(features: Features) -> Functions:
+    """The functions for scenes with some features, compiled at the first call."""
+    return Functions(*(Code.at(address) for address in addresses(features)))
+
+
+@cache
+def addresses(features: Features) -> tuple[int, int]:
+    """Where the functions for the closest hit and for any hit are in memory."""
+    found = compiled(packet_functions(lane_count(), features), (CLOSEST_OF_PACKET, ANY_OF_PACKET))
+    return found[CLOSEST_OF_PACKET], found[ANY_OF_PACKET]
+
+
+@cache
+def why_not() -> str | None:
+    """What stands against compiled ray queries on this machine; None if they work.
+
+    Found out at the first call, by rays whose hits are known.
+    """
+    return reason_against(proved, "rays with known hits got other results")
+
+
+def proved() -> bool:
+    """Whether rays through a stack of triangles get the hits that follow from how it was made."""
+    count, misses = 40, 3
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    # Triangle k lies at x = 2 k, in the plane z = k.
+    corners = corner + np.arange(count, dtype=np.float32)[:, None, None] * np.array([2, 0, 1], np.float32)
+    # Threads compile the functions that search and those that build.
+    target()  # which other threads may not be able to ask for
+    with ThreadPoolExecutor(1) as team:
+        searches = team.submit(addresses, Features())
+        built = build(corners)
+        searches.result()
+    built.memory[0] = 0
+    memory, own = UInt32(built.memory), functions(Features())
+    lane = dr.arange(UInt32, count + misses)
+    exists = lane < count
+    x, z = Float(2 * lane), Float(lane)
+    center = Point3f(*(float(c) for c in built.extent.center))
+    o, d = Point3f(x + 0.25, 0.5, z - 4) - center, Vector3f(0, 0, 2)
+    met = call_closest(own.closest, memory, o, d, Float(dr.inf), Bool(True), UInt32(0))
+    blocked = call_any(own.any, memory, o, d, Float(2.5), lane != 1, UInt32(0))
+    triangle = dr.gather(UInt32, UInt32(built.order), met.record, met.hit)
+    right = (met.hit == exists) & (blocked == (exists & (lane != 1)))
+    near = (abs(met.t - 2) < 1e-5) & (abs(met.b1 - 0.25) < 1e-5) & (abs(met.b2 - 0.5) < 1e-5)
+    return bool(dr.all(right & (near & (triangle == lane) & (met.inside == 0) | ~exists)))
+
+
+# ---- the trees of a scene ----------------------------------------------------------------------------------------
+
 
 PLACED_ROWS = 2
 

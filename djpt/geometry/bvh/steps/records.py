@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from djpt.errors import SceneError
-from djpt.geometry.bvh.extent import Extent
+from djpt.geometry.bvh.leaves import Extent
 from djpt.jit.kernels import aligned, as_float, as_vector
 from djpt.jit.types import Float, Point3f, UInt32
 
@@ -48,7 +48,6 @@ __all__ = [
     "ONE_SIDED",
     "PORTAL",
     "ROOT",
-    "SLACK",
     "SOLID",
     "WORDS",
     "Leaves",
@@ -82,9 +81,6 @@ NO_CHILD = 0x0000FFFF
 
 EMPTY_CELL = (127 + 20) << 23
 """The cell size of the empty node, so large that no rounding puts its reversed planes in order again."""
-
-SLACK = 4e-7
-"""Boxes grow by this share of the tree's extent, to cover the rounding of distances to planes."""
 
 CHUNK = 1 << 16
 """Nodes quantised at a time: bounds temporary memory."""
@@ -181,7 +177,7 @@ def pack_tree(words: NDArray[np.uint32], tree: WideTree, root: int, leaves: Leav
     record_of_node[0] = root
     inner = tree.child >= 0
     record_of_node[tree.child[inner]] = slots[inner]
-    slack = np.float32(SLACK * max(extent.diagonal, 1e-30))
+    slack = np.float32(extent.slack)
     fill_nodes(words, record_of_node, tree, filled, first_child, extent.center, slack)
     leaf = tree.child <= -2
     at, of = slots[leaf], -2 - tree.child[leaf]

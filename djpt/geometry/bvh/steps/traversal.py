@@ -3,7 +3,7 @@
 A step is the same for every lane, whatever it does: load the current record, test four boxes and one
 triangle, move on. A lane at a node ignores the triangle's result, a lane at a triangle the boxes', and
 a lane that has finished spins on the empty record. There are no branches and no masks, so a step can
-be unrolled and repeated, in a loop of its own (`djpt.geometry.bvh.steps.search`) or in a larger one
+be unrolled and repeated, in a loop of its own (`djpt.geometry.bvh.steps.trees`) or in a larger one
 (`djpt.rendering.schedules.machine`).
 
 The stack lives in registers: one word per level of the tree, shifted by selects.

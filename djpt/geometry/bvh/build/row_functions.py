@@ -2,7 +2,7 @@
 
 Triangles are worked through in the order of their faces, `CHILDREN` at a time, mesh by mesh: the functions get a
 table of parts, each some faces of one mesh (see `PART_BYTES`). A record goes to its triangle's place among the
-leaves. The formulas are those of `djpt.geometry.face_frames`, with the same roundings.
+leaves. The formulas are those of `djpt.geometry.bvh.leaves`, with the same roundings.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from djpt.geometry.bvh.build.build_functions import BOX, CORNERS_SIZE
 from djpt.geometry.bvh.calls.layout import CHILDREN, ROW_BYTES
-from djpt.geometry.bvh.compiled_build.binary_nodes import BOX
-from djpt.geometry.bvh.compiled_build.build_functions import CORNERS_SIZE
 from djpt.jit.llvm.arithmetic import copysign, gather, minimum, select, sqrt
 from djpt.jit.llvm.ir import F32, F64, I1, I32, I64, PTR, Function, Module, Type, Value, vector
 
@@ -55,7 +54,7 @@ def each_part(f: Function, parts: Value, first: Value, end: Value) -> Iterator[t
         yield part, f.load(I64, part.at(FIRST)), f.load(I64, part.at(END))
 
 
-# ---- corners -------------------------------------------------------------------------------------------------
+# ---- corners --------------------------------------------------------------------------------------------
 
 
 def add_take_corners(module: Module) -> None:
@@ -72,7 +71,7 @@ def add_take_corners(module: Module) -> None:
                 f.store(f.load(I32, source.at(8)), target.at(k * 12 + 8))
 
 
-# ---- records -------------------------------------------------------------------------------------------------
+# ---- records --------------------------------------------------------------------------------------------
 
 
 def add_invert(module: Module) -> None:
@@ -154,7 +153,7 @@ def corner_texcoords(f: Function, indices: Value, texcoords: Value) -> tuple[Val
     return pairs.shuffled(range(0, 2 * CHILDREN, 2)), pairs.shuffled(range(1, 2 * CHILDREN, 2))
 
 
-# ---- vectors, one per lane -----------------------------------------------------------------------------------
+# ---- vectors, one per lane ------------------------------------------------------------------------------
 
 
 def cross(a: Vector, b: Vector) -> Vector:
@@ -188,7 +187,7 @@ def tangents(n: Vector) -> tuple[Vector, Vector]:
     return [sign * x * x * a + 1.0, sign * b, -sign * x], [b, y * y * a + sign, -y]
 
 
-# ---- lanes ---------------------------------------------------------------------------------------------------
+# ---- lanes ----------------------------------------------------------------------------------------------
 
 
 def assembled(f: Function, type: Type, values: Vector) -> Value:

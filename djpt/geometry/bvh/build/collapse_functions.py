@@ -6,8 +6,7 @@ S. Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BV
 
 from __future__ import annotations
 
-from djpt.geometry.bvh.calls.layout import CHILDREN, LEAF, NODE_ROWS, PLACED, ROOT, ROW_BYTES
-from djpt.geometry.bvh.compiled_build.binary_nodes import (
+from djpt.geometry.bvh.build.build_functions import (
     BOX,
     COUNT,
     LEAF_SIZE,
@@ -17,6 +16,7 @@ from djpt.geometry.bvh.compiled_build.binary_nodes import (
     Node,
     area,
 )
+from djpt.geometry.bvh.calls.layout import CHILDREN, LEAF, NODE_ROWS, PLACED, ROOT, ROW_BYTES
 from djpt.jit.llvm.arithmetic import maximum, minimum, select
 from djpt.jit.llvm.ir import F32, I32, I64, PTR, Array, Function, Module, Value, Variable
 

@@ -1,6 +1,6 @@
 """The corners of meshes' triangles, and their records in a tree, written by all threads.
 
-A record is the row of a triangle, see `djpt.geometry.bvh.calls.layout`: its frame, as `djpt.geometry.face_frames`
+A record is the row of a triangle, see `djpt.geometry.bvh.calls.layout`: its frame, as `djpt.geometry.bvh.leaves`
 computes it, its label and its face.
 """
 
@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from djpt.geometry.bvh.build.builder import Workers, chunks, floats
+from djpt.geometry.bvh.build.functions import functions
+from djpt.geometry.bvh.build.row_functions import PART_BYTES
 from djpt.geometry.bvh.calls.layout import ROW_WORDS
-from djpt.geometry.bvh.compiled_build.functions import functions
-from djpt.geometry.bvh.compiled_build.refit import chunks, floats
-from djpt.geometry.bvh.compiled_build.row_functions import PART_BYTES
-from djpt.geometry.bvh.compiled_build.workers import Workers
 
 if TYPE_CHECKING:
     from djpt.shapes.mesh import Mesh
@@ -72,7 +71,7 @@ def write_rows(
 
 
 class Parts:
-    """The faces of meshes in parts, as `djpt.geometry.bvh.compiled_build.row_functions` reads them, and in tasks.
+    """The faces of meshes in parts, as `djpt.geometry.bvh.build.row_functions` reads them, and in tasks.
 
     `tasks`: for each the first part, and the end.
     """

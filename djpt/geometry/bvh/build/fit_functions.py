@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from djpt.geometry.bvh.build.build_functions import BOX, CORNERS_SIZE, EMPTY
 from djpt.geometry.bvh.calls.layout import CHILDREN, LEAF, LEAF_ROWS, NODE_ROWS, PLACED, ROOT, ROW_BYTES
-from djpt.geometry.bvh.compiled_build.binary_nodes import BOX, EMPTY
-from djpt.geometry.bvh.compiled_build.build_functions import CORNERS_SIZE
 from djpt.jit.llvm.arithmetic import gather, maximum, minimum, select
 from djpt.jit.llvm.ir import F32, F64, I32, I64, PTR, Function, Module, Value, vector
 
@@ -29,7 +28,7 @@ def add_fit_functions(module: Module) -> None:
     add_fit(module)
 
 
-# ---- what stays ----------------------------------------------------------------------------------------------
+# ---- what stays -----------------------------------------------------------------------------------------
 
 
 def add_emit(module: Module) -> None:
@@ -70,7 +69,7 @@ def add_emit(module: Module) -> None:
                         f.store(triangle, order.at((start.to(I64) + k) * 4))
 
 
-# ---- what moves ----------------------------------------------------------------------------------------------
+# ---- what moves -----------------------------------------------------------------------------------------
 
 PLACE = [("memory", PTR), ("corners", PTR), ("order", PTR), ("placed", PTR), ("numbers", PTR)]
 """The parameters that the functions share. `numbers`: the centre x, y, z, the slack of boxes, 1 / the diagonal."""

@@ -11,15 +11,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 
-from djpt.geometry.bvh.compiled_build.build_functions import add_build_functions
-from djpt.geometry.bvh.compiled_build.collapse_functions import add_plan, add_weigh
-from djpt.geometry.bvh.compiled_build.fit_functions import add_fit_functions
-from djpt.geometry.bvh.compiled_build.row_functions import add_row_functions
-from djpt.jit.llvm.compiler import compiled
+from djpt.geometry.bvh.build.build_functions import add_build_functions
+from djpt.geometry.bvh.build.collapse_functions import add_plan, add_weigh
+from djpt.geometry.bvh.build.fit_functions import add_fit_functions
+from djpt.geometry.bvh.build.row_functions import add_row_functions
+from djpt.jit.llvm.compiler import CompilationError, compiled
 from djpt.jit.llvm.ir import Module
 from djpt.jit.llvm.lanes import target
 
-__all__ = ["Functions", "functions"]
+__all__ = ["Functions", "can_compile", "functions"]
 
 CTYPES = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "f": ctypes.c_float}
 
@@ -87,3 +87,13 @@ def functions() -> Functions:
             for name, letters in SIGNATURES.items()
         }
     )
+
+
+@cache
+def can_compile() -> bool:
+    """Whether the functions can be compiled on this machine: LLVM may be missing, or what Dr.Jit says about it."""
+    try:
+        functions()
+    except (CompilationError, OSError, AttributeError):
+        return False
+    return True

@@ -1,1 +1,0 @@
-"""The construction of trees by compiled functions."""
