@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -22,7 +23,7 @@ from tests.kit.arrays import floats, rows
 from tests.kit.processes import ROOT, run_python
 from tests.kit.triangle_soups import SOUPS, sphere
 
-KINDS = {"bvh": Bvh, "grid": UniformGrid, "kd-tree": KdTree}
+KINDS = {"bvh": Bvh, "plain bvh": partial(Bvh, method="longest_axis"), "grid": UniformGrid, "kd-tree": KdTree}
 
 
 def rays_at(corners: NDArray[np.float32], count: int, seed: int = 0) -> tuple[NDArray[np.float32], ...]:
