@@ -4,6 +4,8 @@ The last line of a plugin's file registers it, in djpt as in a user's own packag
 
     register_bsdf("diffuse", Diffuse)
 
+Those of installed packages are found by entry points: see `djpt.description.entry_points`.
+
 A factory takes the checked `Properties` of a node and returns a `Plugin`; usually it is
 the plugin's class. A name belongs to one kind, as in Mitsuba.
 """
@@ -14,6 +16,7 @@ import importlib
 from collections.abc import Callable, Collection
 from typing import Any
 
+from djpt.description.entry_points import entries, load
 from djpt.description.mitsuba_plugins import LACKING, home_of
 from djpt.description.own_plugins import PACKAGES, home, homes
 from djpt.errors import SceneError, near_miss
@@ -46,7 +49,9 @@ __all__ = [
 Factory = Callable[[Any], Any]
 """Builds a `Plugin` from the `Properties` of a node: usually the plugin's class."""
 
+# Plugins are known to the process, as modules are: a file registers its plugin when it is imported, which happens once.
 _plugins: dict[str, tuple[str, Factory]] = {}
+# Those of djpt's names that djpt has registered: a user's plugin of such a name stays when djpt's is imported later.
 _own_names: set[str] = set()
 _own_packages_imported = False
 
@@ -77,8 +82,8 @@ def register(kind: str, name: str, factory: Factory) -> None:
 
 
 def is_own(factory: Factory) -> bool:
-    """Whether the factory is part of djpt itself."""
-    return str(getattr(factory, "__module__", "")).split(".")[0] == "djpt"
+    """Whether the factory stands in one of the packages of djpt's plugins."""
+    return str(getattr(factory, "__module__", "")).rpartition(".")[0] in PACKAGES
 
 
 def register_bsdf(name: str, constructor: Factory) -> None:
@@ -147,23 +152,31 @@ def register_volume(name: str, constructor: Factory) -> None:
 
 
 def registered(kind: str | None = None) -> dict[str, Factory]:
-    """All plugins by name, or those of one kind."""
+    """All plugins by name, or those of one kind; packages that list plugins as entry points are imported.
+
+    Raises:
+        SceneError: Such a package can't be imported.
+    """
     _import_own_packages()
+    for name in entries():
+        _import_home(name)
     # In an order that doesn't depend on what was imported first.
     return {name: factory for name, (of, factory) in sorted(_plugins.items()) if kind in (None, of)}
 
 
 def names(kind: str | None = None) -> list[str]:
     """The names of all plugins, or of those of one kind, in order. Nothing is imported."""
-    own = {name for name, place in homes().items() if kind in (None, place.kind)}
-    return sorted(own | {name for name, (of, _) in _plugins.items() if kind in (None, of)})
+    kinds = {name: entry.kind for name, entry in entries().items()}
+    kinds |= {name: place.kind for name, place in homes().items()}
+    kinds |= {name: of for name, (of, _) in _plugins.items()}
+    return sorted(name for name, of in kinds.items() if kind in (None, of))
 
 
 def kind_of(name: str) -> str | None:
     """The kind of the plugin of that name, or None. Nothing is imported."""
     if name in _plugins:
         return _plugins[name][0]
-    place = home(name)
+    place = home(name) or entries().get(name)
     return place.kind if place is not None else None
 
 
@@ -181,7 +194,8 @@ def lookup(kind: str | None, name: str, fitting: Collection[str] | None = None) 
         fitting: the kinds whose names the message lists. Default: `kind`.
 
     Raises:
-        SceneError: no plugin of that kind has that name; the message lists the names that exist.
+        SceneError: no plugin of that kind has that name; the message lists the names that exist. Or it is the entry
+            point of a package that can't be imported, or that registers no such plugin.
     """
     _import_home(name)
     if name in _plugins and kind in (None, _plugins[name][0]):
@@ -202,9 +216,17 @@ def unknown(kind: str | None, name: str, fitting: Collection[str] | None = None)
 
 
 def _import_home(name: str) -> None:
-    """Let the file that a plugin of djpt stands in register it."""
-    if name not in _plugins and not _own_packages_imported and (place := home(name)) is not None:
-        importlib.import_module(place.module)
+    """Let the file that a plugin of djpt or of an installed package stands in register it."""
+    if name in _plugins:
+        return
+    if (place := home(name)) is not None:
+        # While all packages are being imported, each comes in its turn.
+        if not _own_packages_imported:
+            importlib.import_module(place.module)
+    elif (entry := entries().get(name)) is not None:
+        load(entry)
+        if _plugins.get(name, ("",))[0] != entry.kind:
+            raise SceneError(f"{entry} was imported, but registers no {entry.kind} '{name}'")
 
 
 def _import_own_packages() -> None:
