@@ -83,6 +83,7 @@ class AOV(NestingIntegrator):
     the image has AOV channels only. `distance` and `unfiltered` are djpt's own, all else is Mitsuba's.
     """
 
+    pure = True
     in_any_frame = True
 
     def __init__(self, props: Properties) -> None:

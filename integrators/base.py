@@ -64,12 +64,11 @@ class Integrator(Plugin):
     holds_sums: ClassVar[bool] = False
     """True if its passes go over the whole image, whose sums are held from one to the next."""
 
-    in_any_frame: ClassVar[bool] = False
-    """True if its images show no coordinates but those that it converts by `Scene.units`: scenes may then be rendered
-    in a frame of another unit. Counts for the class that says so, not for those derived from it."""
-
-    from_script: ClassVar[bool] = False
-    """Whether the class isn't djpt's: its `sample` is given a whole `Sampler`, and may return Python's numbers."""
+    pure: ClassVar[bool] = False
+    """True if its methods do nothing but trace kernels: they ask samplers only for what a `SampleStream` has, return
+    the types of the contract, and leave nothing behind in Python, so that rounds can be recorded. Else `sample` is
+    given a whole `Sampler`, and may return Python's numbers. Counts for the class that says so, not for those derived
+    from it."""
 
     follows_silhouettes: ClassVar[bool] = False
     """True if derivatives by the place of shapes know what appears and disappears at their outlines."""
@@ -79,10 +78,6 @@ class Integrator(Plugin):
     `djpt.rendering.gradients.unproven`."""
 
     _cancelled = False
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        cls.from_script = not cls.__module__.startswith("djpt.")
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
@@ -101,7 +96,11 @@ class Integrator(Plugin):
 
     def fits_any_frame(self) -> bool:
         """Whether it, and what is nested in it, is known to render the same `in_any_frame`."""
-        return bool(vars(type(self)).get("in_any_frame", False))
+        return self.says("in_any_frame")
+
+    def is_pure(self) -> bool:
+        """Whether it, and what is nested in it, is `pure`."""
+        return self.says("pure")
 
     def check_scene(self, scene: Scene, sensor: Sensor) -> None:
         """Warn of what this integrator can't show, or raise `RenderError` if that is all there is."""

@@ -76,6 +76,7 @@ class BidirectionalPath(Terminating, SplattingIntegrator):
     for Light Transport", 1994; weights are those of I. Georgiev, "Implementing Vertex Connection and Merging", 2012.
     """
 
+    pure = True
     starts_at_lights = True
     follows_media = True
 

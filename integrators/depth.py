@@ -24,6 +24,7 @@ class Depth(Integrator):
     Mitsuba measures from the near plane too: add near_clip / cos for the distance from the camera.
     """
 
+    pure = True
     in_any_frame = True
 
     def sample(

@@ -31,6 +31,7 @@ class Direct(Integrator):
     `bsdf_samples` (0 turns a strategy off), `hide_emitters`, `emitter_choice` (see `Path`).
     """
 
+    pure = True
     in_any_frame = True
 
     needs_light = True

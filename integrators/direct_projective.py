@@ -34,6 +34,7 @@ class DirectProjectiveIntegrator(PSIntegrator):
     `bsdf` or `emitter`, default `both`): the rays that are projected to guide samples.
     """
 
+    pure = True
     radiative_backprop = False
 
     def __init__(self, props: Properties) -> None:

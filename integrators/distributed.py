@@ -39,6 +39,7 @@ class Distributed(Integrator):
     R. Cook, T. Porter and L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984.
     """
 
+    pure = True
     in_any_frame = True
 
     needs_light = True

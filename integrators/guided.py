@@ -82,6 +82,7 @@ class GuidedPath(UnidirectionalPath, LearningIntegrator):
     over regular squares goes back to H. Jensen, "Importance driven path tracing using the photon map", 1995.
     """
 
+    pure = True
     schedules: tuple[str, ...] = ("learning",)
     in_any_frame = True
 

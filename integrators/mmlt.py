@@ -60,6 +60,7 @@ class MultiplexedMetropolis(PassIntegrator):
     T. Hachisuka, A. Kaplanyan and C. Dachsbacher, "Multiplexed Metropolis Light Transport", 2014.
     """
 
+    pure = True
     starts_at_lights = True
 
     def __init__(self, props: Properties) -> None:

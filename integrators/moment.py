@@ -39,6 +39,7 @@ class Moment(NestingIntegrator):
     `djpt.variance` computes the variance of each pixel from such an image.
     """
 
+    pure = True
     in_any_frame = True
 
     def __init__(self, props: Properties) -> None:

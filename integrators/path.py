@@ -38,6 +38,7 @@ class Path(UnidirectionalPath):
     Mitsuba's `path`, number by number.
     """
 
+    pure = True
     in_any_frame = True
 
     def __init__(self, props: Properties) -> None:

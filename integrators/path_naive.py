@@ -46,6 +46,7 @@ class PathNaive(UnidirectionalPath):
     J. Kajiya, "The Rendering Equation", SIGGRAPH 1986.
     """
 
+    pure = True
     in_any_frame = True
 
     samples_lights = False

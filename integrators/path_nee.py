@@ -38,6 +38,7 @@ class PathNEE(UnidirectionalPath):
     Application", 1967.
     """
 
+    pure = True
     in_any_frame = True
 
     def __init__(self, props: Properties) -> None:

@@ -21,6 +21,7 @@ class PRB(Path):
     later than in `path`, and an environment isn't covered (alpha 0), as in Mitsuba.
     """
 
+    pure = True
     in_any_frame = True
 
     default_max_depth = 6

@@ -32,6 +32,7 @@ class PRBBasic(UnidirectionalPath):
     D. Vicini, S. Speierer and W. Jakob, "Path Replay Backpropagation", SIGGRAPH 2021.
     """
 
+    pure = True
     in_any_frame = True
 
     default_max_depth = 6

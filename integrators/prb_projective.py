@@ -34,6 +34,8 @@ class PathProjectiveIntegrator(PSIntegrator):
     projected to guide samples.
     """
 
+    pure = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.project_seed = props.string("project_seed", "both", choices=("both", "bsdf", "emitter"))

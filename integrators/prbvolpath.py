@@ -15,6 +15,7 @@ class PRBVolumetricPath(VolumetricPath):
     the extinction of media, texel by texel if it is a grid. Texels without density have derivatives, too.
     """
 
+    pure = True
     in_any_frame = True
 
     default_max_depth = 6

@@ -71,6 +71,7 @@ class ParticleTracer(Terminating, PassIntegrator):
     `djpt.materials.adjoint`.
     """
 
+    pure = True
     in_any_frame = True
     from_camera: Path
 

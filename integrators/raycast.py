@@ -49,6 +49,8 @@ class Raycast(Integrator):
     A. Appel, "Some techniques for shading machine renderings of solids", AFIPS 1968.
     """
 
+    pure = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         self.shading = props.string("shading", "headlight", choices=SHADINGS)

@@ -57,6 +57,8 @@ class StochasticProgressivePhotonMapping(PhotonMapping, Path):
     or `power`), and those of all `PhotonMapping`.
     """
 
+    pure = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         if self.bounces:

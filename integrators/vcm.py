@@ -54,6 +54,7 @@ class VertexConnectionMerging(PhotonMapping, BidirectionalPath):
     Simulation", 2012.
     """
 
+    pure = True
     # A photon takes its time at each of the vertices, and first of all connections need many samples.
     paths_per_sample = 1
     crowd = 4.0

@@ -52,6 +52,7 @@ class VolumetricPath(UnidirectionalPath):
     rays through homogeneous media is computed, where Mitsuba estimates it by random numbers.
     """
 
+    pure = True
     in_any_frame = True
 
     schedules = ("flat", "media_machine", "wave")

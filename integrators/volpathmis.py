@@ -23,6 +23,7 @@ class VolumetricPathMIS(VolumetricPath):
     Scattering Path Integral Formulation of Light Transport", SIGGRAPH 2019.
     """
 
+    pure = True
     in_any_frame = True
 
     def __init__(self, props: Properties) -> None:

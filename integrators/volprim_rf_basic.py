@@ -43,6 +43,7 @@ class BasicVolumetricPrimitiveRadianceFieldIntegrator(RBIntegrator):
     Rendering", SIGGRAPH 2023; N. Moenne-Loccoz et al., "3D Gaussian Ray Tracing", SIGGRAPH Asia 2024.
     """
 
+    pure = True
     needs_light = False
 
     def __init__(self, props: Properties) -> None:

@@ -44,6 +44,7 @@ class Whitted(Integrator):
     T. Whitted, "An improved illumination model for shaded display", CACM 23(6), 1980.
     """
 
+    pure = True
     in_any_frame = True
 
     needs_light = True

@@ -43,8 +43,9 @@ class BSDF(Plugin):
     absorbs: bool = False
     """Whether light is attenuated within the body that the surface encloses: see `transmittance`."""
 
-    symmetric: ClassVar[bool] = True
-    """Whether f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`."""
+    symmetric: ClassVar[bool] = False
+    """Whether f(wi, wo) = f(wo, wi), indices of refraction aside: see `is_symmetric`. Counts for the class that says
+    so, not for those derived from it."""
 
     m_flags: int = int(BSDFFlags.Empty)
     """Flags beside those of the lobes; scripts written for Mitsuba set them all."""
@@ -53,17 +54,16 @@ class BSDF(Plugin):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        accept_scripts(cls, CONVERSIONS)
+        accept_scripts(cls, BSDF, CONVERSIONS)
 
     @property
     def is_symmetric(self) -> bool:
         """True if light can be followed from lamps by `sample`: the BSDF and those nested in it are symmetric.
 
-        Those of scripts, which may be anything, are taken not to be: see `djpt.materials.adjoint`.
+        Those whose classes don't say so are taken not to be: see `djpt.materials.adjoint`.
         """
         nested = (getattr(self, name, None) for name in self.children)
-        own = self.symmetric and type(self).__module__.startswith("djpt.")
-        return own and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
+        return self.says("symmetric") and all(plugin.is_symmetric for plugin in nested if isinstance(plugin, BSDF))
 
     def components(self) -> tuple[int, ...]:
         """The `BSDFFlags` of each lobe, numbered as in `BSDFSample3f.sampled_component`."""
@@ -226,6 +226,9 @@ class Attributes(TraversalCallback):
 
 def as_sample(bs: BSDFSample3f) -> BSDFSample3f:
     """Convert a sample whose fields may be Python's numbers."""
+    fields = bs.__dict__
+    if all(type(fields.get(name)) is kind for name, kind in BSDFSample3f.DRJIT_STRUCT.items()):
+        return bs
     return BSDFSample3f.of(Vector3f(bs.wo), bs.pdf, bs.sampled_type, eta=bs.eta, sampled_component=bs.sampled_component)
 
 

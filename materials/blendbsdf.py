@@ -34,6 +34,8 @@ class BlendBSDF(BSDF):
     A body whose surface is a blend absorbs what each of the two would absorb.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("weight", "bsdf_0", "bsdf_1")
 
     def __init__(self, props: Properties) -> None:

@@ -29,6 +29,9 @@ class Blinn(Phong):
     T. Whitted, "An Improved Illumination Model for Shaded Display", 1980.
     """
 
+    in_any_frame = True
+    symmetric = True
+
     def highlight(self, wi: Vector3f, wo: Vector3f, n: Float) -> tuple[Float, Float]:
         h = wi + wo
         length = dr.norm(dr.select(dr.squared_norm(h) > 0, h, Vector3f(0, 0, 1)))

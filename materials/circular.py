@@ -18,6 +18,8 @@ class Circular(Filter):
     on light without polarisation.
     """
 
+    in_any_frame = True
+    symmetric = True
     share = 0.5
 
     def __init__(self, props: Properties) -> None:

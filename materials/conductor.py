@@ -23,6 +23,8 @@ class Conductor(DeltaBSDF):
     factor that real metals don't have.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("eta", "k", "specular_reflectance")
 
     def __init__(self, props: Properties) -> None:

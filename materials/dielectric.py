@@ -44,6 +44,7 @@ class Dielectric(DeltaBSDF):
             transmittance of a segment of length d is exp(-absorption d): Beer's law.
     """
 
+    symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.NonDifferentiable}
     children = ("specular_reflectance", "specular_transmittance", "absorption")
     statics: ClassVar[Sequence[str]] = ("absorbs",)

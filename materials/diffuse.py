@@ -25,6 +25,8 @@ class Diffuse(BSDF):
     pdf = cos theta_o / pi, so the weight is the reflectance.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("reflectance",)
 
     def __init__(self, props: Properties) -> None:

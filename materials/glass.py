@@ -25,6 +25,8 @@ class Glass(Dielectric):
       behind unchanged; where light would be totally reflected, it is black.
     """
 
+    in_any_frame = True
+    symmetric = True
     statics = ("absorbs", "fresnel", "reflection", "transmission")
 
     def __init__(self, props: Properties) -> None:

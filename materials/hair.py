@@ -65,6 +65,7 @@ class Hair(SharedWorkBSDF):
     Scattering Model" (2016), for tilts and sampling.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         "longitudinal_roughness": DIFFERENTIABLE,
         "azimuthal_roughness": DIFFERENTIABLE,
@@ -76,7 +77,6 @@ class Hair(SharedWorkBSDF):
     }
     children = ("sigma_a",)
     statics: ClassVar[Sequence[str]] = ("use_pigmentation",)
-    symmetric = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

@@ -29,6 +29,8 @@ class Mask(BSDF):
     is below `opacity`, else the ray goes straight on.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("opacity", "nested_bsdf")
 
     def __init__(self, props: Properties) -> None:

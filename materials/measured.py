@@ -42,7 +42,7 @@ class Measured(SharedWorkBSDF):
     and `sigma` (rows, columns). There are no parameters to edit.
     """
 
-    symmetric = False
+    in_any_frame = True
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

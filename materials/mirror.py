@@ -30,6 +30,8 @@ class Mirror(Conductor):
     R0 is `reflectance` times the metal's reflectance at normal incidence, 1 without a metal.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("eta", "k", "reflectance")
     statics = ("fresnel", "is_metal")
 

@@ -21,6 +21,7 @@ class NormalMap(PerturbedBSDF):
     J. Cohen, M. Olano and D. Manocha, "Appearance-Preserving Simplification", SIGGRAPH 1998.
     """
 
+    in_any_frame = True
     children = ("nested_bsdf", "normalmap")
 
     def __init__(self, props: Properties) -> None:

@@ -16,6 +16,9 @@ class Null(DeltaBSDF):
     Such a surface can still carry an emitter.
     """
 
+    in_any_frame = True
+    symmetric = True
+
     def components(self) -> tuple[int, ...]:
         return (int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide),)
 

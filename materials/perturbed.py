@@ -39,7 +39,6 @@ class PerturbedBSDF(BSDF):
 
     children: ClassVar[Sequence[str]] = ("nested_bsdf",)
     statics = ("flip_invalid_normals", "use_shadowing_function")
-    symmetric = False
 
     def __init__(self, props: Properties) -> None:
         super().__init__(props)

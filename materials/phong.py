@@ -38,6 +38,8 @@ class Phong(BSDF):
     E. Lafortune and Y. Willems, "Using the Modified Phong Reflectance Model for Physically Based Rendering", 1994.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("diffuse_reflectance", "specular_reflectance", "exponent")
 
     def __init__(self, props: Properties) -> None:

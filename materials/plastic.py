@@ -43,6 +43,8 @@ class Plastic(SharedWorkBSDF):
         specular_reflectance: a factor on the mirror (texture in [0, 1]; default: none), which real coats don't have.
     """
 
+    in_any_frame = True
+    symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable}
     children = ("diffuse_reflectance", "specular_reflectance")
     statics: ClassVar[tuple[str, ...]] = ("nonlinear",)

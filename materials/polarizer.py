@@ -17,6 +17,8 @@ class Polarizer(Filter):
     true). The last two have no effect on light without polarisation.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("theta", "passed")
     share = 0.5
     lobe = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide | BSDFFlags.Anisotropic)

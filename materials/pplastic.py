@@ -48,6 +48,8 @@ class PolarizedPlastic(SharedWorkBSDF):
         sample_visible: sample only facets that are seen (default true).
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("diffuse_reflectance", "eta", "specular_reflectance", "alpha_u", "alpha_v")
     statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
 

@@ -96,6 +96,8 @@ class Principled(PrincipledBase):
     whose parameters are missing or 0 are left out of the kernel.
     """
 
+    in_any_frame = True
+    symmetric = True
     optional = (
         "anisotropic",
         "clearcoat",

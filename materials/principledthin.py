@@ -76,6 +76,7 @@ class PrincipledThin(PrincipledBase):
     are left out of the kernel.
     """
 
+    in_any_frame = True
     optional = ("anisotropic", "diff_trans", "flatness", "sheen", "sheen_tint", "spec_tint", "spec_trans")
     values: ClassVar[Mapping[str, ParamFlags]] = {
         "specular_reflectance_sampling_rate": ParamFlags.NonDifferentiable,
@@ -84,7 +85,6 @@ class PrincipledThin(PrincipledBase):
         "diffuse_transmittance_sampling_rate": ParamFlags.NonDifferentiable,
     }
     children = ("base_color", "roughness", "eta", *optional)
-    symmetric = False
 
     specular_reflectance_sampling_rate: Float
     specular_transmittance_sampling_rate: Float

@@ -17,6 +17,8 @@ class Retarder(Filter):
     default 90). The last two have no effect on light without polarisation.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("theta", "delta", "passed")
     lobe = int(BSDFFlags.Null | BSDFFlags.FrontSide | BSDFFlags.BackSide | BSDFFlags.Anisotropic)
 

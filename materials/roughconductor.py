@@ -36,6 +36,8 @@ class RoughConductor(SharedWorkBSDF):
         specular_reflectance: a factor (texture in [0, 1]; default: none), which real metals don't have.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("specular_reflectance", "alpha_u", "alpha_v", "eta", "k")
     statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")
 

@@ -48,6 +48,8 @@ class RoughDielectric(SharedWorkBSDF):
             which real glass doesn't have.
     """
 
+    in_any_frame = True
+    symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
     children = ("alpha_u", "alpha_v", "specular_reflectance", "specular_transmittance")
     statics: ClassVar[tuple[str, ...]] = ("distribution", "sample_visible")

@@ -62,6 +62,8 @@ class RoughPlastic(SharedWorkBSDF):
             don't have.
     """
 
+    in_any_frame = True
+    symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         "alpha": ParamFlags.Differentiable | ParamFlags.Discontinuous,
         "eta": ParamFlags.Differentiable | ParamFlags.Discontinuous,

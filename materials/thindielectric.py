@@ -31,6 +31,8 @@ class ThinDielectric(DeltaBSDF):
     `eta` is differentiable here: it changes how much passes, not where to.
     """
 
+    in_any_frame = True
+    symmetric = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"eta": ParamFlags.Differentiable | ParamFlags.Discontinuous}
     children = ("specular_reflectance", "specular_transmittance")
 

@@ -29,6 +29,8 @@ class TwoSided(BSDF):
     of the local frame is mirrored. A transmitting BSDF can't be nested.
     """
 
+    in_any_frame = True
+    symmetric = True
     children = ("front", "back")
 
     def __init__(self, props: Properties) -> None:

@@ -53,5 +53,5 @@ class Frame(Protocol):
         """A copy of a plugin that hasn't moved.
 
         Raises:
-            Rooted: it is a script's, whose class doesn't say how it moves.
+            Rooted: its class doesn't say how it moves.
         """

@@ -110,6 +110,12 @@ class Plugin(Holder):
     infers: ClassVar[bool] = False
     """Whether the class declares none of these, so that they are inferred from the attributes of instances."""
 
+    in_any_frame: ClassVar[bool] = False
+    """True if what it does in other coordinates is known, so that scenes may be rendered in a frame of another unit: it
+    looks at no places and lengths but those that the inherited `move_into` converts, an integrator only at those that
+    it converts by `Scene.units`. Counts for the class that says so, not for those derived from it; a class with a
+    `move_into` of its own needn't say it."""
+
     _id: str = ""
 
     def __init__(self, props: Properties | Plugin | None = None) -> None:
@@ -130,6 +136,11 @@ class Plugin(Holder):
     def variant_name(self) -> str:
         """The variant that the plugin computes in."""
         return variant()
+
+    @classmethod
+    def says(cls, name: str) -> bool:
+        """Whether the class itself says that its attribute `name` is true; what a base says isn't enough."""
+        return bool(vars(cls).get(name, False))
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -174,7 +185,8 @@ class Plugin(Holder):
         """Move this plugin, a copy that was made for this, into a working frame, in which its scene is rendered.
 
         By default only what is nested in it moves: right for plugins that look at no places and have no lengths. A
-        class that has some overrides it. Plugins of scripts whose classes don't keep their scenes out of frames.
+        class that has some overrides it. Those of a class that neither overrides it nor says that it is right for
+        them, by `in_any_frame`, keep their scenes out of frames.
 
         Raises:
             Rooted: It isn't known what the plugin does in other coordinates.

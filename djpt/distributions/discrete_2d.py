@@ -31,6 +31,7 @@ class DiscreteDistribution2D(Plugin):
     (Pharr, Jakob and Humphreys, "Physically Based Rendering", 4th ed., A.5).
     """
 
+    in_any_frame = True
     kind = "distribution"
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("rows", "columns", "total"), HIDDEN)
     tables: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("marginal", "conditional", "relative"), HIDDEN)

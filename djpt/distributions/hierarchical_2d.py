@@ -34,6 +34,7 @@ class Hierarchical2D(Plugin):
     A child of the plugin that it serves; nothing of it shows in `traverse`.
     """
 
+    in_any_frame = True
     kind = "distribution"
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("columns", "root"), HIDDEN)
     tables: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("splits", "corners"), HIDDEN)

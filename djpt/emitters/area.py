@@ -48,6 +48,7 @@ class Area(Emitter):
     On other shapes, such as meshes, points are drawn as for constant radiance and weighted by the texture.
     """
 
+    in_any_frame = True
     children = ("radiance", "shape")
     on_shape = True
 

@@ -40,6 +40,7 @@ class ConstantBackground(Emitter):
     Parameters: `radiance` (texture, W m^-2 sr^-1, default 1, not negative).
     """
 
+    in_any_frame = True
     # Of the sphere about the scene.
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(("center", "radius"), ParamFlags.NonDifferentiable)
     children = ("radiance",)

@@ -35,6 +35,7 @@ class DirectionalEmitter(OrientedEmitter):
     light travels; any length but 0) or `to_world` (the light travels along its +z axis; default identity).
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **OrientedEmitter.values,
         # Of the sphere about the scene.

@@ -30,6 +30,7 @@ class DirectionalArea(Emitter):
     Mitsuba: only rays from lights (`sample_emission`) show it.
     """
 
+    in_any_frame = True
     children = ("radiance", "shape")
     on_shape = True
 

@@ -64,6 +64,7 @@ class EnvironmentMap(OrientedEmitter):
     unless `data` is attached. An edit may change the size.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **OrientedEmitter.values,
         "scale": ParamFlags.Differentiable,

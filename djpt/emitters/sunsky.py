@@ -47,6 +47,7 @@ class SunSky(Daylight):
     and the moving edge of the disc: they are refused unless `sun_scale` is 0.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {**Daylight.values, "sky_share": HIDDEN}
     children = ("dome", "disc", "directions")
     times_and_places = CLOCK

@@ -57,6 +57,7 @@ class TimedSunSky(Daylight):
     of six hours: its sun stands up to a quarter of a degree elsewhere.
     """
 
+    in_any_frame = True
     in_time = True
     times_and_places = (*PLACE, *DATES)
     values: ClassVar[Mapping[str, ParamFlags]] = {

@@ -55,7 +55,9 @@ __all__ = [
     "UInt64",
     "Vector2f",
     "Vector3f",
+    "argument_types",
     "backend",
+    "converted",
     "converting",
 ]
 
@@ -100,27 +102,38 @@ def converting(function: Function) -> Function:
     Raises:
         ArgumentError: by the function, if an argument can't be converted.
     """
-    names = [*inspect.signature(function).parameters]
-    types = {name: globals()[kind] for name, kind in inspect.get_annotations(function).items() if kind in __all__}
-    by_position = [(name, types.get(name)) for name in names]
-
-    def converted(name: str, value: Any, kind: Any) -> Any:
-        if kind is None or type(value) is kind:
-            return value
-        try:
-            return kind(value)
-        except TypeError as error:
-            raise ArgumentError(
-                f"{function.__name__}(): '{name}' must be something that {kind.__name__} can be made from: {error}"
-            ) from None
+    types = argument_types(function)
+    by_position = [(name, types.get(name)) for name in inspect.signature(function).parameters]
 
     @functools.wraps(function)
     def call(*arguments: Any, **keywords: Any) -> Any:
-        front = [converted(name, value, kind) for (name, kind), value in zip(by_position, arguments, strict=False)]
+        pairs = zip(by_position, arguments, strict=False)
+        front = [converted(function, name, value, kind) for (name, kind), value in pairs]
         return function(
             *front,
             *arguments[len(by_position) :],
-            **{name: converted(name, value, types.get(name)) for name, value in keywords.items()},
+            **{name: converted(function, name, value, types.get(name)) for name, value in keywords.items()},
         )
 
     return call  # type: ignore[return-value]
+
+
+def argument_types(function: Callable[..., Any]) -> dict[str, Any]:
+    """The types of this module that a function's arguments are annotated with, by name."""
+    return {name: globals()[kind] for name, kind in inspect.get_annotations(function).items() if kind in __all__}
+
+
+def converted(function: Callable[..., Any], name: str, value: Any, kind: Any) -> Any:
+    """The argument `name` of a function as the type `kind`; itself if it has that type, or if `kind` is None.
+
+    Raises:
+        ArgumentError: It can't be converted.
+    """
+    if kind is None or type(value) is kind:
+        return value
+    try:
+        return kind(value)
+    except TypeError as error:
+        raise ArgumentError(
+            f"{function.__name__}(): '{name}' must be something that {kind.__name__} can be made from: {error}"
+        ) from None

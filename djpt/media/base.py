@@ -67,7 +67,7 @@ class Medium(Plugin):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        accept_scripts(cls, CONVERSIONS)
+        accept_scripts(cls, Medium, CONVERSIONS)
 
     def traverse(self, callback: TraversalCallback) -> None:
         if self.emission is not None:

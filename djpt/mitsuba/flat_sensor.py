@@ -25,6 +25,7 @@ class FlatSensor(SensorGroup):
     Parameters: those of all sensors. It has no rays before `initialize`.
     """
 
+    in_any_frame = True
     by_pixel = True
 
     def __init__(self, props: Properties) -> None:

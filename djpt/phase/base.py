@@ -40,7 +40,7 @@ class PhaseFunction(Plugin):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        accept_scripts(cls, CONVERSIONS)
+        accept_scripts(cls, PhaseFunction, CONVERSIONS)
 
     def components(self) -> tuple[int, ...]:
         """The `PhaseFunctionFlags` of each component, numbered as in `PhaseFunctionContext.component`."""

@@ -30,6 +30,7 @@ class BlendPhaseFunction(PhaseFunction):
     one-sample model). A context that asks for one component gets its share of the mixture.
     """
 
+    in_any_frame = True
     children: ClassVar[Sequence[str]] = ("weight", "phase_0", "phase_1")
 
     def __init__(self, props: Properties) -> None:

@@ -36,6 +36,7 @@ class HGPhaseFunction(PhaseFunction):
     L. G. Henyey and J. L. Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941.
     """
 
+    in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Anisotropic)
     values: ClassVar[Mapping[str, ParamFlags]] = {"g": ParamFlags.Differentiable | ParamFlags.Discontinuous}
 

@@ -22,6 +22,7 @@ DENSITY = 1 / (4 * math.pi)
 class IsotropicPhaseFunction(PhaseFunction):
     """f = 1 / (4 pi): light that is scattered has forgotten where it came from. No parameters."""
 
+    in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Isotropic)
     statics: ClassVar[Sequence[str]] = ()
 

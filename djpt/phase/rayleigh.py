@@ -26,6 +26,7 @@ class RayleighPhaseFunction(PhaseFunction):
     1871; sampled as by J. R. Frisvad, "Importance sampling the Rayleigh phase function", JOSA A 28(12), 2011.
     """
 
+    in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Anisotropic)
     statics: ClassVar[Sequence[str]] = ()
 

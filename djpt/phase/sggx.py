@@ -37,6 +37,7 @@ class SGGXPhaseFunction(PhaseFunction):
     granted that they are at most 1, djpt's `max_projected_area` finds the largest one.
     """
 
+    in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Anisotropic | PhaseFunctionFlags.Microflake)
     values: ClassVar[Mapping[str, ParamFlags]] = {"largest": ParamFlags.NonDifferentiable}
     children: ClassVar[Sequence[str]] = ("S",)

@@ -37,6 +37,7 @@ class TabulatedPhaseFunction(PhaseFunction):
     an array. As a parameter it is a `Float` of any length.
     """
 
+    in_any_frame = True
     m_flags = int(PhaseFunctionFlags.Anisotropic)
     values: ClassVar[Mapping[str, ParamFlags]] = {"intervals": HIDDEN}
     tables: ClassVar[Mapping[str, ParamFlags]] = {"density": ParamFlags.Differentiable, "running": HIDDEN}

@@ -36,6 +36,8 @@ class Batch(SensorGroup):
     only beside their like. A batch whose cameras stand apart is taken to stand outside of all bodies that absorb.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         if "to_world" in props:
             raise props.error("to_world", "can't be given: place the sensors of the batch")

@@ -38,6 +38,7 @@ class Orthographic(ProjectiveCamera):
     far_clip - near_clip long. `focus_distance` is accepted, without effect.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(
         ("corner", "across", "down", "direction", "depth", "to_column", "to_row", "inv_area"),
         ParamFlags.NonDifferentiable,

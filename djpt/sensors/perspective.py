@@ -37,6 +37,7 @@ class Perspective(Central):
     on the near plane and ends on the far plane.
     """
 
+    in_any_frame = True
     is_pinhole = True
 
     def __init__(self, props: Properties) -> None:

@@ -44,6 +44,7 @@ class ThinLens(Central):
     Source: R. L. Cook, T. Porter, L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **Central.values,
         **dict.fromkeys(("lens_x", "lens_y", "inv_focus"), ParamFlags.NonDifferentiable),

@@ -21,6 +21,7 @@ class BSplineCurve(Curves):
     onto the curve, so that its place, normal and uv are exact.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.BSplineCurve
     least_points = 4
 

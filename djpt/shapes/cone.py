@@ -33,6 +33,7 @@ class Cone(Revolution):
     uv = (phi / 2 pi, z) with z from 0 at the apex to 1 at the rim, phi as for the cylinder. Normals point outwards.
     """
 
+    in_any_frame = True
     has_parameterization = True
     values = dict.fromkeys(
         ("center", "axis_x", "axis_y", "axis_z", "slope", "cos", "sin", "length", "side", "area"), HIDDEN

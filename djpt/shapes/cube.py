@@ -61,6 +61,7 @@ class Cube(Shape):
     Normals point outwards unless `flip_normals` is set.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.Mesh
     triangle_count = 12
     sides = 6

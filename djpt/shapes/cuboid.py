@@ -23,6 +23,8 @@ class Cuboid(Cube):
     `flip_normals` (default false). Without a rotation it is the cheapest closed shape: nothing is projected.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         super().__init__(props)
         low, high = props.vector("min", (-1, -1, -1)), props.vector("max", (1, 1, 1))

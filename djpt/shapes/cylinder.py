@@ -40,6 +40,7 @@ class Cylinder(Revolution):
     also those of sampled points: Mitsuba 3.9.1 samples a reflected cylinder with normals that point inwards.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.Cylinder
     has_parameterization = True
     canonical = "cylinder"

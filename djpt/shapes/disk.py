@@ -37,6 +37,7 @@ class Disk(Shape):
     The front, where light is emitted, is the side of the transformed +z axis; dp/du points away from the centre.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.Disk
     has_parameterization = True
     canonical = "disk"

@@ -34,6 +34,7 @@ class Ellipsoids(Cloud):
     `volprim_rf_basic`; hits have none.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.Ellipsoids
     in_pieces = True
     canonical = "piece"

@@ -31,6 +31,7 @@ class EllipsoidsMesh(Cloud, Mesh):
     unit sphere. `si.prim_index` is the number of the ellipsoid; uv are barycentric.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.EllipsoidsMesh
     one_sided = True
 

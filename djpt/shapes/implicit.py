@@ -38,6 +38,7 @@ class Implicit(LevelSet):
     reach the sides of the box.
     """
 
+    in_any_frame = True
     values = dict.fromkeys(PLACE, HIDDEN)
     statics = ("flip_normals", "function")
 
@@ -76,6 +77,7 @@ class Torus(LevelSet):
     uv as for `implicit`.
     """
 
+    in_any_frame = True
     values = dict.fromkeys((*PLACE, "major", "minor"), HIDDEN)
     statics = ("flip_normals",)
     slope = 1.0
@@ -122,6 +124,7 @@ class Metaballs(LevelSet):
     Structure for Soft Objects", The Visual Computer 2, 1986. uv as for `implicit`.
     """
 
+    in_any_frame = True
     statics = ("flip_normals", "count")
 
     def __init__(self, props: Properties) -> None:

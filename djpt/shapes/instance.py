@@ -29,6 +29,8 @@ class Instance(Shape):
     identity), which maps from the group's space. BSDFs are those of the group's shapes.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         # Not `Shape.__init__`: BSDFs, flips and so on belong to the group's shapes.
         Plugin.__init__(self, props)

@@ -18,6 +18,7 @@ class LinearCurve(Curves):
     horizontal if z is up.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.LinearCurve
     least_points = 2
 

@@ -31,6 +31,8 @@ class Merge(Shape):
     `djpt.shapes.numbering`.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         # Not `Shape.__init__`: there is no BSDF, emitter, sensor or place of its own.
         Plugin.__init__(self, props)

@@ -14,6 +14,7 @@ __all__ = ["Obj"]
 class Obj(MeshFile):
     """A mesh from an OBJ file; see `MeshFile` for the parameters; `flip_tex_coords` is true by default."""
 
+    in_any_frame = True
     flips_texcoords = True
 
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:

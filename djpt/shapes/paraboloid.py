@@ -35,6 +35,7 @@ class Paraboloid(Revolution):
     cylinder. Normals point outwards, away from the axis.
     """
 
+    in_any_frame = True
     has_parameterization = True
     values = dict.fromkeys(
         ("center", "axis_x", "axis_y", "axis_z", "focal_length", "length", "radius", "growth", "side", "area"), HIDDEN

@@ -34,6 +34,7 @@ class Plane(Shape):
     directions that hit it, with the density 1 / (2 pi); its area is infinite.
     """
 
+    in_any_frame = True
     has_area = False
     values = dict.fromkeys(("center", "edge_u", "edge_v", "normal", "dual_u", "dual_v"), HIDDEN)
 

@@ -18,6 +18,8 @@ class Ply(MeshFile):
     vertices and faces: see `djpt.shapes.meshes.ply.read_ply`.
     """
 
+    in_any_frame = True
+
     def read(self, data: bytes, where: str, props: Properties) -> MeshData:
         return read_ply(data, where)
 

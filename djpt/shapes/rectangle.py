@@ -35,6 +35,7 @@ class Rectangle(Shape):
     The front, where the shading normal points and light is emitted, is the side of the transformed +z axis.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.Rectangle
     triangle_count = 2
     has_parameterization = True

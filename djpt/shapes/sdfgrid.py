@@ -44,6 +44,7 @@ class SDFGrid(LevelSet):
     Grids", JCGT 11(3), 2022.
     """
 
+    in_any_frame = True
     shape_kind = ShapeType.SDFGrid
     values = dict.fromkeys(PLACE, HIDDEN)
     # Every grid has kernel code of its own, since its `serial` differs.

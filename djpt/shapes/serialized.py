@@ -17,6 +17,8 @@ class Serialized(MeshFile):
     `shape_index` (default 0) chooses one of the file's meshes.
     """
 
+    in_any_frame = True
+
     def part(self, props: Properties) -> int:
         return props.integer("shape_index", 0, low=0)
 

@@ -51,6 +51,7 @@ class Bitmap(UVTexture):
     for 8-bit images (Mitsuba keeps those as bytes unless told otherwise). An edit may change its size.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {**UVTexture.values, "counts": HIDDEN, "average": HIDDEN}
     tables: ClassVar[Mapping[str, ParamFlags]] = {"data": ParamFlags.Differentiable}
     children = ("distribution",)

@@ -35,6 +35,8 @@ class BlackBody(TabulatedSpectrum):
     there is no light outside. In `traverse`: `temperature`, which has no derivatives.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         self.temperature = props.float("temperature", low=0.0, low_open=True)
         low = props.float("wavelength_min", SHORTEST, low=0.0)

@@ -25,6 +25,7 @@ class Checkerboard(UVTexture):
     `djpt.textures.uv.UVTexture`; the nested textures don't see it). The fields are half a unit wide.
     """
 
+    in_any_frame = True
     children = ("color0", "color1")
 
     def __init__(self, props: Properties) -> None:

@@ -28,6 +28,8 @@ class IrregularSpectrum(TabulatedSpectrum):
     `value`, a nested `spectrum`. In `traverse`: `wavelengths` and `values`, which have no derivatives.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         if "value" in props and "values" not in props:
             wavelengths, values = (np.array(numbers) for numbers in nested_pairs(props))

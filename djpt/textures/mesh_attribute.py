@@ -32,6 +32,7 @@ class MeshAttribute(Texture):
     Gradients reach `scale`, but not the mesh.
     """
 
+    in_any_frame = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"scale": ParamFlags.Differentiable}
     statics = ("name", "node")
 

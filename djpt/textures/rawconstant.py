@@ -25,6 +25,7 @@ class RawConstant(Texture):
     Parameters: `value` (a number or three; required). Three numbers have no `eval_1`.
     """
 
+    in_any_frame = True
     is_constant = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"value": ParamFlags.Differentiable}
     statics: ClassVar[Sequence[str]] = ("channels",)

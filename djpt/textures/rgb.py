@@ -29,6 +29,7 @@ class ConstantTexture(Texture):
     `Color3f`, also for a grey (Mitsuba has a `Float` there); numbers can still be assigned.
     """
 
+    in_any_frame = True
     is_constant = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"value": ParamFlags.Differentiable}
 

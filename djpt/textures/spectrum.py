@@ -27,6 +27,8 @@ class SpectrumTexture(TabulatedSpectrum):
     Mitsuba's RGB variants.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         self._constant: float | None = None
         pairs: Pairs = ([], [])

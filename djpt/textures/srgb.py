@@ -19,6 +19,8 @@ class SRGBReflectance(ConstantTexture):
     are refused; true: any number, whoever uses the colour). In `traverse` the colour is `value`.
     """
 
+    in_any_frame = True
+
     def __init__(self, props: Properties) -> None:
         color = three_numbers(props, "color")
         self._unbounded = props.boolean("unbounded", False)

@@ -27,6 +27,7 @@ class UniformTexture(Texture):
     Parameters: `value` (required), `wavelength_min` and `wavelength_max` (nm; without effect on colours).
     """
 
+    in_any_frame = True
     is_constant = True
     values: ClassVar[Mapping[str, ParamFlags]] = {"value": ParamFlags.Differentiable}
 

@@ -21,6 +21,7 @@ class VolumeTexture(Texture):
     Parameters: `volume` (a volume, number or colour, default 0.75), which is looked up in world space.
     """
 
+    in_any_frame = True
     children: ClassVar[Sequence[str]] = ("volume",)
 
     def __init__(self, props: Properties) -> None:

@@ -49,7 +49,7 @@ class Volume(Plugin):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        accept_scripts(cls, CONVERSIONS)
+        accept_scripts(cls, Volume, CONVERSIONS)
 
     # ---- working frames ----------------------------------------------------------------
 

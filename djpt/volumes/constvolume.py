@@ -22,6 +22,7 @@ class ConstVolume(Volume):
     Parameters: `value`, a number or a constant texture (default 1), and `to_world`.
     """
 
+    in_any_frame = True
     is_constant = True
     children: ClassVar[tuple[str, ...]] = ("value",)
 

@@ -51,11 +51,16 @@ class NestingIntegrator(Integrator):
     def fits_any_frame(self) -> bool:
         return super().fits_any_frame() and all(integrator.fits_any_frame() for _, integrator in self.nested)
 
+    def is_pure(self) -> bool:
+        return super().is_pure() and all(integrator.is_pure() for _, integrator in self.nested)
+
     def samples(
         self, scene: Scene, sampler: SampleStream, ray: Ray3f, active: Bool | bool = True
     ) -> list[tuple[Color3f, Bool, list[Float]]]:
         """One sample of each nested integrator, from the random numbers that it would draw alone."""
-        return [
+        samples = (
             integrator.sample(scene.choosing_emitters(integrator.emitter_choice), sampler.clone(), ray, None, active)
             for _, integrator in self.nested
-        ]
+        )
+        # Those that aren't pure may return Python's numbers.
+        return [(Color3f(color), Bool(valid), [Float(value) for value in aovs]) for color, valid, aovs in samples]

@@ -44,7 +44,7 @@ def warn_of_blind_spots(integrator: Integrator, scene: Scene) -> None:
             f"these lobes of {', '.join(delta)} stay black"
         )
     unseen = scattering_media(scene)
-    if unseen and integrator.needs_light and not (integrator.follows_media or integrator.from_script):
+    if unseen and integrator.needs_light and not integrator.follows_media:
         warn(
             f"'{name}' doesn't follow light through media: it leaves out {', '.join(unseen)}; "
             "render with the integrator 'volpath'"

@@ -46,6 +46,13 @@ def at(p: Any) -> MediumInteraction3f:
     return MediumInteraction3f.on(Ray3f(Point3f(*np.asarray(p, float).tolist()), Vector3f(0, 0, 1)), Float(0))
 
 
+@pytest.mark.parametrize("kind", ["bsdf", "texture", "phase", "emitter", "shape", "sensor", "medium", "volume"])
+def test_every_class_says_how_it_moves(kind: str) -> None:
+    factories: list[Any] = [registry.lookup(kind, name) for name in own(kind)]
+    classes = [each for each in factories if isinstance(each, type)]
+    assert classes and all("move_into" in vars(each) or each.__dict__.get("in_any_frame") for each in classes)
+
+
 def both(plugin: Any) -> tuple[Any, Any]:
     return plugin, carrier().carried(plugin)
 
@@ -222,11 +229,11 @@ def test_materials_without_lengths_are_shared() -> None:
         assert Carrier(WorkingFrame(1.0, CENTER)).carried(plugin) is plugin
 
 
-# ---- plugins of scripts ------------------------------------------------------------------------
+# ---- plugins that say nothing ------------------------------------------------------------------
 
 
 class Lamp(djpt.Emitter):
-    """A lamp of a script, which doesn't say how it moves."""
+    """A lamp whose class doesn't say how it moves."""
 
 
 class MovingLamp(Lamp):
@@ -236,10 +243,10 @@ class MovingLamp(Lamp):
         self.at = frame.point([1, 1, 1])
 
 
-def test_scripts_decide_for_themselves() -> None:
+def test_classes_decide_for_themselves() -> None:
     for name, kind in (("test_frame_lamp", Lamp), ("test_frame_moving_lamp", MovingLamp)):
         djpt.register_emitter(name, kind)
-    with pytest.raises(Rooted, match=r"test_frame_lamp is a script's"):
+    with pytest.raises(Rooted, match=r"test_frame_lamp: 'Lamp' has no move_into of its own and isn't in_any_frame"):
         carrier().carried(djpt.load_dict({"type": "test_frame_lamp"}))
     moved = carrier().carried(djpt.load_dict({"type": "test_frame_moving_lamp"}))
     np.testing.assert_array_equal(moved.at, in_frame([1, 1, 1]))

@@ -68,7 +68,7 @@ class TestAdjoint:
         np.testing.assert_allclose(found[:, smooth], expected[:, smooth], rtol=2e-2, atol=1e-3)
 
 
-def test_those_of_scripts_may_be_anything() -> None:
+def test_those_that_say_nothing_may_be_anything() -> None:
     class Own(djpt.BSDF):
         pass
 

@@ -35,6 +35,7 @@ class SkyDirections(Plugin):
     A child of the plugin that it serves; nothing of it shows in `traverse`.
     """
 
+    in_any_frame = True
     kind = "distribution"
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(VALUES, ParamFlags.NonDifferentiable)
     children = ()

@@ -39,6 +39,7 @@ class SunDisc(Plugin):
     A child of the plugin that it serves; nothing of it shows in `traverse`.
     """
 
+    in_any_frame = True
     kind = "sun"
     values: ClassVar[Mapping[str, ParamFlags]] = {
         **dict.fromkeys(("direction", "color"), ParamFlags.Differentiable),

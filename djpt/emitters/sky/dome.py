@@ -36,6 +36,7 @@ class SkyDome(Plugin):
     A child of the plugin that it serves; nothing of it shows in `traverse`.
     """
 
+    in_any_frame = True
     kind = "sky"
     values: ClassVar[Mapping[str, ParamFlags]] = dict.fromkeys(QUANTITIES, ParamFlags.Differentiable)
     children = ()

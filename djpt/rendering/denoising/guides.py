@@ -44,6 +44,7 @@ class GuideIntegrator(Terminating, Integrator):
     Parameters: `max_depth` (default 8), `hide_emitters`.
     """
 
+    pure = True
     samples_lights = False
     differentiable = False
     writes_color = False

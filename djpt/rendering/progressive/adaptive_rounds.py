@@ -75,7 +75,7 @@ class AdaptiveRounds:
         self._filters, self._constant = job.film.filters, constant_of(job)
         self._inputs: list[Any] = []
         self._recorded: dict[int, Callable[..., list[Float]]] | None = None
-        if not integrator.from_script and not attached_parameters(job.scene):
+        if integrator.is_pure() and not attached_parameters(job.scene):
             self._recorded = {}
 
     @property

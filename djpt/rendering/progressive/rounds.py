@@ -171,11 +171,12 @@ def inputs(*holders: Holder) -> list[Any]:
 def can_be_recorded(job: Job) -> bool:
     """Whether the kernels of a round can be launched again without Python.
 
-    Integrators and samplers of scripts may do anything between kernels, and parameters with gradients may change.
+    Integrators that aren't pure, and samplers without streams, may do anything between kernels, and parameters with
+    gradients may change.
     """
     return (
         job.samples <= RECORDED_SAMPLES
-        and not job.integrator.from_script
+        and job.integrator.is_pure()
         and job.sampler.has_streams
         and not attached_parameters(job.scene)
     )

@@ -32,7 +32,7 @@ class Wave(Flat):
     def samples(self, job: Job, band: Band, begin: int, end: int) -> list[Float]:
         layer, pixel = grouped(job, band, end - begin)
         stream, ray, _ = job.begin(pixel, layer + dr.opaque(UInt32, begin), *job.coordinates(pixel))
-        if not job.integrator.from_script:
+        if job.integrator.is_pure():
             color, valid, aovs = job.integrator.sample(job.scene, stream, ray)
             return job.channels(color, valid, aovs)
         sampler = job.sampler.drawing(stream, dr.width(pixel))

@@ -85,12 +85,11 @@ class Carrier:
         """A copy of a plugin that hasn't moved.
 
         Raises:
-            Rooted: it is a script's, whose class doesn't say how it moves.
+            Rooted: its class doesn't say how it moves.
         """
         kind = type(plugin)
-        mover = next(base for base in kind.__mro__ if "move_into" in vars(base))
-        if is_own(mover) and not is_own(kind):
-            raise Rooted(f"{plugin.id()} is a script's")
+        if not ("move_into" in vars(kind) or kind.says("in_any_frame")):
+            raise Rooted(f"{plugin.id()}: '{kind.__name__}' has no move_into of its own and isn't in_any_frame")
         return copy.copy(plugin)
 
     def shares(self, plugin: Plugin) -> bool:
@@ -117,11 +116,6 @@ class Carrier:
         copied = self.carried(sensor)
         copied.take_film(sensor.film())
         return copied
-
-
-def is_own(kind: type) -> bool:
-    """Whether a class is one of djpt's own."""
-    return kind.__module__.startswith("djpt.")
 
 
 def is_equal(plugin: Plugin, copied: Plugin) -> bool:
