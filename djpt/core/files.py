@@ -203,7 +203,7 @@ def errors_of_writing(target: Path) -> Iterator[None]:
 
 
 unfinished: set[Path] = set()
-"""The temporary files of this process."""
+"""The temporary files of this process: what a signal that ends it has to remove."""
 
 
 def remove_unfinished() -> None:

@@ -120,6 +120,7 @@ def working_directory() -> Path:
 
 
 _current: ContextVar[FileResolver | None] = ContextVar("file_resolver", default=None)
+# Mitsuba's resolver of the process: scripts replace it or add to it, and then load descriptions.
 _of_process = FileResolver(())
 
 

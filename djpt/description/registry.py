@@ -51,6 +51,8 @@ Factory = Callable[[Any], Any]
 
 # Plugins are known to the process, as modules are: a file registers its plugin when it is imported, which happens once.
 _plugins: dict[str, tuple[str, Factory]] = {}
+# Those of djpt's names that djpt has registered: a user's plugin of such a name stays when djpt's is imported later.
+_own_names: set[str] = set()
 _own_packages_imported = False
 
 
@@ -71,14 +73,17 @@ def register(kind: str, name: str, factory: Factory) -> None:
     if taken not in (None, kind):
         # Also names of Mitsuba that djpt lacks are taken: a description must mean the same in both.
         raise SceneError(f"register_{kind}: '{name}' is the name of another kind of plugin already: {taken}")
-    if known is not None and is_own(factory) and not is_own(known[1]):
-        return  # the user replaced a plugin of djpt before its file was imported
+    first_own = is_own(factory) and name not in _own_names
+    if first_own:
+        _own_names.add(name)
+    if first_own and known is not None and not is_own(known[1]):
+        return  # the user replaced a plugin of djpt before its package was imported
     _plugins[name] = (kind, factory)
 
 
 def is_own(factory: Factory) -> bool:
-    """True if the factory stands in a file of djpt that registers plugins."""
-    return getattr(factory, "__module__", None) in {place.module for place in homes().values()}
+    """Whether the factory stands in one of the packages of djpt's plugins."""
+    return str(getattr(factory, "__module__", "")).rpartition(".")[0] in PACKAGES
 
 
 def register_bsdf(name: str, constructor: Factory) -> None:

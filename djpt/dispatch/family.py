@@ -19,7 +19,7 @@ from djpt.dispatch.followed import followed
 from djpt.errors import SceneError
 from djpt.jit.types import Bool, Float, UInt32
 
-__all__ = ["ACQUAINTANCES", "NONE", "Family", "Pointer", "filled"]
+__all__ = ["NONE", "SCRIPT_PLUGINS", "Family", "Pointer", "filled"]
 
 NONE = 0xFFFFFFFF
 """A number that no plugin has."""
@@ -40,12 +40,16 @@ class Family(Generic[P]):
         return followed(self.ensemble, self.values)
 
 
-class Acquaintances:
-    """The plugins that scripts have made pointers of, numbered; those that are gone give their number away."""
+class ScriptPlugins:
+    """The plugins that scripts have made pointers of, numbered; those that are gone give their number away.
+
+    One list for the process, as Dr.Jit's own registry: pointers can only be selected among, and carried by loops, if
+    they are numbers of one family, and a script makes them one by one, of plugins that belong to no scene.
+    """
 
     def __init__(self) -> None:
         self._members: list[weakref.ref[Plugin]] = []
-        self._families: dict[str, Strangers] = {}
+        self._families: dict[str, Unowned] = {}
 
     def number(self, plugin: Plugin) -> int:
         """The number of a plugin, from now on."""
@@ -68,12 +72,12 @@ class Acquaintances:
         some = next((plugin for plugin in fitting if plugin is not None), None)
         return [] if some is None else [plugin or some for plugin in fitting]
 
-    def of(self, kind: str) -> Strangers:
+    def of(self, kind: str) -> Unowned:
         """The family of the plugins of a kind: the same object every time."""
-        return self._families.setdefault(kind, Strangers(kind))
+        return self._families.setdefault(kind, Unowned(kind))
 
 
-class Strangers:
+class Unowned:
     """A family of plugins that belong to no scene together: those of a kind that scripts have made pointers of.
 
     As one family they can be selected among, whenever their pointers were made.
@@ -85,10 +89,10 @@ class Strangers:
     @property
     def ensemble(self) -> Ensemble[Any]:
         """The plugins as they are now."""
-        return Ensemble(ACQUAINTANCES.members(self._kind))
+        return Ensemble(SCRIPT_PLUGINS.members(self._kind))
 
 
-ACQUAINTANCES = Acquaintances()
+SCRIPT_PLUGINS = ScriptPlugins()
 
 
 class Pointer(Record, Generic[P]):
@@ -127,9 +131,9 @@ class Pointer(Record, Generic[P]):
             for plugin in lanes:
                 if plugin is not None and not isinstance(plugin, Plugin):
                     raise SceneError(f"{type(self).__name__}: expected plugins, found {type(plugin).__name__}")
-            numbers = [ACQUAINTANCES.number(plugin) if self.may_hold(plugin) else NONE for plugin in lanes]
+            numbers = [SCRIPT_PLUGINS.number(plugin) if self.may_hold(plugin) else NONE for plugin in lanes]
             kind = next((plugin.kind for plugin in lanes if plugin is not None), self.member_kind)
-            fields = {"index": UInt32(numbers), "home": {ACQUAINTANCES.of(kind): ()}}
+            fields = {"index": UInt32(numbers), "home": {SCRIPT_PLUGINS.of(kind): ()}}
         super().__init__(None, **fields)
         # Plugins that nobody else holds must last as long as the pointer.
         self.__dict__["_held"] = plugins
@@ -144,7 +148,7 @@ class Pointer(Record, Generic[P]):
 
     def zero_(self, size: int = 1) -> None:
         """Complete `dr.zeros`: no plugin."""
-        self.index, self.home = dr.full(UInt32, NONE, size), {ACQUAINTANCES.of(self.member_kind): ()}
+        self.index, self.home = dr.full(UInt32, NONE, size), {SCRIPT_PLUGINS.of(self.member_kind): ()}
 
     @classmethod
     def may_hold(cls, plugin: Plugin | None) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 from djpt.errors import SceneError, near_miss
 
@@ -18,7 +19,7 @@ NAMES = ("auto", "call", "steps")
 VARIABLE = "DJPT_RAY_QUERIES"
 """The environment variable for one of `NAMES`."""
 
-_forced: list[str] = []
+_forced: ContextVar[str | None] = ContextVar("ray_queries", default=None)
 
 
 @contextmanager
@@ -28,11 +29,11 @@ def ray_queries(name: str) -> Iterator[None]:
     Raises:
         SceneError: Another name.
     """
-    _forced.append(checked(name))
+    token = _forced.set(checked(name))
     try:
         yield
     finally:
-        _forced.pop()
+        _forced.reset(token)
 
 
 def asked_for() -> str:
@@ -41,7 +42,7 @@ def asked_for() -> str:
     Raises:
         SceneError: The variable has another value.
     """
-    return _forced[-1] if _forced else checked(os.environ.get(VARIABLE) or "auto")
+    return _forced.get() or checked(os.environ.get(VARIABLE) or "auto")
 
 
 def checked(name: str) -> str:

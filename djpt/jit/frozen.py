@@ -72,7 +72,7 @@ def hold_garbage() -> None:
 
 
 _held: list[bool] = []
-"""Not empty while collections are off because of `hold_garbage`."""
+"""Not empty while collections are off because of `hold_garbage`; as these, for the whole process."""
 
 
 @contextmanager
@@ -88,7 +88,9 @@ def without_garbage() -> Iterator[None]:
 
 
 undifferentiated: list[str] = []
-"""Names of images that a frozen function has rendered with gradients, and not differentiated since."""
+"""Names of images that a frozen function has rendered with gradients, and not differentiated since.
+
+Dr.Jit records one function at a time, and tells nobody when it is done: the next call of djpt looks here."""
 
 
 def warn_of_lost_gradients() -> None:

@@ -212,6 +212,7 @@ class Logger:
                 appender.append(level, text)
 
 
+# Mitsuba's logger of the process, which scripts may replace.
 _logger = Logger()
 _logger.add_appender(StreamAppender())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import drjit as dr
@@ -180,6 +181,18 @@ def test_interactions_are_loop_state() -> None:
     assert numbers(si.is_valid()) == [True, True, False]
     assert numbers(si.shape == scene.shapes()[0]) == [True, True, False]
     assert np.allclose(numbers(si.bsdf().eval_diffuse_reflectance(si))[:2], 0.5)
+
+
+def test_threads_begin_loops_with_scenes_of_their_own() -> None:
+    """A record that `dr.zeros` makes belongs to the scene of its thread, whatever other threads load meanwhile."""
+    scene = djpt.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    ray = djpt.Ray3f([0, 0, -3], [0, 0, 1])
+    other = threading.Thread(target=djpt.load_dict, args=({"type": "scene"},))
+    other.start()
+    other.join()
+    state = djpt.UInt32(0), dr.zeros(djpt.SurfaceInteraction3f)
+    _, found = dr.while_loop(state, lambda i, si: i < 1, lambda i, si: (i + 1, scene.ray_intersect(ray)))
+    assert numbers(found.shape == scene.shapes()[0]) == [True]
 
 
 def test_an_interaction_without_a_scene_says_so() -> None:

@@ -29,6 +29,8 @@ KEPT = 4
 one_at_a_time = threading.Lock()
 """Held while something is rendered: Dr.Jit's threads work for one task, whatever threads the worker has."""
 
+# A task is a function and its arguments: what a worker keeps from one to the next can only be kept by its process.
+
 loaded: OrderedDict[str, Scene] = OrderedDict()
 """Those scenes, by the keys of their bundles."""
 

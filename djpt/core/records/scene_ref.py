@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import weakref
 from typing import Any
 
@@ -12,17 +13,29 @@ __all__ = ["Home", "at_home", "latest_home", "note_latest", "only"]
 Home = dict[Any, tuple[()]]
 """A reference to a scene: it is the only key. Dr.Jit keeps the keys of dicts whatever it does with their values."""
 
-_latest: list[weakref.ref[Any]] = []
+
+class Latest(threading.local):
+    """The scene that a thread has loaded, rendered or asked for hits last, if it still exists.
+
+    Records that a script makes by `dr.zeros` belong to it. They have to belong to one from the beginning: a loop of
+    Dr.Jit makes its results of the state that it began with, keys of dicts included, and doesn't look at the keys of
+    what the body returns. A record that began without a scene would lose that of the hits found in the loop.
+    """
+
+    scene: weakref.ref[Any] | None = None
+
+
+_latest = Latest()
 
 
 def note_latest(scene: Any) -> None:
-    """Make `scene` the one that records made by `dr.zeros` belong to: the last one made or asked for hits."""
-    _latest[:] = [weakref.ref(scene)]
+    """Make `scene` the one that records made by `dr.zeros` in this thread belong to."""
+    _latest.scene = weakref.ref(scene)
 
 
 def latest_home() -> Home:
     """The home of records made by `dr.zeros`, so that they fit into loops and selects with those of hits."""
-    scene = _latest[0]() if _latest else None
+    scene = None if _latest.scene is None else _latest.scene()
     return {} if scene is None else {scene: ()}
 
 

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.lookup import choose
 from djpt.dispatch.ensemble import Ensemble, Lookup
-from djpt.dispatch.family import ACQUAINTANCES, NONE
+from djpt.dispatch.family import NONE, SCRIPT_PLUGINS
 from djpt.jit.types import UInt32
 from djpt.shapes.silhouettes.base import Silhouette
 from djpt.shapes.silhouettes.samples import SilhouetteSample3f
@@ -19,7 +19,7 @@ __all__ = ["ask", "numbered"]
 
 def numbered(ss: SilhouetteSample3f, shapes: Sequence[Any], index: UInt32) -> SilhouetteSample3f:
     """Let samples refer to their shapes, `shapes[index]`; those of none stay so."""
-    numbers = [ACQUAINTANCES.number(getattr(shape, "original", None) or shape) for shape in shapes]
+    numbers = [SCRIPT_PLUGINS.number(getattr(shape, "original", None) or shape) for shape in shapes]
     number = choose(index, [UInt32(n) for n in numbers], numbers)
     ss.number = dr.select((ss.number == NONE) | (index >= len(shapes)), NONE, number)
     return ss

@@ -9,7 +9,7 @@ import drjit as dr
 
 from djpt.core.records import RAY_EPSILON, DiscontinuityFlags, PositionSample3f, Ray3f
 from djpt.core.records.record import no_wavelengths
-from djpt.dispatch.family import ACQUAINTANCES, NONE, Pointer
+from djpt.dispatch.family import NONE, SCRIPT_PLUGINS, Pointer
 from djpt.jit.types import Bool, Float, UInt32, Vector3f
 
 __all__ = ["SilhouetteSample3f"]
@@ -66,18 +66,18 @@ class SilhouetteSample3f(PositionSample3f):
     @property
     def shape(self) -> Any:
         """The shape that the point lies on, or none: a `djpt.shapes.pointer.ShapePtr`."""
-        return Pointer.of_kind("shape").holding(index=self.number, home={ACQUAINTANCES.of("shape"): ()})
+        return Pointer.of_kind("shape").holding(index=self.number, home={SCRIPT_PLUGINS.of("shape"): ()})
 
     @shape.setter
     def shape(self, shape: Any) -> None:
         if isinstance(shape, Pointer):
-            numbers = [UInt32(ACQUAINTANCES.number(plugin)) for plugin in shape.plugins]
+            numbers = [UInt32(SCRIPT_PLUGINS.number(plugin)) for plugin in shape.plugins]
             number = UInt32(NONE)
             for index, value in enumerate(numbers):
                 number = dr.select(shape.index == index, value, number)
             self.number = number
         else:
-            self.number = UInt32(NONE if shape is None else ACQUAINTANCES.number(shape))
+            self.number = UInt32(NONE if shape is None else SCRIPT_PLUGINS.number(shape))
 
     def shown(self) -> Sequence[str]:
         return ["shape" if name == "number" else name for name in super().shown()]
