@@ -9,12 +9,15 @@ A package lists its plugins in its ``pyproject.toml``, with the module that regi
 from __future__ import annotations
 
 import functools
-import importlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from djpt.errors import SceneError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = ["GROUP", "Entry", "entries", "load"]
 
@@ -24,15 +27,15 @@ GROUP = "djpt.plugins"
 
 @dataclass(frozen=True)
 class Entry:
-    """The `kind` and `name` of a plugin, the `module` that registers it, and the `distribution` that says so."""
+    """The `kind` and `name` of a plugin, the entry `point` of the module that registers it, and its `distribution`."""
 
     kind: str
     name: str
-    module: str
+    point: EntryPoint
     distribution: str
 
     def __str__(self) -> str:
-        return f"the entry point '{self.kind}.{self.name} = {self.module}' of the package '{self.distribution}'"
+        return f"the entry point '{self.point.name} = {self.point.value}' of the package '{self.distribution}'"
 
 
 def entries() -> dict[str, Entry]:
@@ -54,7 +57,7 @@ def found_on(path: Sequence[str]) -> dict[str, Entry]:
     for distribution in distributions(path=list(path)):
         for point in distribution.entry_points.select(group=GROUP):
             kind, _, name = point.name.partition(".")
-            entry = Entry(kind, name, point.value, distribution.name)
+            entry = Entry(kind, name, point, distribution.name)
             if not (kind.isidentifier() and name):
                 raise SceneError(
                     f"the package '{entry.distribution}' has an entry point '{point.name}' in the group '{GROUP}'; "
@@ -73,6 +76,6 @@ def load(entry: Entry) -> None:
         SceneError: It can't be imported.
     """
     try:
-        importlib.import_module(entry.module)
+        entry.point.load()
     except Exception as error:
         raise SceneError(f"{entry} can't be imported: {type(error).__name__}: {error}") from error
